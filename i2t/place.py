@@ -25,7 +25,7 @@ from i2t.depth.camera import Camera
 from i2t.geometry import inverse, nearest_rigid
 from i2t.hardware.camera_folder import read_view
 from i2t.hardware.plugins import REALSENSE, UR, DeviceSetup, ToolPose, find_plugin, load_device
-from i2t.hardware.poses import apart, pose_from_vector
+from i2t.hardware.poses import pose_difference, pose_from_vector
 from i2t.hardware.protocols import GuardedArm, View
 from i2t.hardware.rig import Rig
 from i2t.objects.named import describe_placement, read_object, require_object
@@ -99,7 +99,7 @@ def place(asked: PlaceArgs) -> str:
     T_c_o = inverse(T_w_c) @ T_w_o
     covariance = camera_covariance(found.covariance, T_c_o, 1e-3 * position_error, math.radians(angle_error))
     noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
-    shift, turn = apart(rig.T_world_object, T_w_o)
+    shift, turn = pose_difference(rig.T_world_object, T_w_o)
     fit = np.asarray(found.residual)[np.asarray(found.weight) > 0]
     lines = [
         f"{asked.object} is {1e3 * shift:.1f} mm and {math.degrees(turn):.1f} degrees from what {asked.rig} says",

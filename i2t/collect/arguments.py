@@ -12,7 +12,7 @@ import tyro
 
 from i2t.cli.options import Count, Limits, check_options, require_path
 from i2t.collect.settings import TouchSettings
-from i2t.hardware.ur.config import STATE_TIMEOUT_RANGE_S, WATCHDOG_RATE_RANGE_HZ
+from i2t.hardware.limits import SAFETY
 from i2t.hardware.world import WorldArgs
 from i2t.simulation.site_limits import SiteLimits
 
@@ -31,9 +31,9 @@ class ArmArgs:
     kind: Annotated[str, tyro.conf.arg(name="arm")] = SIMULATED
     host: str | None = None  # address of the arm's controller
     # s without a state after which a UR arm is taken for lost, real or emulated: 0.1 by default
-    state_timeout: Annotated[float, Limits(*STATE_TIMEOUT_RANGE_S)] | None = None
+    state_timeout: Annotated[float, Limits(*SAFETY.state_timeout_range)] | None = None
     # Hz, how often a UR controller must hear from us, real or emulated: 10 by default
-    watchdog_rate: Annotated[float, Limits(*WATCHDOG_RATE_RANGE_HZ)] | None = None
+    watchdog_rate: Annotated[float, Limits(*SAFETY.watchdog_rate_range)] | None = None
 
     def check(self) -> None:
         """Refuse options that do not go together (ValueError, which names the flag)."""

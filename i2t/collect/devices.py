@@ -75,7 +75,7 @@ def require_together(args: CollectArgs, rig: Rig) -> None:
                 f"{_option(each)} is {each.device}, and feels nothing on this arm; pass --arm "
                 f"{' or '.join(plugin.arms)}, or another skin"
             )
-        if plugin.with_the_arm_s and bool(args.arm.host) != bool(each.address):
+        if plugin.address_follows_arm and bool(args.arm.host) != bool(each.address):
             raise ValueError(
                 f"{_option(each)} is {each.device}, and emulators that run already have a --host and a port; give "
                 "both, or neither"

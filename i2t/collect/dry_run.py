@@ -11,8 +11,8 @@ from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
 from i2t.collect.touch import Site
 from i2t.geometry import inverse
-from i2t.hardware.collision import REACTION_S, overrun_force
-from i2t.hardware.limits import BRAKING_M_S2
+from i2t.hardware.collision import overrun_force
+from i2t.hardware.limits import SAFETY
 from i2t.hardware.rig import summary
 
 
@@ -57,7 +57,9 @@ def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
 
     def more(late: float) -> float:
         """N that a press gains when it is told to stop, so late (s)."""
-        return overrun_force(settings.press, limits.stiffness, braking=BRAKING_M_S2, delay=REACTION_S + late)
+        return overrun_force(
+            settings.press, limits.stiffness, braking=SAFETY.braking_m_s2, delay=SAFETY.reaction_time_s + late
+        )
 
     stiff = f"at {limits.stiffness / 1e3:g} N/mm"
     asked = f" ({1e3 * settings.speed:.0f} asked)" if path.free_speed < settings.speed else ""

@@ -11,7 +11,8 @@ import numpy as np
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import Site, UnreachableError
 from i2t.hardware.collision import fastest_speed
-from i2t.hardware.limits import BRAKING_M_S2, format_position
+from i2t.hardware.limits import SAFETY
+from i2t.hardware.motion_limits import format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.rig import Rig
 from i2t.types import Array
@@ -118,7 +119,7 @@ class TouchPath:
         limits, force = self.rig.limits, self.settings.force
         ends = limits.collision_force(speed, force)
         if not ends <= limits.force:
-            allowed = fastest_speed(limits.force - force, limits.stiffness, braking=BRAKING_M_S2)
+            allowed = fastest_speed(limits.force - force, limits.stiffness, braking=SAFETY.braking_m_s2)
             raise ValueError(
                 f"{name} is {speed:g} m/s: told to stop at {force:g} N it would end at {ends:.0f} N, at "
                 f"{limits.stiffness / 1e3:g} N/mm, above the rig's limit, {limits.force:g} N; give {allowed:.2g} m/s "

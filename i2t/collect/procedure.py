@@ -49,7 +49,7 @@ from i2t.collect.touch import (
 from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.guarded import MotionWatch
-from i2t.hardware.limits import format_position
+from i2t.hardware.motion_limits import format_position
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import (
     ApproachResult,

@@ -23,7 +23,8 @@ from i2t.geometry import transform
 from i2t.hardware.base import CameraBase
 from i2t.hardware.clock import Clock
 from i2t.hardware.guarded import GuardedByPolling
-from i2t.hardware.limits import BRAKING_M_S2, MotionLimits
+from i2t.hardware.limits import SAFETY
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_to_vector
 from i2t.hardware.protocols import (
     ArmState,
@@ -33,7 +34,7 @@ from i2t.hardware.protocols import (
     View,
     channel_names,
 )
-from i2t.hardware.skin_stream import QUEUE_SAMPLES, QueuedSkin, StreamRow
+from i2t.hardware.skin_stream import QueuedSkin, StreamConfig, StreamRow
 from i2t.simulation.depth_camera import add_depth_noise, render_view, shade_view
 from i2t.types import Array
 
@@ -84,7 +85,7 @@ class SkinInLab:
 
     def __init__(self, scene: ObjectScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
         self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
-        self.samples: deque[StreamRow] = deque(maxlen=QUEUE_SAMPLES)
+        self.samples: deque[StreamRow] = deque(maxlen=StreamConfig.queue_samples)
         self.number = 0
         self.recording = False  # whether somebody holds the skin
         self._random = np.random.default_rng((seed, 1))
@@ -261,7 +262,7 @@ class SimulatedArm(GuardedByPolling):
             self.clock.sleep(self.latency)
         with self.lab.lock:
             self.lab.advance()
-            self.lab.robot.stop(BRAKING_M_S2)
+            self.lab.robot.stop(SAFETY.braking_m_s2)
 
     def zero_sensor(self) -> None:
         """Take the wrench felt now as zero."""

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from i2t.emulators.world import make_scene, read_pad
 from i2t.hardware.clock import Clock
-from i2t.hardware.drivers import BOARD, WATCH, make_reskin, make_ur
+from i2t.hardware.drivers import make_reskin, make_ur, reskin, ur
 from i2t.hardware.plugins import DevicePlugin, DeviceSetup
 from i2t.skin.boards import DEFAULT_BOARD
 
@@ -170,10 +170,10 @@ simulated_skin = DevicePlugin(
     make_simulated_skin, takes=frozenset({"board", "pad"}), arms=frozenset({SIMULATED}), make_clock=virtual_clock
 )
 simulated_camera = DevicePlugin(make_simulated_camera, takes=frozenset(), make_clock=virtual_clock)
-emulated_arm = DevicePlugin(make_emulated_arm, takes=WATCH)
+emulated_arm = DevicePlugin(make_emulated_arm, takes=ur.takes)
 emulated_skin = DevicePlugin(
     make_emulated_skin,
-    takes=(BOARD | {"pad"}) - {"skin_serial"},
+    takes=(reskin.takes | {"pad"}) - {"skin_serial"},
     arms=frozenset({EMULATED}),
-    with_the_arm_s=True,
+    address_follows_arm=True,
 )

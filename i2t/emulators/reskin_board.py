@@ -31,7 +31,7 @@ from jaxtyping import Float
 from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import read_options
 from i2t.emulators import processes
-from i2t.hardware.reskin.layouts import CONVERTER_COUNTS, Format, encode
+from i2t.hardware.reskin.layouts import Format, encode
 from i2t.skin.boards import make_board
 from i2t.types import Board
 
@@ -109,7 +109,7 @@ class Readings:
         noise = self._noise * np.tile(NOISE_UT, self.chips) * self._rng.standard_normal(3 * self.chips)
         steps = np.tile(STEPS_UT, self.chips)
         counts = np.round((self.field + depth * self._press + noise) / steps)
-        counts = (counts + CONVERTER_COUNTS // 2) % CONVERTER_COUNTS - CONVERTER_COUNTS // 2
+        counts = (counts + 2**15) % 2**16 - 2**15  # a converter of 16 bits wraps around
         warmth = BOARD_TEMPERATURE_C + self._noise * TEMPERATURE_NOISE_C * self._rng.standard_normal(self.chips)
         celsius = np.round((warmth - TEMPERATURE_ORIGIN_C) / TEMPERATURE_STEP_C)
         return counts * steps, TEMPERATURE_ORIGIN_C + celsius * TEMPERATURE_STEP_C

@@ -1,1 +1,1 @@
-"""The imperative layer: devices that produce readings, poses and images. It imports no JAX."""
+"""Devices that produce readings, poses and images: the imperative layer, which imports no JAX."""

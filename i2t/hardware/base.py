@@ -1,26 +1,24 @@
 """Base classes of drivers: the `with` block of every device, and the features of a depth camera."""
 
-from typing import Any, TypeVar
+from typing import Any, Self
 
 from i2t.depth.camera import Camera
 from i2t.errors import NotConnectedError
 from i2t.hardware.protocols import CameraFeatures
-
-D = TypeVar("D", bound="DeviceBase")
 
 
 class DeviceBase:
     """A device that `with` connects and closes."""
 
     def connect(self) -> None:
-        """Start the device; raises DeviceError."""
+        """Start the device; raise DeviceError if that fails."""
         raise NotImplementedError
 
     def close(self) -> None:
-        """Stop it and give its port back, as often as one likes; raises nothing."""
+        """Stop the device and release its port; may be called repeatedly and never raises."""
         raise NotImplementedError
 
-    def __enter__(self: D) -> D:
+    def __enter__(self) -> Self:
         self.connect()
         return self
 
@@ -29,10 +27,10 @@ class DeviceBase:
 
 
 class CameraBase(DeviceBase):
-    """A depth camera whose lens is known once it was connected: `connect` sets `_camera`.
+    """A depth camera whose lens becomes known when it is connected: `connect` must set `_camera`.
 
     Args:
-        features: What is known before that.
+        features: The features that are known before the connection.
     """
 
     def __init__(self, features: CameraFeatures) -> None:
@@ -41,14 +39,14 @@ class CameraBase(DeviceBase):
 
     @property
     def features(self) -> CameraFeatures:
-        """Features as known before `connect`, and after it as the device reported them."""
+        """Features of the camera; after `connect` as the device reported them."""
         return self._features
 
     @property
     def camera(self) -> Camera:
         """Size and lens of the depth image; raises NotConnectedError before `connect` has read them."""
         if self._camera is None:
-            raise NotConnectedError(f"{self._name} is not connected, and its lens is read then; connect it")
+            raise NotConnectedError(f"{self._name} is not connected, so its lens is unknown; connect it")
         return self._camera
 
     @property

@@ -1,9 +1,9 @@
-"""Skins that the tool carries; those next to the one that presses are the tables `[skins.NAME]` of a rig's file.
+"""Skins on the tool: besides the skin that presses, the tables `[skins.NAME]` of a rig's file.
 
     [tool]
     skin = "left"                    # the skin in the tool's frame: it presses, and the command line names its device
 
-    [skins.right]                    # one more, such as that of a gripper's other jaw
+    [skins.right]                    # a further skin, such as that of a gripper's other jaw
     T_tool_skin = [...]              # its frame in the tool (origin at its centre, z out of it)
     device = "reskin"                # as --skin of python -m i2t.collect
     serial_number = "E6612483CB"     # or address = "/dev/ttyACM1": its port
@@ -21,24 +21,22 @@ import numpy as np
 from i2t.skin.boards import DEFAULT_BOARD, make_board
 from i2t.types import Array
 
-TOOL_SKIN = "tool"  # name of the skin in the tool's frame, where a rig gives none
-TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")  # keys of a table that are texts
-
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]{0,31}")
+TOOL_SKIN = "tool"  # default name of the skin in the tool's frame
+TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")  # text keys of a table
 
 
 @dataclass(frozen=True, eq=False)
 class CarriedSkin:
-    """A skin on the tool. Raises ValueError, with one sentence that names the field, for what cannot be."""
+    """A skin on the tool. Raises ValueError, which names the field, for an invalid value."""
 
     name: str
-    device: str = "reskin"  # reskin, simulated, emulated, or another package's, as --skin
+    device: str = "reskin"  # reskin, simulated, emulated, or a device of another package, as --skin
     T_tool_skin: Array = field(default_factory=lambda: np.eye(4))  # (4, 4)
-    # As `i2t.skin.boards.make_board` knows it, or empty: another package's device knows its own.
+    # Name for `i2t.skin.boards.make_board`; empty if the device of another package brings its own.
     board: str = DEFAULT_BOARD
-    address: str = ""  # its port; empty: by its serial number
-    serial_number: str = ""  # of a board on USB
-    pad: str = ""  # of the skin in the data set; empty: its own name
+    address: str = ""  # its port; empty to find it by its serial number
+    serial_number: str = ""  # of a USB board
+    pad: str = ""  # name of the pad in the data set; by default the skin's
 
     def __post_init__(self) -> None:
         try:
@@ -46,30 +44,31 @@ class CarriedSkin:
         except (ValueError, OSError) as error:
             raise ValueError(f"skins.{self.name}.board: {error}") from error
         if self.serial_number and self.device != "reskin":
-            raise ValueError(f"skins.{self.name}.serial_number is of a board on USB; leave it out")
+            raise ValueError(f"skins.{self.name}.serial_number applies to a USB board only; leave it out")
         if self.serial_number and self.address:
             raise ValueError(f"skins.{self.name} has an address and a serial_number; keep one of them")
 
 
 def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:
-    """Refuse skins that cannot be told apart.
+    """Refuse skins that cannot be distinguished.
 
     Args:
         tool_skin: Name of the skin in the tool's frame.
-        skins: The others.
+        skins: Further skins.
 
     Raises:
-        ValueError: A name is none, a board is not named, or a name or a board is there twice.
+        ValueError: A name is invalid, a board has neither address nor serial number, or two skins share a name or a
+            board.
     """
-    for each in skins:
-        if each.device == "reskin" and not (each.serial_number or each.address):
-            raise ValueError(f"skins.{each.name} names no board; add its address or its serial_number")
-    names = [tool_skin, *(each.name for each in skins)]
-    boards = [each.serial_number or each.address for each in skins if each.device == "reskin"]
+    for skin in skins:
+        if skin.device == "reskin" and not (skin.serial_number or skin.address):
+            raise ValueError(f"skins.{skin.name} identifies no board; add its address or its serial_number")
+    names = [tool_skin, *(skin.name for skin in skins)]
+    boards = [skin.serial_number or skin.address for skin in skins if skin.device == "reskin"]
     for name in names:
-        if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise ValueError(f"{name!r} is no name of a skin; give a letter, and then letters, digits, - or _")
-    for what in (names, boards):
-        twice = [each for each in what if what.count(each) > 1]
+        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,31}", name):
+            raise ValueError(f"{name!r} is not a name of a skin; give a letter, and then letters, digits, - or _")
+    for values in (names, boards):
+        twice = [value for value in values if values.count(value) > 1]
         if twice:
-            raise ValueError(f"[skins] and tool.skin name {twice[0]} twice; each skin has its own name and board")
+            raise ValueError(f"[skins] and tool.skin use {twice[0]} twice; each skin has its own name and board")

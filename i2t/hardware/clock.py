@@ -1,4 +1,4 @@
-"""Time as the procedure and the recorder see it: of this machine, or of a simulation that need not wait."""
+"""Time for procedures and recorders: this machine's, or that of a simulation that need not wait."""
 
 import time
 from typing import Protocol, runtime_checkable
@@ -6,19 +6,19 @@ from typing import Protocol, runtime_checkable
 
 @runtime_checkable
 class Clock(Protocol):
-    """Two times that pass at one speed, and waiting."""
+    """Two times that advance at the same rate, and a way to wait."""
 
     def now(self) -> float:
-        """Seconds that never jump, as in the samples and states of devices."""
+        """Return the monotonic time (s) that dates the samples and states of devices."""
 
     def wall(self) -> float:
-        """Unix time (s), as in files; a person or a time server may set it."""
+        """Return the Unix time (s) for files; a person or a time server may set it."""
 
     def sleep(self, seconds: float) -> None:
         """Wait.
 
         Args:
-            seconds: s; nothing is waited for where it is 0 or less.
+            seconds: Time to wait in s; 0 or less does not wait.
         """
 
 
@@ -26,13 +26,13 @@ class MonotonicClock:
     """The clocks of this machine."""
 
     def now(self) -> float:
-        """`time.monotonic()`."""
+        """Return `time.monotonic()`."""
         return time.monotonic()
 
     def wall(self) -> float:
-        """`time.time()`."""
+        """Return `time.time()`."""
         return time.time()
 
     def sleep(self, seconds: float) -> None:
-        """Wait that long, as in `Clock.sleep`."""
+        """Wait, as in `Clock.sleep`."""
         time.sleep(seconds)

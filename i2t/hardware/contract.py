@@ -1,13 +1,14 @@
-"""Requirements of every arm, skin and camera, as tests that a third party's pytest runs too.
+"""Requirements of every arm, skin and camera, as tests that other packages can run with pytest too.
 
     from i2t.hardware.contract import SkinContract
 
     class TestAcmeSkin(SkinContract):
         make_device = staticmethod(lambda: AcmeSkin(DeviceSetup(Rig())))
 
-A class says what is to be expected by its attributes, and how well its device keeps to it. Tests that must touch
-something are left out where no `floor` is given. On a real arm the tests move it by 50 mm about `home`: look at them
-before.
+The attributes of a class are the expectations and the tolerances of its device. Tests that must touch something are
+skipped without a `floor`.
+
+WARNING: The tests move a real arm by 50 mm about `home`. Read them first.
 """
 
 import threading
@@ -19,65 +20,63 @@ import numpy as np
 import pytest
 
 from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState, DepthCamera, GuardedArm, Skin
 from i2t.types import Array
 
-TEST_PATIENCE_S = 20.0  # that a loaded machine may need
-TEST_STATE_TIMEOUT_S = 3.0
-MIN_STATE_RATE_HZ = 100
-SOURCES = ("real", "emulated", "simulated", "replay")
-
 
 class _Contract:
-    """A contract of the devices that `make_device` builds, or of those that an overridden fixture `make` gives."""
+    """Requirements of the devices that `make_device` builds, or that an overridden fixture `make` builds."""
 
-    make_device: Callable[[], Any]  # builds a device, without connecting it
+    make_device: Callable[[], Any]  # builds a device without connecting it
+    sources: tuple[str, ...] = ("real", "emulated", "simulated", "replay")
+    patience: float = 20.0  # s, which a busy machine may need
+    state_timeout: float = 3.0  # s, maximum age of a state
 
     @pytest.fixture
     def make(self) -> Callable[[], Any]:
-        """Builds devices for one test."""
+        """Return the function that builds devices."""
         return self.make_device
 
 
 class ArmContract(_Contract):
-    """Requirements of every guarded arm; it stands at `home` before each test."""
+    """Requirements of every guarded arm; the arm stands at `home` before each test."""
 
-    limits: MotionLimits  # of the arm
-    home: Array  # (4, 4) T_b_t, tool pointing down, 50 mm inside the box on all sides
+    limits: MotionLimits
+    home: Array  # (4, 4) T_b_t, with the tool pointing down, 50 mm inside the box on all sides
     floor: float | None = None  # m, height of a springy plane, 20 to 60 mm below home
-    stiffness: float = 5e3  # N/m, of that plane
-    pose_tolerance: float = 1e-3  # m, and of a rotation's elements
-    force_tolerance: float = 2.0  # N and Nm, of what is felt at rest
-    speed_tolerance: float = 0.1  # of the speed that was asked
+    stiffness: float = 5e3  # N/m, of this plane
+    pose_tolerance: float = 1e-3  # m, and for a rotation's elements
+    force_tolerance: float = 2.0  # N and Nm, of the wrench at rest
+    speed_tolerance: float = 0.1  # share of the requested speed
 
     def pose(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
-        """A pose next to home.
+        """Calculate a pose near home.
 
         Args:
-            x: m from home, along the base's x axis.
-            y: m along y.
-            z: m along z.
+            x: Shift from home along the base's x axis, m.
+            y: Shift along the y axis, m.
+            z: Shift along the z axis, m.
 
         Returns:
-            (4, 4) T_b_t.
+            (4, 4) T_b_t, m.
         """
         pose = np.array(self.home, float)
         pose[:3, 3] += x, y, z
         return pose
 
     def test_features_are_known_before_connecting_and_nothing_else_works(self, make: Callable[[], GuardedArm]) -> None:
-        """Box, speed and acceleration are those of the limits; `close` raises nothing."""
+        """Box, speed and acceleration are those of the limits; `close` never raises."""
         arm, limits = make(), self.limits
         assert isinstance(arm, GuardedArm)
         _, source, rate, box, *bounds = arm.features
-        assert (source in SOURCES, rate >= MIN_STATE_RATE_HZ) == (True, True)
+        assert (source in self.sources, rate >= 100) == (True, True)
         assert [*np.ravel(box), *bounds] == [*limits.lower, *limits.upper, limits.speed, limits.acceleration]
         refuse(NotConnectedError, [(arm.state, (), ""), (arm.move, (self.home, 0.1, 0.5), "")])
         arm.close()
 
     def test_it_moves_where_it_is_told_as_fast_as_it_may_and_nowhere_else(self, make: Callable[[], GuardedArm]) -> None:
-        """`move` returns at once, and what is beyond the limits, or no number, is refused before anything moves."""
+        """`move` returns at once; goals that are beyond the limits or not finite are refused before anything moves."""
         goal, limits = self.pose(0.02, 0.03, 0.02), self.limits
         motions = [
             (self.pose(z=limits.lower[2] - 0.05 - self.home[2, 3]), 0.1, 0.5, "outside the box"),
@@ -91,12 +90,12 @@ class ArmContract(_Contract):
             refuse(ValueError, [(move, motion, why) for *motion, why in motions for move in (arm.move, arm.go)])
             refuse(ValueError, [(arm.approach, (2 * limits.approach_distance, 0.02), "distance")])
             refuse(ValueError, [(arm.approach, (0.02, 0.02, None, np.nan), "force")])
-            before = arm.state(TEST_STATE_TIMEOUT_S)
+            before = arm.state(self.state_timeout)
             assert (before.safe, before.moving, before.velocity.shape, before.wrench.shape) == (True, False, (6,), (6,))
             np.testing.assert_allclose(before.T_b_t, self.home, atol=self.pose_tolerance)
             np.testing.assert_allclose(arm.move(goal, 0.1, 0.5), goal, atol=self.pose_tolerance)
-            assert arm.state(TEST_STATE_TIMEOUT_S).moving
-            after, fastest = at_rest(arm)
+            assert arm.state(self.state_timeout).moving
+            after, fastest = at_rest(arm, self.state_timeout, self.patience)
             np.testing.assert_allclose(after.T_b_t, goal, atol=self.pose_tolerance)
             assert 0 < fastest <= 0.1 * (1 + self.speed_tolerance)
             assert before.time < after.time <= time.monotonic()
@@ -109,28 +108,28 @@ class ArmContract(_Contract):
             arm.move(self.pose(y=0.05), 0.02, 0.5)
             thread = threading.Thread(target=arm.stop, args=(5.0,))
             thread.start()
-            thread.join(TEST_PATIENCE_S)
-            stood = arm.state(TEST_STATE_TIMEOUT_S)
+            thread.join(self.patience)
+            stood = arm.state(self.state_timeout)
             assert not stood.moving
             arm.move(self.pose(y=0.05), 0.02, 0.5)
         arm.close()
         refuse(DeviceError, [(arm.state, (), "")])
         with arm:
-            now = at_rest(arm)[0].T_b_t[1, 3]
+            now = at_rest(arm, self.state_timeout, self.patience)[0].T_b_t[1, 3]
             assert stood.T_b_t[1, 3] - self.pose_tolerance <= now < self.home[1, 3] + 0.045
             np.testing.assert_allclose(arm.go(self.home, 0.2, 0.5).T_b_t, self.home, atol=self.pose_tolerance)
 
     def test_an_approach_ends_where_something_says_stop(self, make: Callable[[], GuardedArm]) -> None:
-        """Force (of a spring, from zero), a stop condition, the distance, or an error in the condition."""
+        """An approach ends at a force (of a spring, from zero), a stop condition, the distance, or an error."""
         if self.floor is None:
-            pytest.skip("there is nothing to touch: give the height of a floor")
+            pytest.skip("the arm cannot touch anything: give the height of a floor")
         floor, start = self.floor, self.pose(z=self.floor + 0.01 - self.home[2, 3])
         with make() as arm:
             arm.move(start, 0.1, 0.5)
             refuse(DeviceError, [(arm.zero_wrench, (1.0,), "zeroed only while")])
-            at_rest(arm)
-            arm.zero_wrench(TEST_STATE_TIMEOUT_S)
-            np.testing.assert_allclose(arm.state(TEST_STATE_TIMEOUT_S).wrench, 0, atol=self.force_tolerance)
+            at_rest(arm, self.state_timeout, self.patience)
+            arm.zero_wrench(self.state_timeout)
+            np.testing.assert_allclose(arm.state(self.state_timeout).wrench, 0, atol=self.force_tolerance)
             done = arm.approach(0.03, 0.02, force=4.0)
             assert (done.reason, done.answer, done.state.moving) == ("force", None, False)
             pushed = [0, 0, -self.stiffness * (floor - done.state.T_b_t[2, 3]), 0, 0, 0]
@@ -144,31 +143,31 @@ class ArmContract(_Contract):
             assert (done.reason, done.answer) == ("distance", None)
             assert abs(done.distance - 0.005) <= self.pose_tolerance
             refuse(ZeroDivisionError, [(arm.approach, (0.03, 0.002, lambda state: 1 / 0), "")])
-            assert not arm.state(TEST_STATE_TIMEOUT_S).moving
+            assert not arm.state(self.state_timeout).moving
             arm.go(self.home, 0.1, 0.5)
 
 
 class SkinContract(_Contract):
-    """Requirements of every skin; the Earth's field is all that it need measure."""
+    """Requirements of every skin, which need only measure the Earth's field."""
 
     rate: float = 400.0  # Hz, nominal
     has_temperature: bool = True
 
     def test_features_are_known_before_connecting_and_nothing_else_works(self, make: Callable[[], Skin]) -> None:
-        """Three channels for each chip, each with a name of its own; `close` raises nothing."""
+        """There are three channels with distinct names for each chip; `close` never raises."""
         skin = make()
         assert isinstance(skin, Skin)
         _, source, channels, unit, rate = skin.features
         assert (len(channels) % 3, len(set(channels)), unit, rate) == (0, len(channels), "uT", self.rate)
-        assert (source in SOURCES, skin.counters.samples) == (True, 0)
+        assert (source in self.sources, skin.counters.samples) == (True, 0)
         refuse(NotConnectedError, [(skin.latest, (), ""), (skin.read, (1,), ""), (skin.since, (-1,), "")])
         skin.close()
 
     def test_samples_are_whole_plausible_and_in_order(self, make: Callable[[], Skin]) -> None:
-        """Every sample comes once, measured after the call, in microtesla; `since` leaves none out."""
+        """Every sample arrives once, measured after the call, in microtesla; `since` omits none."""
         with make() as skin:
-            called, newest, channels = time.monotonic(), int(skin.latest(TEST_PATIENCE_S).number[-1]), skin.features[2]
-            number, times, reading, temperature = skin.read(100, TEST_PATIENCE_S)
+            called, newest, channels = time.monotonic(), int(skin.latest(self.patience).number[-1]), skin.features[2]
+            number, times, reading, temperature = skin.read(100, self.patience)
             assert (reading.shape, temperature.shape) == ((100, len(channels)), (100, len(channels) // 3))
             assert called < times[0] <= times[-1] <= time.monotonic()
             assert (np.diff(number) == 1).all()
@@ -179,7 +178,7 @@ class SkinContract(_Contract):
             assert (skin.counters.samples >= 100, skin.counters.loss) == (True, 0)
 
     def test_waiting_has_an_end_and_numbers_go_on_after_a_reconnection(self, make: Callable[[], Skin]) -> None:
-        """What does not come in time is an error, and what cannot be asked for."""
+        """Late samples and impossible requests raise; numbers continue after a reconnection."""
         skin = make()
         with skin:
             refuse(DeviceTimeoutError, [(skin.read, (2000, 0.05), "")])
@@ -188,28 +187,28 @@ class SkinContract(_Contract):
         skin.close()
         refuse(DeviceError, [(skin.read, (1,), "")])
         with skin:
-            assert skin.read(5, TEST_PATIENCE_S).number[0] >= before
+            assert skin.read(5, self.patience).number[0] >= before
             assert skin.counters.connects == 2
 
 
 class CameraContract(_Contract):
-    """Requirements of every depth camera; something lies 90 to 200 mm before it."""
+    """Requirements of every depth camera; an object lies 90 to 200 mm in front of it."""
 
-    depth_range: tuple[float, float] = (0.09, 0.2)  # m, of what it looks at
-    min_measured_share: float = 0.9  # of the pixels
+    depth_range: tuple[float, float] = (0.09, 0.2)  # m, distance of the object
+    min_measured_share: float = 0.9  # of the pixels that are measured
 
     def test_views_are_whole_in_metres_and_in_order(self, make: Callable[[], DepthCamera]) -> None:
-        """Depth in metres with NaN for holes, and colours of the same pixels; again after it was closed."""
+        """Depth is in metres with NaN for holes, colours are of the same pixels; also after the camera was closed."""
         camera, (low, high) = make(), self.depth_range
-        assert (camera.features.source in SOURCES, camera.features.rate > 1) == (True, True)
-        assert not camera.features.nearest >= high  # NaN where only the device knows it
+        assert (camera.features.source in self.sources, camera.features.rate > 1) == (True, True)
+        assert not camera.features.nearest >= high  # NaN if only the device knows it
         for _ in range(2):
             refuse(NotConnectedError, [(camera.capture, (), "")])
             with camera:
                 assert isinstance(camera, DepthCamera)
                 shape, before = (camera.camera.height, camera.camera.width), time.monotonic()
                 for _ in range(2):
-                    when, depth, colour = camera.capture(TEST_PATIENCE_S)
+                    when, depth, colour = camera.capture(self.patience)
                     assert before < when <= time.monotonic()
                     before, measured = when, np.isfinite(depth)
                     assert (depth.shape, depth.dtype) == (shape, np.float32)
@@ -220,29 +219,31 @@ class CameraContract(_Contract):
 
 
 def refuse(error: type[Exception], calls: Sequence[tuple[Callable[..., Any], Sequence[Any], str]]) -> None:
-    """Require that each call ends with an error.
+    """Require that each call raises an error.
 
     Args:
-        error: Its type.
-        calls: A function, its arguments, and what the error says.
+        error: Type of the error.
+        calls: Functions, with their arguments and a pattern for the message of the error.
     """
     for call, arguments, why in calls:
         with pytest.raises(error, match=why or None):
             call(*arguments)
 
 
-def at_rest(arm: GuardedArm) -> tuple[ArmState, float]:
+def at_rest(arm: GuardedArm, state_timeout: float, patience: float) -> tuple[ArmState, float]:
     """Wait until an arm stands.
 
     Args:
-        arm: Connected.
+        arm: Connected arm.
+        state_timeout: Maximum age of a state, s.
+        patience: Maximum wait, s.
 
     Returns:
-        Its state at rest, and the greatest speed on the way (m/s).
+        The state at rest, and the highest speed on the way (m/s).
     """
-    fastest, end = 0.0, time.monotonic() + TEST_PATIENCE_S
+    fastest, end = 0.0, time.monotonic() + patience
     while True:
-        state = arm.state(TEST_STATE_TIMEOUT_S)
+        state = arm.state(state_timeout)
         fastest = max(fastest, float(np.linalg.norm(state.velocity[:3])))
         if not state.moving:
             return state, fastest

@@ -1,4 +1,4 @@
-"""Plug-ins of i2t's own drivers (`i2t.hardware.plugins`); each is imported only where it is asked for."""
+"""Plug-ins of i2t's own drivers (`i2t.hardware.plugins`); a driver is imported only when it is built."""
 
 from typing import TYPE_CHECKING
 
@@ -12,17 +12,17 @@ if TYPE_CHECKING:
 
 
 def make_ur(setup: DeviceSetup) -> "UrArm":
-    """A UR arm, not connected.
+    """Build a UR arm, without connecting it.
 
     Args:
-        setup: Its address, tool, payload, limits and watch.
+        setup: Setup with the address, the rig (tool, payload, limits), and the times of the watch.
 
     Returns:
-        The arm.
+        The arm, not connected.
 
     Raises:
-        ValueError: The address is missing, or a time of the watch protects nobody.
-        DeviceError: Its client library is not installed.
+        ValueError: The address is missing, or a time of the watch is out of range.
+        DeviceError: The client library is not installed.
     """
     from i2t.hardware.ur.driver import UrArm
 
@@ -33,16 +33,16 @@ def make_ur(setup: DeviceSetup) -> "UrArm":
 
 
 def make_reskin(setup: DeviceSetup) -> "ReSkin":
-    """A ReSkin, AnySkin or eFlesh board, not connected.
+    """Build a ReSkin, AnySkin or eFlesh board, without connecting it.
 
     Args:
-        setup: Its port or its board's serial number, and the name of its board.
+        setup: Setup with the port or the serial number of the board, and the name of the board.
 
     Returns:
-        The skin.
+        The skin, not connected.
 
     Raises:
-        DeviceError: pyserial is missing.
+        DeviceError: pyserial is not installed.
     """
     from i2t.hardware.reskin.driver import ReSkin
 
@@ -53,16 +53,16 @@ def make_reskin(setup: DeviceSetup) -> "ReSkin":
 
 
 def make_realsense(setup: DeviceSetup) -> "RealSense":
-    """A RealSense, not connected.
+    """Build a RealSense, without connecting it.
 
     Args:
-        setup: Its serial number, and the size of its images, by default as the rig has them.
+        setup: Setup with the serial number and the size of the images, by default that of the rig.
 
     Returns:
-        The camera.
+        The camera, not connected.
 
     Raises:
-        DeviceError: Its client library is not installed.
+        DeviceError: The client library is not installed.
     """
     from i2t.hardware.realsense import RealSense
 
@@ -71,8 +71,8 @@ def make_realsense(setup: DeviceSetup) -> "RealSense":
     return RealSense(setup.address, setup.size or (lens.width, lens.height), distance=distance)
 
 
-WATCH = frozenset({"address", "state_timeout", "watchdog_rate"})
-BOARD = frozenset({"address", "skin_serial", "board"})
-ur = DevicePlugin(make_ur, takes=WATCH, needs_address=True, needs_rig=True)
-reskin = DevicePlugin(make_reskin, takes=BOARD)
+ur = DevicePlugin(
+    make_ur, takes=frozenset({"address", "state_timeout", "watchdog_rate"}), needs_address=True, needs_rig=True
+)
+reskin = DevicePlugin(make_reskin, takes=frozenset({"address", "skin_serial", "board"}))
 realsense = DevicePlugin(make_realsense, takes=frozenset({"address", "size"}))

@@ -1,7 +1,9 @@
-"""Guarded motions: what every state of an arm in motion must be, and an arm that is guarded by asking for states.
+"""Guarded motions: the check of every state of a moving arm, and a guarded arm made from a driver that is polled.
 
-`MotionWatch` judges states, one after another, whoever's arm they are of. `GuardedByPolling` makes a `GuardedArm` of an
-arm that can be asked for its state, sent along a line, and told to brake.
+`MotionWatch` checks the states of one motion, of any arm. `GuardedByPolling` makes a `GuardedArm` of a driver that can
+report its state, move along a line, and brake.
+
+WARNING: Keep every comparison in the form `not value <= limit`, so that NaN stops the arm.
 
 Frames: B robot base, T tool; metres, radians, newtons.
 """
@@ -18,44 +20,30 @@ import numpy as np
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
 from i2t.hardware.base import DeviceBase
 from i2t.hardware.clock import Clock, MonotonicClock
-from i2t.hardware.limits import MotionLimits, format_position
-from i2t.hardware.poses import apart, shifted_along_z
+from i2t.hardware.limits import SAFETY
+from i2t.hardware.motion_limits import MotionLimits, format_position
+from i2t.hardware.poses import pose_difference, shifted_along_z
 from i2t.hardware.protocols import ApproachResult, Arm, ArmFeatures, ArmState, StopReason
 from i2t.types import Array
 
-GOAL_TOLERANCE = (1e-3, 0.01)  # m, rad: how near its goal a finished motion ends
-ROTATION_LEVER_M = 0.25  # of path, that a radian is reckoned as, to know how long a motion may take
-DURATION_FACTOR, DURATION_MARGIN_S = 2.0, 2.0  # a motion may take so much longer than a trapezoid of speed
-RETREAT_FACTOR = 1.1  # by which the force may grow in a motion that begins above its limit
-MOST_START_SHARE = 2.0  # of the rig's limits, that may be felt where a free motion begins
-BOX_MARGIN_M, TRAVEL_MARGIN_M = 5e-3, 3e-3  # of a state: outside the box; past the goal
-SPEED_FACTOR, SPEED_MARGIN_M_S = 1.5, 0.02  # of a state, over the speed that was asked
-MOST_TURN_RAD_S = 10.0  # of a tool: no arm that carries a skin turns it so fast
-STATE_AGE_S = 0.25  # of a state in a motion, at the most: a press gains 5 N meanwhile, at 10 N/mm
-LEAST_WAY = 1e-5  # m or rad, of a motion that is one
-HALT_S = 1.0  # in which an arm must have been told to brake, and stand
-STILL_S = 3.0  # in which the pose of an arm that says that it moves must have changed
-START_S, START_SHARE = 0.5, 0.1  # in which an arm must have begun a motion, and gone that part of it
-SLOWEST_SHARE, PAUSED_SHARE = 0.05, 0.01  # of the asked speed, to which a person may turn an arm down; below, it waits
 T = TypeVar("T")
 # Windows has no SIGHUP.
 BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
-NUMBERS = ("T_b_t", "joints", "velocity", "wrench")  # of a state
 
 
 class MotionWatch:
-    """Judge of the states of one motion.
+    """Check of the states of one motion.
 
     Args:
-        arm: Whose they are. One that is taken for lost only later (`state_timeout`, s) may give older states, and the
-            pose of one that a person may pause (`can_be_paused`) may stand still while it says that it moves.
-        limits: Of the rig.
-        start: Where the motion begins.
-        distance: m, that the tool goes.
-        speed: m/s, that was asked.
-        force: N, norm of the force that ends the motion.
-        torque: Nm, likewise.
-        clock: That dates states.
+        arm: The arm that moves. If it has a `state_timeout` (s), its states may be that old. If it has
+            `can_be_paused`, a person may pause it, and its pose may stand still while it reports a motion.
+        limits: Limits of the rig.
+        start: State in which the motion begins.
+        distance: Distance in m that the tool is to move.
+        speed: Requested speed in m/s.
+        force: Norm of the force in N that ends the motion.
+        torque: Norm of the torque in Nm that ends the motion.
+        clock: Clock that dates the states.
     """
 
     def __init__(
@@ -71,61 +59,61 @@ class MotionWatch:
         clock: Clock,
     ) -> None:
         self._name, self._limits, self._clock = arm.features.name, limits, clock
-        self._age = max(STATE_AGE_S, getattr(arm, "state_timeout", 0.0))
-        self._still = np.inf if getattr(arm, "can_be_paused", False) else STILL_S
+        self._max_age = max(SAFETY.max_state_age_s, getattr(arm, "state_timeout", 0.0))
+        self._stall_timeout = np.inf if getattr(arm, "can_be_paused", False) else SAFETY.stall_timeout_s
         self._start, self._distance, self._speed = start.T_b_t[:3, 3], distance, speed
         self._force, self._torque = force, torque
-        self.begun = self._changed = clock.now()  # when the pose was another for the last time
+        self.start_time = self._change_time = clock.now()  # _change_time: when the pose last changed
         self._newest = start
 
     def __call__(self, state: ArmState) -> Literal["force", "torque"] | None:
-        """Judge a state.
+        """Check a state.
 
         Args:
-            state: The newest.
+            state: The newest state.
 
         Returns:
-            What is above its limit, if anything.
+            "force" or "torque" if that is above its limit, otherwise None.
 
         Raises:
-            DeviceTimeoutError: The state is old, or older than the one before.
-            DeviceError: It holds what is no number, or the arm is outside its box, too far, too fast, or not safe.
+            DeviceTimeoutError: The state is too old, or older than the one before.
+            DeviceError: A value is not finite, or the arm is outside its box, too far, too fast, stalled or unsafe.
         """
         now, position, before = self._clock.now(), state.T_b_t[:3, 3], self._newest
-        if wrong := not_numbers(state):
-            raise DeviceError(f"{self._name} says that its {wrong}, which is no number; it was stopped")
-        if not state.time - before.time >= 0 or not abs(now - state.time) <= self._age:
-            raise DeviceTimeoutError(f"{self._name} gives no new states; it was stopped, check its connection")
+        if invalid := non_finite(state):
+            raise DeviceError(f"{self._name} reports that its {invalid}, which is not finite; it was stopped")
+        if not state.time - before.time >= 0 or not abs(now - state.time) <= self._max_age:
+            raise DeviceTimeoutError(f"{self._name} sends no new states; it was stopped, check its connection")
         if not state.safe:
             raise DeviceError(f"{self._name} made a protective or emergency stop; clear its cause, and release it")
-        if not self._limits.contains(position, BOX_MARGIN_M):
+        if not self._limits.contains(position, SAFETY.box_margin_m):
             raise DeviceError(f"{self._name} is outside its box, at {format_position(position)} m; it was stopped")
         travel, speed = float(np.linalg.norm(position - self._start)), float(np.linalg.norm(state.velocity[:3]))
-        if not travel <= self._distance + TRAVEL_MARGIN_M:
-            raise DeviceError(f"{self._name} went {1e3 * travel:.3g} mm where {1e3 * self._distance:.3g} were asked")
-        if not speed <= SPEED_FACTOR * self._speed + SPEED_MARGIN_M_S:
-            raise DeviceError(f"{self._name} moves at {speed:.3g} m/s where {self._speed:.3g} were asked")
-        if not np.linalg.norm(state.velocity[3:]) <= MOST_TURN_RAD_S:
+        if not travel <= self._distance + SAFETY.travel_margin_m:
+            raise DeviceError(f"{self._name} moved {1e3 * travel:.3g} mm instead of {1e3 * self._distance:.3g} mm")
+        if not speed <= SAFETY.max_speed_ratio * self._speed + SAFETY.speed_margin_m_s:
+            raise DeviceError(f"{self._name} moves at {speed:.3g} m/s instead of {self._speed:.3g} m/s")
+        if not np.linalg.norm(state.velocity[3:]) <= SAFETY.max_angular_speed_rad_s:
             raise DeviceError(f"{self._name} turns at {np.linalg.norm(state.velocity[3:]):.3g} rad/s; it was stopped")
         if not state.moving or not np.array_equal(state.T_b_t, before.T_b_t):
-            self._changed = now
-        if not now - self._changed <= self._still:
-            raise DeviceError(f"{self._name} says that it moves, but its pose stands still; is its speed slider at 0?")
+            self._change_time = now
+        if not now - self._change_time <= self._stall_timeout:
+            raise DeviceError(f"{self._name} reports a motion, but its pose stands still; is its speed slider at 0?")
         self._newest = state
         force, torque = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
         return "force" if not force <= self._force else "torque" if not torque <= self._torque else None
 
 
-def not_numbers(state: ArmState) -> str:
-    """Find what is NaN or infinite in a state.
+def non_finite(state: ArmState) -> str:
+    """Find a NaN or infinite value in a state.
 
     Args:
-        state: Of an arm.
+        state: State of an arm.
 
     Returns:
-        Such as "wrench is [nan, 0.0, ...]"; empty where all is finite.
+        The first such part, such as "wrench is [nan, 0.0, ...]"; empty if all values are finite.
     """
-    for name in NUMBERS:
+    for name in ("T_b_t", "joints", "velocity", "wrench"):
         values = np.asarray(getattr(state, name), float)
         if not np.isfinite(values).all():
             return f"{name.replace('T_b_t', 'pose')} is {np.round(values, 3).tolist()}"
@@ -133,115 +121,123 @@ def not_numbers(state: ArmState) -> str:
 
 
 def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
-    """Force and torque that stop a free motion, which may begin above them, as one that backs out of a contact.
+    """Calculate the force and torque that stop a free motion.
+
+    A motion may begin above the limits, such as one that backs out of a contact. It is then stopped when the load grows
+    by a tenth.
 
     Args:
-        limits: Of the rig.
-        wrench: (6,) N and Nm, where it begins.
+        limits: Limits of the rig.
+        wrench: (6,) wrench at the start, in N and Nm.
 
     Returns:
-        The trip force (N) and the limit of torque (Nm), or a tenth more than is felt already.
+        The force in N and the torque in Nm that stop the motion.
 
     Raises:
-        DeviceError: So much is felt that no motion may begin.
+        DeviceError: The load is so high, or so wrong, that no motion may begin.
     """
-    force, torque = (float(each) for each in np.linalg.norm(np.reshape(wrench, (2, 3)), axis=1))
-    if not (force <= MOST_START_SHARE * limits.force and torque <= MOST_START_SHARE * limits.torque):
+    force, torque = (float(norm) for norm in np.linalg.norm(np.reshape(wrench, (2, 3)), axis=1))
+    if not (force <= SAFETY.max_start_load * limits.force and torque <= SAFETY.max_start_load * limits.torque):
         raise DeviceError(
             f"The arm feels {force:.0f} N and {torque:.0f} Nm before it moves: free the tool with the pendant, and "
             "check the payload."
         )
-    return max(limits.trip_force, RETREAT_FACTOR * force), max(limits.torque, RETREAT_FACTOR * torque)
+    growth = SAFETY.max_retreat_growth
+    return max(limits.trip_force, growth * force), max(limits.torque, growth * torque)
 
 
 class GuardedByPolling(DeviceBase):
-    """A guarded arm (`i2t.hardware.protocols.GuardedArm`) of a driver with six short methods.
+    """A guarded arm (`i2t.hardware.protocols.GuardedArm`), made from a driver with six short methods.
 
-    Its states are asked for every `poll_s` seconds while it moves. It brakes where something is above a limit, a state
-    is old or nonsense, the caller's stop condition says so, an error ends the call, or nobody has looked for
-    `state_timeout` seconds, as where a stop condition hangs. A motion that `move` began is judged only where its caller
-    asks for a state. What a driver raises becomes a DeviceError. A driver gives
+    The state is polled every `poll_s` seconds during a motion. The arm brakes if a value is above its limit, if a state
+    is old or invalid, if the caller's stop condition is true, if an error ends the call, or if the motion has not been
+    watched for `state_timeout` seconds, for example because a stop condition hangs. Exceptions of the driver become
+    DeviceErrors.
 
-        open_link, close_link     to the arm; closing may be asked for at any time
-        read_state                the newest `ArmState`, as fresh as it can be had
-        begin_line                a straight motion, without waiting for its end; its arm may stop itself by `bounds`
-        brake                     to a stand, at once, without waiting for it; from any thread
-        zero_sensor               of force and torque; the arm stands
+    CAUTION: A motion that `move` started is checked only when the caller asks for a state.
+
+    A driver implements
+
+        open_link, close_link     connect and disconnect; disconnecting is possible at any time
+        read_state                the newest `ArmState`, as fresh as possible
+        begin_line                start a straight motion without waiting; the arm may stop itself at `bounds`
+        brake                     brake at once, without waiting for the stand, from any thread
+        zero_sensor               zero the force and torque while the arm stands
 
     Args:
-        limits: Box, speed, acceleration, force and torque that nothing exceeds.
-        clock: In whose time the arm lives; by default this machine's.
+        limits: Box, speed, acceleration, force and torque that no motion exceeds.
+        clock: Clock that dates the states; by default this machine's.
     """
 
     name = "the arm"  # for messages
     source: Literal["real", "simulated", "emulated"] = "real"
-    rate = 125.0  # Hz, of its states
-    state_timeout = STATE_AGE_S  # s, that a state may be old
-    can_be_paused = False  # by a person, so that it moves and its pose stands still
-    poll_s = 0.008  # between two looks
-    start_s = 0.1  # in which a motion that was asked for shows in the flag `moving` of states of then
+    rate = 125.0  # Hz, of the states
+    state_timeout = SAFETY.max_state_age_s  # s, maximum age of a state
+    can_be_paused = False  # True if a person can pause the arm, so that it reports a motion and stands still
+    poll_s = 0.008  # time between two polls
+    start_s = 0.1  # time until states report a motion that was requested
 
     def __init__(self, limits: MotionLimits, clock: Clock | None = None) -> None:
         self.limits, self.clock = limits, clock or MonotonicClock()
         self._open = self._accepting = False  # whether there is a link, and whether a motion may begin
-        self._stops, self._begun = 0, -np.inf  # s, when the newest motion was sent
-        self._free: MotionWatch | None = None  # of a motion that `move` began
-        self._judging = threading.RLock()  # states are judged in the order in which they are read
-        self.bounds = (0.0, 0.0)  # N, Nm, of the motion that is begun
-        self._ordering = threading.RLock()  # a line is sent before a brake or not at all
-        self._looked = np.inf  # s, of this machine's clock, when a motion was looked at last
+        self._stops, self._sent_time = 0, -np.inf  # number of stops; s, when the newest motion was sent
+        self._free_watch: MotionWatch | None = None  # of a motion that `move` started
+        self._state_lock = threading.RLock()  # states are checked in the order in which they are read
+        self.bounds = (0.0, 0.0)  # N and Nm that end the motion that is started
+        self._command_lock = threading.RLock()  # a line is sent before a brake or not at all
+        self._watched_time = np.inf  # s, of this machine's clock, when a motion was last polled
 
-    # What a driver gives
+    # Methods that a driver implements
 
     def open_link(self) -> None:
-        """Connect; raises DeviceError."""
+        """Connect; raise DeviceError if that fails."""
 
     def close_link(self) -> None:
-        """Disconnect, as often as one likes."""
+        """Disconnect; may be called repeatedly."""
 
     def read_state(self) -> ArmState:
-        """The newest state."""
+        """Return the newest state."""
         raise NotImplementedError
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion and return at once; the arm stands.
+        """Start a straight motion of the standing arm and return at once.
 
         Args:
-            T_b_t: (4, 4) goal, m.
-            speed: m/s.
-            acceleration: m/s^2.
+            T_b_t: (4, 4) goal in m.
+            speed: Speed in m/s.
+            acceleration: Acceleration in m/s^2.
         """
         raise NotImplementedError
 
     def brake(self) -> None:
-        """Brake, without waiting for the stand."""
+        """Brake without waiting for the stand."""
         raise NotImplementedError
 
     def zero_sensor(self) -> None:
-        """Take the wrench felt now for zero."""
+        """Zero the wrench at its present value."""
         raise NotImplementedError
 
     def speed_share(self) -> float:
-        """Share of the asked speed that a person leaves at the arm now; where that is not known, the least."""
-        return SLOWEST_SHARE
+        """Return the share of the requested speed that a person allows now; the lowest share if unknown."""
+        return SAFETY.min_speed_share
 
-    # What it has by that
+    # Methods of a guarded arm
 
     @property
     def features(self) -> ArmFeatures:
-        """Features, known before `connect`."""
+        """Features of the arm, available before `connect`."""
         limits = self.limits
         return ArmFeatures(self.name, self.source, self.rate, limits.box, limits.speed, limits.acceleration)
 
     def connect(self) -> None:
-        """Connect, anew if need be; raises DeviceError."""
+        """Connect, again if necessary; raise DeviceError if that fails."""
         self.close()
-        self._ask(self.open_link)
+        self._call(self.open_link)
         self._open = self._accepting = True
 
     def close(self) -> None:
-        """Brake and disconnect; raises nothing."""
-        with self._ordering:
+        """Brake and disconnect; never raise."""
+        with self._command_lock:
             self._accepting = False
         if self._open:
             self._halt()
@@ -250,84 +246,85 @@ class GuardedByPolling(DeviceBase):
             self.close_link()
 
     def __exit__(self, *error: Any) -> None:
-        with signals_ignored():  # a second Ctrl-C must not keep the arm from being stopped
+        with signals_ignored():  # a second Ctrl-C must not prevent the stop
             self.close()
 
     def state(self, timeout: float | None = None) -> ArmState:
-        """The newest state, as in `Arm.state`.
+        """Return the newest state, as in `Arm.state`.
 
         Args:
-            timeout: s, how old it may be; by default as old as the state timeout.
+            timeout: Maximum age of the state in s; by default the state timeout.
 
         Returns:
-            The state.
+            The newest state.
 
         Raises:
-            DeviceTimeoutError: It is older; the arm has been told to stop.
-            DeviceError: It is nonsense, or a motion that `move` began has met something or is not as it was asked; the
-                arm has been told to stop.
+            DeviceTimeoutError: The state is older; the arm was told to stop.
+            DeviceError: The state is invalid, or a motion that `move` started met something or deviates from the
+                request; the arm was told to stop.
         """
         if not self._open:
             raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")
-        with self._judging:
-            state, now = self._ask(self.read_state), self.clock.now()
-            wrong, oldest = not_numbers(state), self.state_timeout if timeout is None else timeout
-            fresh, failure, free = -STATE_AGE_S <= now - state.time <= oldest, None, self._free
-            if fresh and not wrong:
-                self._begun = -np.inf if state.moving else self._begun
-                state = state._replace(moving=state.moving or state.time - self._begun < self.start_s)
+        with self._state_lock:
+            state, now = self._call(self.read_state), self.clock.now()
+            invalid, max_age = non_finite(state), self.state_timeout if timeout is None else timeout
+            age, failure, watch = now - state.time, None, self._free_watch
+            fresh = -SAFETY.max_state_age_s <= age <= max_age
+            if fresh and not invalid:
+                self._sent_time = -np.inf if state.moving else self._sent_time
+                state = state._replace(moving=state.moving or state.time - self._sent_time < self.start_s)
                 try:
-                    failure = _met_something(state) if free is not None and free(state) else None
+                    failure = _collision_error(state) if watch is not None and watch(state) else None
                 except DeviceError as error:
                     failure = error
-                if free is not None and not state.moving and now > free.begun + START_S:
-                    self._free = None
+                if watch is not None and not state.moving and now > watch.start_time + SAFETY.start_timeout_s:
+                    self._free_watch = None
         if failure is not None:
             self._halt()
             raise failure
-        if not (fresh and not wrong):
+        if not (fresh and not invalid):
             self._stops += 1
-            self._ask(self.brake)
+            self._call(self.brake)
             if not fresh:
-                raise DeviceTimeoutError(f"{self.name} gives a state of {now - state.time:.2g} s ago; it was stopped")
-            raise DeviceError(f"{self.name} says that its {wrong}, which is no number; it was stopped")
+                raise DeviceTimeoutError(f"{self.name} sent its last state {age:.2g} s ago; it was stopped")
+            raise DeviceError(f"{self.name} reports that its {invalid}, which is not finite; it was stopped")
         return state
 
     def move(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> Array:
         """Start a straight motion and return at once, as in `Arm.move`; by default as fast as the limits allow.
 
-        A force above a third of the limit (`MotionLimits.trip_force`) or a torque above its own ends the motion, of
-        which the next `state` tells, unless `stop` came first; one that begins above them, as one that backs out of a
-        contact, ends where it gets worse by a tenth.
+        A force above `MotionLimits.trip_force` or a torque above its limit ends the motion, and the next call of
+        `state` raises, unless `stop` was called first. A motion that begins above them, such as a retreat from a
+        contact, ends when the load grows by a tenth.
         """
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         goal = np.array(T_b_t, float)
         self._begin(goal, speed, acceleration, followed=False)
         return goal
 
-    def stop(self, timeout: float = HALT_S) -> None:
+    def stop(self, timeout: float = SAFETY.stop_timeout_s) -> None:
         """Brake and return when the arm stands, as in `Arm.stop`."""
-        with self._ordering:
-            self._stops, self._begun, self._free = self._stops + 1, -np.inf, None
-            self._ask(self.brake)
-        until = self.clock.now() + timeout
+        with self._command_lock:
+            self._stops, self._sent_time, self._free_watch = self._stops + 1, -np.inf, None
+            self._call(self.brake)
+        deadline = self.clock.now() + timeout
         while self.state().moving:
-            if not self.clock.now() <= until:
+            if not self.clock.now() <= deadline:
                 raise DeviceError(f"{self.name} was not seen to stop within {timeout:g} s")
             self.clock.sleep(self.poll_s)
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Take the wrench felt now as zero, as in `Arm.zero_wrench`."""
+        """Zero the wrench at its present value, as in `Arm.zero_wrench`."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
-        self._ask(self.zero_sensor)
+        self._call(self.zero_sensor)
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait, as in `GuardedArm.go`."""
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         reason, _, state = self._guarded(np.array(T_b_t, float), speed, acceleration)
         if reason != "distance":
-            raise _met_something(state)
+            raise _collision_error(state)
         return state
 
     def approach(
@@ -339,15 +336,15 @@ class GuardedByPolling(DeviceBase):
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along tool z until something says stop, as in `GuardedArm.approach`."""
+        """Move along tool z until a stop condition is met, as in `GuardedArm.approach`."""
         self.limits.check_approach(distance, force, torque)
         start = self.state().T_b_t
         goal = shifted_along_z(start, distance)
         self.limits.check(goal, speed, acceleration)
         reason, answer, trigger = self._guarded(goal, speed, acceleration, (force, torque), stop_condition)
         state = self.state()
-        moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
-        return ApproachResult(reason, answer, trigger, state, moved)
+        distance_moved = float(np.linalg.norm(state.T_b_t[:3, 3] - start[:3, 3]))
+        return ApproachResult(reason, answer, trigger, state, distance_moved)
 
     def _begin(
         self,
@@ -357,8 +354,17 @@ class GuardedByPolling(DeviceBase):
         bounds: tuple[float, float] | None = None,
         followed: bool = True,
     ) -> tuple[MotionWatch, ArmState, int]:
-        """Start a motion from a stand, inside the box, under bounds (N, Nm), by default those of free motions; returns
-        its judge, whom `state` asks where nobody follows it, where it begins, and the number of stops so far.
+        """Start a motion of the standing arm.
+
+        Args:
+            goal: (4, 4) T_b_t in m.
+            speed: Speed in m/s.
+            acceleration: Acceleration in m/s^2.
+            bounds: Force (N) and torque (Nm) that end the motion; None for those of a free motion.
+            followed: Whether the caller checks the states; otherwise `state` does.
+
+        Returns:
+            The watch of the motion, the state at its start, and the number of stops before it.
         """
         if self.state().moving:
             self.stop()
@@ -366,7 +372,7 @@ class GuardedByPolling(DeviceBase):
         position = start.T_b_t[:3, 3]
         if not start.safe:
             raise DeviceError(f"{self.name} made a protective or emergency stop; release it, and connect again")
-        if not self.limits.contains(position, GOAL_TOLERANCE[0]):
+        if not self.limits.contains(position, SAFETY.goal_tolerance_m):
             at = format_position(position)
             raise DeviceError(f"The tool at {at} m is outside its box: bring it back with the pendant.")
         force, torque = bounds or free_limits(self.limits, start.wrench)
@@ -380,19 +386,19 @@ class GuardedByPolling(DeviceBase):
             torque=torque,
             clock=self.clock,
         )
-        with self._ordering:
+        with self._command_lock:
             if self._stops != stops or not self._accepting:
                 raise MotionStoppedError(f"{self.name} was stopped by request.")
             self.bounds = force, torque
             try:
-                self._ask(self.begin_line, goal, speed, acceleration)
+                self._call(self.begin_line, goal, speed, acceleration)
                 if self._stops != stops:
                     raise MotionStoppedError(f"{self.name} was stopped by request.")
             except BaseException:
-                self._halt()  # it may have begun all the same
+                self._halt()  # the motion may have begun nevertheless
                 raise
-            with self._judging:
-                self._begun, self._free = self.clock.now(), None if followed else watch
+            with self._state_lock:
+                self._sent_time, self._free_watch = self.clock.now(), None if followed else watch
         return watch, start, stops
 
     def _guarded(
@@ -403,39 +409,42 @@ class GuardedByPolling(DeviceBase):
         bounds: tuple[float, float] | None = None,
         stop_condition: Callable[[ArmState], Any] | None = None,
     ) -> tuple[StopReason, Any, ArmState]:
-        """Follow a motion until the arm stands: what ended it, the stop condition's answer, and the state that did."""
-        ended, unattended = threading.Event(), threading.Event()
-        age = max(self.state_timeout, STATE_AGE_S if stop_condition is None else 0.0)  # a busy computer is no fault
-        attending = threading.Thread(target=self._attend, args=(ended, unattended, age), daemon=True)
+        """Follow a motion until the arm stands.
+
+        Returns:
+            The reason for the end, the answer of the stop condition, and the state that ended the motion.
+        """
+        ended, unwatched = threading.Event(), threading.Event()
+        # Without a stop condition no caller can hang, and a busy computer is not a fault.
+        max_age = max(self.state_timeout, SAFETY.max_state_age_s if stop_condition is None else 0.0)
+        supervisor = threading.Thread(target=self._supervise, args=(ended, unwatched, max_age), daemon=True)
         try:
             watch, start, stops = self._begin(goal, speed, acceleration, bounds)
-            now, self._looked, newest = self.clock.now(), time.monotonic(), start
+            now, self._watched_time, newest = self.clock.now(), time.monotonic(), start
             if isinstance(self.clock, MonotonicClock):
-                attending.start()
-            used, longest = 0.0, _longest_duration(start.T_b_t, goal, speed, acceleration)
+                supervisor.start()
+            elapsed, max_duration = 0.0, _max_duration(start.T_b_t, goal, speed, acceleration)
             while True:
                 self.clock.sleep(self.poll_s)
                 before, newest, answer = newest, self.state(), None
                 above = watch(newest)
-                if unattended.is_set():
-                    raise DeviceError(f"Nobody looked at {self.name} for {age:g} s: it was stopped.")
+                if unwatched.is_set():
+                    raise DeviceError(f"{self.name} was not watched for {max_age:g} s: it was stopped.")
                 if self._stops != stops:
                     raise MotionStoppedError(f"{self.name} was stopped by request.")
                 last, now = now, self.clock.now()
-                used += (now - last) * max(self.speed_share(), PAUSED_SHARE)  # NaN stays NaN
-                if not used <= longest:
-                    raise DeviceError(f"{self.name} took longer for a motion than it may, and was stopped")
-                self._looked = time.monotonic()
+                elapsed += (now - last) * max(self.speed_share(), SAFETY.paused_speed_share)  # NaN stays NaN
+                if not elapsed <= max_duration:
+                    raise DeviceError(f"{self.name} took too long for a motion, and was stopped")
+                self._watched_time = time.monotonic()
                 if above is None and newest.moving and newest.time != before.time and stop_condition is not None:
                     answer = stop_condition(newest)
-                    self._looked = time.monotonic()
+                    self._watched_time = time.monotonic()
                 if above or answer:
                     break
-                if not (newest.moving or (_not_begun(start, newest, goal) and now < watch.begun + START_S)):
-                    off = apart(newest.T_b_t, goal)
-                    if not all(part <= most for part, most in zip(off, GOAL_TOLERANCE, strict=True)):
-                        away = f"{1e3 * off[0]:.1f} mm and {np.degrees(off[1]):.1f} degrees"
-                        raise DeviceError(f"The motion ended {away} off its goal.")
+                may_start = now < watch.start_time + SAFETY.start_timeout_s
+                if not (newest.moving or (_not_begun(start, newest, goal) and may_start)):
+                    _check_arrival(newest.T_b_t, goal)
                     return "distance", None, newest
             self.stop()
         except BaseException:
@@ -443,35 +452,36 @@ class GuardedByPolling(DeviceBase):
             raise
         finally:
             ended.set()
-            if attending.is_alive():
-                attending.join()
+            if supervisor.is_alive():
+                supervisor.join()
         return (above, None, newest) if above else ("condition", answer, newest)
 
-    def _attend(self, ended: threading.Event, unattended: threading.Event, age: float) -> None:
-        """Brake where nobody has looked at a motion for so long (s)."""
+    def _supervise(self, ended: threading.Event, unwatched: threading.Event, max_age: float) -> None:
+        """Brake if a motion has not been polled for `max_age` seconds."""
         while not ended.wait(self.poll_s):
-            if not time.monotonic() - self._looked <= age:
-                unattended.set()
+            if not time.monotonic() - self._watched_time <= max_age:
+                unwatched.set()
                 self._halt(ended)
                 return
 
     def _halt(self, ended: threading.Event | None = None) -> None:
-        """Brake until it stands, again where the driver fails; gives up after a second, or when the motion has ended
-        that it is to stop.
+        """Brake until the arm stands, repeatedly if the driver fails.
+
+        Give up after the stop timeout, or when `ended` says that the motion is over.
         """
-        until = self.clock.now() + HALT_S
-        while self.clock.now() <= until and not (ended and ended.is_set()):
+        deadline = self.clock.now() + SAFETY.stop_timeout_s
+        while self.clock.now() <= deadline and not (ended and ended.is_set()):
             try:
-                self.stop(HALT_S)
+                self.stop(SAFETY.stop_timeout_s)
             except Exception:
                 self.clock.sleep(self.poll_s)
             else:
                 return
 
-    def _ask(self, call: Callable[..., T], *arguments: Any) -> T:
-        """What a driver answers; whatever it raises is a DeviceError."""
+    def _call(self, method: Callable[..., T], *arguments: Any) -> T:
+        """Call a method of the driver, and turn whatever it raises into a DeviceError."""
         try:
-            return call(*arguments)
+            return method(*arguments)
         except DeviceError:
             raise
         except Exception as error:  # a library may raise anything
@@ -480,7 +490,7 @@ class GuardedByPolling(DeviceBase):
 
 @contextlib.contextmanager
 def signals_ignored() -> Iterator[None]:
-    """Within, on the main thread, what ends a program does not."""
+    """Ignore the signals that end a program, inside the block and on the main thread."""
     main = threading.current_thread() is threading.main_thread()
     before = {number: signal.signal(number, lambda *_: None) for number in BRAKING_SIGNALS if main}
     try:
@@ -491,18 +501,27 @@ def signals_ignored() -> Iterator[None]:
 
 
 def _not_begun(start: ArmState, state: ArmState, goal: Array) -> bool:
-    """Tell whether an arm has gone hardly any part of its way."""
-    asked, gone = apart(start.T_b_t, goal), apart(start.T_b_t, state.T_b_t)
-    return max(asked) > LEAST_WAY and all(part <= START_SHARE * whole for part, whole in zip(gone, asked, strict=True))
+    """Test whether an arm has hardly moved towards its goal."""
+    requested, covered = pose_difference(start.T_b_t, goal), pose_difference(start.T_b_t, state.T_b_t)
+    return max(requested) > SAFETY.min_motion and all(
+        part <= SAFETY.min_start_progress * whole for part, whole in zip(covered, requested, strict=True)
+    )
 
 
-def _longest_duration(start: Array, goal: Array, speed: float, acceleration: float) -> float:
-    """Time (s) that a straight motion may take at full speed."""
-    distance, turn = apart(start, goal)
-    length = max(distance, ROTATION_LEVER_M * turn)
-    return DURATION_FACTOR * (length / speed + speed / acceleration) + DURATION_MARGIN_S
+def _max_duration(start: Array, goal: Array, speed: float, acceleration: float) -> float:
+    """Time (s) that a straight motion may take at full speed: a multiple of a trapezoid of speed."""
+    distance, angle = pose_difference(start, goal)
+    length = max(distance, SAFETY.rotation_lever_m * angle)
+    return SAFETY.duration_factor * (length / speed + speed / acceleration) + SAFETY.duration_margin_s
 
 
-def _met_something(state: ArmState) -> DeviceError:
+def _check_arrival(pose: Array, goal: Array) -> None:
+    """Raise DeviceError if a finished motion did not reach its goal."""
+    distance, angle = pose_difference(pose, goal)
+    if not (distance <= SAFETY.goal_tolerance_m and angle <= SAFETY.goal_tolerance_rad):
+        raise DeviceError(f"The motion ended {1e3 * distance:.1f} mm and {np.degrees(angle):.1f} degrees off its goal.")
+
+
+def _collision_error(state: ArmState) -> DeviceError:
     force, torque = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
     return DeviceError(f"The arm met something on its way ({force:.1f} N, {torque:.1f} Nm) and was stopped.")

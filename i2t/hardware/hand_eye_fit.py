@@ -1,17 +1,18 @@
-"""Pose of a camera in the tool, from a board seen from many poses of the tool.
+"""Pose of a camera in the tool, from views of a board from many poses of the tool.
 
 With X = T_t_c and Y = T_b_o of the board, a corner p of the board appears in view i along the line of sight of
-X^-1 T_b_t,i^-1 Y p. First X's rotation from the rotations between views, then its translation, both linear (Park and
-Martin, IEEE T-RO 10, 1994), from the board's pose in each view as OpenCV finds it; then X and Y together by least
-squares of what was seen, with a loss that forgives single corners. The error stated is the
-jackknife's over views, since corners of a view share the error of the arm's pose: sqrt((n - 1) / n sum d_i^2) of the
-change d_i without view i.
+X^-1 T_b_t,i^-1 Y p. Two linear steps (Park and Martin, IEEE T-RO 10, 1994) estimate first the rotation of X from the
+rotations between views, then its translation, from the board's pose in each view as OpenCV estimates it. Then X and Y
+are refined together by least squares of the observed corners, with a loss that tolerates outlying corners. The stated
+error is the jackknife's over views, because the corners of a view share the error of the arm's pose:
+sqrt((n - 1) / n sum d_i^2) of the change d_i without view i.
 
 Frames: B robot base, T tool, C camera, O board (z = 0 on it); metres, radians, lines of sight as x / z, y / z.
 """
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,10 +24,16 @@ from i2t.errors import DeviceError
 from i2t.geometry import inverse, so3_exp, transform
 from i2t.types import Array
 
-MIN_VIEWS, MIN_CORNERS = 6, 6  # views, and corners of each
-MIN_TILT_RAD = math.radians(5)  # root mean square turn about a second axis, under which the problem is nearly singular
-MAX_FIT_STEPS = 100  # evaluations of the refinement; about ten are enough
-LOSS_SCALE_PX = 1.0  # from where on a corner counts less than its square
+
+@dataclass(frozen=True)
+class HandEyeConfig:
+    """Requirements on the views, and the refinement of the fit."""
+
+    min_views: int = 6
+    min_corners: int = 6  # of each view
+    min_tilt: float = math.radians(5)  # rad, RMS rotation about a second axis; below, the problem is nearly singular
+    max_steps: int = 100  # evaluations of the refinement; about ten suffice
+    loss_scale: float = 1.0  # pixels, error from which a corner counts less than its square
 
 
 class BoardView(NamedTuple):
@@ -34,26 +41,26 @@ class BoardView(NamedTuple):
 
     T_b_t: Array  # (4, 4)
     corners: Array  # (k, 3) m, on the board
-    rays: Array  # (k, 2) lines of sight
+    rays: Array  # (k, 2) lines of sight, x / z and y / z
 
 
 class HandEyeResult(NamedTuple):
-    """A camera in a tool."""
+    """Pose of a camera in a tool, with its errors."""
 
     T_t_c: Array  # (4, 4)
-    T_b_o: Array  # (4, 4) the board
+    T_b_o: Array  # (4, 4), the board
     rms: float  # pixels, of all corners
     view_rms: Array  # (n,) pixels, of each view
-    position_error: float  # m, one standard error of the camera's place
-    rotation_error: float  # rad, one standard error of its turn
+    position_error: float  # m, standard error of the camera's position
+    rotation_error: float  # rad, standard error of its rotation
 
 
 def pixel_rays(camera: Camera, pixels: Array) -> Array:
-    """Lines of sight of pixels, as `i2t.depth.distortion` has them, without JAX.
+    """Calculate the lines of sight of pixels, like `i2t.depth.distortion` but without JAX.
 
     Args:
-        camera: Its lens.
-        pixels: (k, 2) columns and rows.
+        camera: Lens of the image.
+        pixels: (k, 2) columns and rows in pixels.
 
     Returns:
         (k, 2) x / z and y / z in the camera; NaN for pixels without a line of sight.
@@ -68,108 +75,111 @@ def pixel_rays(camera: Camera, pixels: Array) -> Array:
         return np.stack(brown_conrady(camera, *seen.T), axis=1)
     if camera.model in (Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY):
         return np.stack(invert_brown_conrady(camera, *seen.T), axis=1)
-    raise ValueError(f"camera: a hand-eye calibration knows no {camera.model} lens; give images without distortion")
+    raise ValueError(f"camera: a hand-eye calibration needs another lens than {camera.model}; give undistorted images")
 
 
-def fit(views: Sequence[BoardView], focal: float) -> HandEyeResult:
-    """The camera in the tool.
+def fit(views: Sequence[BoardView], focal: float, *, config: HandEyeConfig = HandEyeConfig()) -> HandEyeResult:
+    """Estimate the pose of the camera in the tool.
 
     Args:
-        views: Of the board.
-        focal: Pixels, that turns lines of sight into pixels.
+        views: Views of the board.
+        focal: Focal length in pixels, which converts lines of sight to pixels.
+        config: Requirements on the views, and the refinement.
 
     Returns:
-        Where the camera and the board are, and how well that is known.
+        The poses of the camera and the board, with their errors.
 
     Raises:
-        ValueError: The views do not determine it.
+        ValueError: The views do not determine the pose.
     """
-    if len(views) < MIN_VIEWS:
-        raise ValueError(f"the board was found in {len(views)} views; take at least {MIN_VIEWS}, better 15")
+    if len(views) < config.min_views:
+        raise ValueError(f"the board was found in {len(views)} views; take at least {config.min_views}, better 15")
     for number, view in enumerate(views, 1):
         if not all(np.isfinite(part).all() for part in view):
-            raise ValueError(f"view {number} has a pose or corners that are not finite; leave it out")
-    T_c_o = np.stack([board_pose(view) for view in views])
+            raise ValueError(f"view {number} has a pose or corners that are not finite; omit it")
+    T_c_o = np.stack([board_pose(view, config.min_corners) for view in views])
     tools = np.stack([view.T_b_t for view in views])
-    X = _closed_form(tools, T_c_o)
-    Y = _mean([T @ X @ seen for T, seen in zip(tools, T_c_o, strict=True)])
-    whole = _refine(views, focal, X, Y)
-    parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole)[0] for i in range(len(views))]
-    moved = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X in parts])
-    turned = Rotation.from_matrix([X[:3, :3] @ whole[0][:3, :3].T for X in parts]).magnitude()
-    squares = [(focal**2 * _misses([view], *whole) ** 2).sum(1) for view in views]
-    rms, spread = math.sqrt(np.concatenate(squares).mean()), (len(views) - 1) / len(views)
-    view_rms = np.sqrt([each.mean() for each in squares])
-    errors = (math.sqrt(spread * (each**2).sum()) for each in (moved, turned))
+    X = _closed_form(tools, T_c_o, config.min_tilt)
+    Y = _mean([T @ X @ board for T, board in zip(tools, T_c_o, strict=True)])
+    whole = _refine(views, focal, X, Y, config)
+    parts = [_refine([*views[:i], *views[i + 1 :]], focal, *whole, config)[0] for i in range(len(views))]
+    shifts = np.array([np.linalg.norm(X[:3, 3] - whole[0][:3, 3]) for X in parts])
+    angles = Rotation.from_matrix([X[:3, :3] @ whole[0][:3, :3].T for X in parts]).magnitude()
+    squares = [(focal**2 * _residuals([view], *whole) ** 2).sum(1) for view in views]
+    rms, weight = math.sqrt(np.concatenate(squares).mean()), (len(views) - 1) / len(views)
+    view_rms = np.sqrt([square.mean() for square in squares])
+    errors = (math.sqrt(weight * (change**2).sum()) for change in (shifts, angles))
     return HandEyeResult(*whole, rms, view_rms, *errors)
 
 
 def opencv() -> Any:
-    """OpenCV, with its ChArUco boards; raises DeviceError where it is missing or too old."""
+    """Import OpenCV with its ChArUco boards; raise DeviceError if it is missing or too old."""
     try:
         import cv2
     except ImportError as error:
-        raise DeviceError("boards are found by OpenCV: pip install 'imagine2touch[hardware]'") from error
+        raise DeviceError("finding boards needs OpenCV: pip install 'imagine2touch[hardware]'") from error
     if not hasattr(getattr(cv2, "aruco", None), "CharucoDetector"):
-        raise DeviceError(f"OpenCV {cv2.__version__} finds no boards: pip install -U 'imagine2touch[hardware]'")
+        raise DeviceError(f"OpenCV {cv2.__version__} cannot find boards: pip install -U 'imagine2touch[hardware]'")
     return cv2
 
 
-def board_pose(view: BoardView) -> Array:
-    """The board's pose from one view.
+def board_pose(view: BoardView, min_corners: int = HandEyeConfig.min_corners) -> Array:
+    """Estimate the pose of the board from one view.
 
     Args:
-        view: With at least `MIN_CORNERS` corners.
+        view: View of the board.
+        min_corners: Number of corners that the view must show.
 
     Returns:
-        (4, 4) T_c_o.
+        (4, 4) T_c_o, m.
 
     Raises:
-        ValueError: It shows too few corners.
+        ValueError: The view shows too few corners.
     """
-    if len(view.corners) < MIN_CORNERS:
-        raise ValueError(f"a view shows {len(view.corners)} corners; at least {MIN_CORNERS} are needed")
-    _, turn, place = opencv().solvePnP(view.corners, view.rays, np.eye(3), None, flags=opencv().SOLVEPNP_IPPE)
-    return transform(so3_exp(turn.ravel()), place.ravel())
+    if len(view.corners) < min_corners:
+        raise ValueError(f"a view shows {len(view.corners)} corners; at least {min_corners} are needed")
+    _, rotvec, translation = opencv().solvePnP(view.corners, view.rays, np.eye(3), None, flags=opencv().SOLVEPNP_IPPE)
+    return transform(so3_exp(rotvec.ravel()), translation.ravel())
 
 
-def _closed_form(tools: Array, T_c_o: Array) -> Array:
-    """The camera in the tool (4, 4) from poses (n, 4, 4) of tool and board, by two linear steps (Park and Martin)."""
+def _closed_form(tools: Array, T_c_o: Array, min_tilt: float) -> Array:
+    """Estimate the camera in the tool (4, 4) from poses (n, 4, 4) of tool and board (Park and Martin)."""
     A = inverse(tools[1:]) @ tools[0]  # t_i <- t_0
     B = T_c_o[1:] @ inverse(T_c_o[0])  # c_i <- c_0, and A X = X B
-    turns = Rotation.from_matrix(A[:, :3, :3]).as_rotvec()
-    if np.linalg.svd(turns)[1][1] / math.sqrt(len(tools)) < MIN_TILT_RAD:
+    rotvecs = Rotation.from_matrix(A[:, :3, :3]).as_rotvec()
+    if np.linalg.svd(rotvecs)[1][1] / math.sqrt(len(tools)) < min_tilt:
         raise ValueError(
-            "the tool turned about one axis at most between the views; tilt it by 15 degrees or more about two"
+            "the tool turned about at most one axis between the views; tilt it by 15 degrees or more about two axes"
         )
-    rotation = Rotation.align_vectors(turns, Rotation.from_matrix(B[:, :3, :3]).as_rotvec())[0].as_matrix()
+    rotation = Rotation.align_vectors(rotvecs, Rotation.from_matrix(B[:, :3, :3]).as_rotvec())[0].as_matrix()
     left = (A[:, :3, :3] - np.eye(3)).reshape(-1, 3)
     right = (B[:, :3, 3] @ rotation.T - A[:, :3, 3]).ravel()
     return transform(rotation, np.linalg.lstsq(left, right, rcond=None)[0])
 
 
-def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array) -> tuple[Array, Array]:
-    """X and Y by least squares of the corners seen, from a guess."""
+def _refine(views: Sequence[BoardView], focal: float, X: Array, Y: Array, config: HandEyeConfig) -> tuple[Array, Array]:
+    """Refine X and Y by least squares of the observed corners."""
 
-    def miss(change: Array) -> Array:
-        return (focal * _misses(views, X @ _motion(change[:6]), Y @ _motion(change[6:]))).ravel()
+    def residuals(change: Array) -> Array:
+        return (focal * _residuals(views, X @ _motion(change[:6]), Y @ _motion(change[6:]))).ravel()
 
-    found = least_squares(
-        miss, np.zeros(12), loss="soft_l1", f_scale=LOSS_SCALE_PX, x_scale="jac", max_nfev=MAX_FIT_STEPS
+    steps = config.max_steps
+    solution = least_squares(
+        residuals, np.zeros(12), loss="soft_l1", f_scale=config.loss_scale, x_scale="jac", max_nfev=steps
     )
-    if not found.success:
+    if not solution.success:
         raise ValueError(
-            f"the camera's pose does not settle within {MAX_FIT_STEPS} steps; take more views, tilted about two axes"
+            f"the camera's pose does not converge within {steps} steps; take more views, tilted about two axes"
         )
-    return X @ _motion(found.x[:6]), Y @ _motion(found.x[6:])
+    return X @ _motion(solution.x[:6]), Y @ _motion(solution.x[6:])
 
 
-def _misses(views: Sequence[BoardView], X: Array, Y: Array) -> Array:
+def _residuals(views: Sequence[BoardView], X: Array, Y: Array) -> Array:
     """Errors (k, 2) of the predicted lines of sight of all corners."""
     T_c_o = inverse(np.stack([view.T_b_t for view in views]) @ X) @ Y
     parts = [view.corners @ T[:3, :3].T + T[:3, 3] for view, T in zip(views, T_c_o, strict=True)]
-    seen = np.concatenate(parts)
-    return seen[:, :2] / seen[:, 2:] - np.concatenate([view.rays for view in views])
+    points = np.concatenate(parts)
+    return points[:, :2] / points[:, 2:] - np.concatenate([view.rays for view in views])
 
 
 def _motion(twist: Array) -> Array:
@@ -177,5 +187,5 @@ def _motion(twist: Array) -> Array:
 
 
 def _mean(poses: Sequence[Array]) -> Array:
-    rotations, places = np.stack([each[:3, :3] for each in poses]), [each[:3, 3] for each in poses]
-    return transform(Rotation.from_matrix(rotations).mean().as_matrix(), np.mean(places, 0))
+    rotations, positions = np.stack([T[:3, :3] for T in poses]), [T[:3, 3] for T in poses]
+    return transform(Rotation.from_matrix(rotations).mean().as_matrix(), np.mean(positions, 0))

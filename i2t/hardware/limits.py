@@ -1,169 +1,97 @@
-"""Limits that no motion of an arm may exceed, checked before a packet is sent.
+"""The safety limits of the hardware layer, in one table: value, unit, and what the limit protects.
 
-Goals are (4, 4) T_b_t in metres, tool in robot base. The box holds the tool's origin: flange, elbow and cable are not
-watched here, so set the robot's own safety limits on the pendant too. The box is convex: a straight motion between two
-poses inside it stays inside.
+WARNING: Do not change a limit to get past a refusal. Find the cause first.
+WARNING: These limits replace neither the robot's own safety limits nor the emergency stop. Set both up first.
+CAUTION: Compare so that NaN trips the limit: `not force <= limit`, never `force > limit`.
+
+A rig's own limits (`i2t.hardware.motion_limits`) must lie within the ranges of this table. The module imports the
+standard library only, because command lines read it before NumPy is loaded.
 """
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, field, fields
+from typing import Any
 
-import numpy as np
-from jaxtyping import Float
 
-from i2t.hardware.collision import fastest_speed, overrun_force
-from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M
-from i2t.types import Array
-
-LIMIT_RANGES = {  # the least and the greatest that make sense of an arm that carries a skin, and their unit
-    "speed": (1e-4, 1.0, "m/s"),
-    "acceleration": (1e-3, 5.0, "m/s^2"),
-    "force": (1.0, 150.0, "N"),
-    "torque": (0.05, 50.0, "Nm"),
-    "approach_distance": (1e-3, 0.5, "m"),
-    "stiffness": (500.0, 1e6, "N/m"),
-}
-MAX_REACH_M = 3.0  # no arm that this is for reaches further
-BRAKING_M_S2 = 2.0  # deceleration of a stop that is not an emergency's
-FREE_TRIP_SHARE = 1 / 3  # of the force limit, at which a free motion is stopped: of 30 N twice what a UR's sensor errs
+def _limit(value: Any, unit: str, protects: str) -> Any:
+    return field(default=value, metadata={"unit": unit, "protects": protects})
 
 
 @dataclass(frozen=True)
-class MotionLimits:
-    """Limits of motions: anything beyond is refused, or stops the arm. Raises ValueError for limits that are none."""
+class SafetyLimits:
+    """Table of the safety limits; a range is a pair of the lowest and the highest value that is accepted."""
 
-    lower: tuple[float, float, float]  # m, corner of the box for the tool's origin, base axes
-    upper: tuple[float, float, float]  # m
-    speed: float = 0.25  # m/s
-    acceleration: float = 0.5  # m/s^2
-    force: float = 30.0  # N, on any motion; an approach has its own, lower one
-    torque: float = 10.0  # Nm
-    approach_distance: float = 0.1  # m, of the longest approach
-    stiffness: float = ARM_STIFFNESS_N_PER_M  # N/m, of skin, arm and mount in series: what a collision is reckoned with
+    # What a rig may ask for
+    speed_range: tuple[float, float] = _limit((1e-4, 1.0), "m/s", "refuses a rig with an absurd speed limit")
+    acceleration_range: tuple[float, float] = _limit((1e-3, 5.0), "m/s^2", "refuses an absurd acceleration limit")
+    force_range: tuple[float, float] = _limit((1.0, 150.0), "N", "refuses an absurd force limit")
+    torque_range: tuple[float, float] = _limit((0.05, 50.0), "Nm", "refuses an absurd torque limit")
+    approach_distance_range: tuple[float, float] = _limit((1e-3, 0.5), "m", "refuses an absurd length of an approach")
+    stiffness_range: tuple[float, float] = _limit((500.0, 1e6), "N/m", "refuses an absurd contact stiffness")
+    mass_range: tuple[float, float] = _limit((0.0, 20.0), "kg", "refuses a payload that the arm cannot carry")
+    looking_distance_range: tuple[float, float] = _limit((0.02, 2.0), "m", "refuses an absurd distance of the camera")
+    max_reach_m: float = _limit(3.0, "m", "refuses a box that no supported arm reaches, such as one in millimetres")
+    max_tool_offset_m: float = _limit(0.5, "m", "refuses a skin, camera or payload too far from the flange")
+    max_camera_tilt_deg: float = _limit(60, "degrees", "refuses a camera that cannot see what the tool will touch")
+    max_tcp_shift_m: float = _limit(5e-3, "m", "refuses a pendant whose TCP disagrees with the rig's")
+    max_tcp_rotation_deg: float = _limit(3.0, "degrees", "refuses a pendant whose TCP disagrees with the rig's")
 
-    def __post_init__(self) -> None:
-        for name in ("lower", "upper"):
-            corner = np.asarray(getattr(self, name), float)
-            if corner.shape != (3,) or not np.isfinite(corner).all() or np.abs(corner).max() > MAX_REACH_M:
-                raise ValueError(f"{name} is {getattr(self, name)}; give x, y, z in m, each within {MAX_REACH_M:g} m")
-            object.__setattr__(self, name, tuple(float(x) for x in corner))
-        if not all(low < high for low, high in zip(self.lower, self.upper, strict=True)):
-            raise ValueError(f"lower, {self.lower}, must lie below upper, {self.upper}, along x, y and z")
-        for name, (least, most, unit) in LIMIT_RANGES.items():
-            given = getattr(self, name)
-            if not least <= given <= most:
-                raise ValueError(f"{name} is {given:g}; give {unit}, from {least:g} to {most:g}")
+    # How hard a collision may be. A trip at a third of 30 N is twice the error of a UR's force sensor.
+    reaction_time_s: float = _limit(0.04, "s", "is the assumed time from the force to the brake")
+    braking_m_s2: float = _limit(2.0, "m/s^2", "is the deceleration of every stop except an emergency stop")
+    free_trip_share: float = _limit(1 / 3, "of the force limit", "stops a free motion before the force limit")
+    max_start_load: float = _limit(2.0, "of force and torque limit", "refuses to move an overloaded arm")
+    max_retreat_growth: float = _limit(1.1, "of the load at the start", "stops a retreat that presses harder")
 
-    @property
-    def box(self) -> Float[Array, "2 3"]:
-        """(2, 3) m, lower and upper corner in the base."""
-        return np.array([self.lower, self.upper], float)
+    # What every state of a motion must be. At 10 N/mm a press gains 5 N within the maximum age of a state.
+    goal_tolerance_m: float = _limit(1e-3, "m", "reports a motion that ended off its goal")
+    goal_tolerance_rad: float = _limit(0.01, "rad", "reports a motion that ended with another orientation")
+    box_margin_m: float = _limit(5e-3, "m", "stops an arm whose tool has left its box")
+    travel_margin_m: float = _limit(3e-3, "m", "stops an arm that goes past its goal")
+    max_speed_ratio: float = _limit(1.5, "of the requested speed", "stops an arm that moves too fast")
+    speed_margin_m_s: float = _limit(0.02, "m/s", "is added to the maximum speed")
+    max_angular_speed_rad_s: float = _limit(10.0, "rad/s", "stops a tool that turns faster than any supported arm")
+    max_state_age_s: float = _limit(0.25, "s", "stops an arm whose states no longer arrive, or that is not watched")
+    stall_timeout_s: float = _limit(3.0, "s", "stops an arm that reports a motion while its pose stands still")
+    start_timeout_s: float = _limit(0.5, "s", "reports an arm that does not begin the requested motion")
+    min_start_progress: float = _limit(0.1, "of the way", "is the progress that counts as a begun motion")
+    min_motion: float = _limit(1e-5, "m or rad", "is the shortest motion that is waited for")
+    stop_timeout_s: float = _limit(1.0, "s", "reports an arm that was told to brake and does not stand")
+    duration_factor: float = _limit(2.0, "of the planned duration", "stops a motion that takes too long")
+    duration_margin_s: float = _limit(2.0, "s", "is added to the maximum duration of a motion")
+    rotation_lever_m: float = _limit(0.25, "m per rad", "converts a rotation to a path, for its maximum duration")
+    min_speed_share: float = _limit(0.05, "of the requested speed", "is assumed for an unknown speed slider")
+    paused_speed_share: float = _limit(0.01, "of the requested speed", "lets a paused motion time out in the end")
 
-    @property
-    def trip_force(self) -> float:
-        """Force (N) that stops a free motion, so that with what comes until it stands it stays within the limit."""
-        return FREE_TRIP_SHARE * self.force
+    # The connection with a UR controller. Four seconds at 40 mm/s, the slowest watchdog, are 0.16 m.
+    state_timeout_s: float = _limit(0.1, "s", "gives up an arm whose controller is silent")
+    state_timeout_range: tuple[float, float] = _limit((0.02, 5.0), "s", "refuses a timeout too long to protect")
+    watchdog_rate_hz: float = _limit(10.0, "Hz", "ends the controller's program if this computer stalls or dies")
+    watchdog_rate_range: tuple[float, float] = _limit((0.25, 50.0), "Hz", "refuses a watchdog too slow to protect")
+    heartbeat_period_s: float = _limit(0.02, "s", "is the time between two heartbeats that feed the watchdog")
+    command_timeout_s: float = _limit(2.0, "s", "reports a controller that does not take commands")
+    standing_speed: float = _limit(1e-3, "m/s and rad/s", "is the speed below which the tool stands")
+    brake_settling_s: float = _limit(0.05, "s", "ignores states from before a brake that say that the arm stands")
+    worker_exit_timeout_s: int = _limit(2, "s", "ends the client library's process even if the library hangs")
 
-    @property
-    def free_speed(self) -> float:
-        """Speed (m/s) of the fastest free motion whose collision stays within the limit (`i2t.hardware.collision`)."""
-        return min(self.speed, fastest_speed(self.force - self.trip_force, self.stiffness, braking=BRAKING_M_S2))
-
-    def collision_force(self, speed: float, trip: float) -> float:
-        """Greatest force of a collision.
-
-        Args:
-            speed: m/s.
-            trip: N, at which the motion is stopped.
-
-        Returns:
-            N.
-        """
-        return trip + overrun_force(speed, self.stiffness, braking=BRAKING_M_S2)
-
-    def check(self, goal: Array, speed: float, acceleration: float) -> None:
-        """Refuse a goal that is no pose or lies outside the box, and a motion that is too fast.
-
-        Args:
-            goal: (4, 4) T_b_t in m.
-            speed: m/s.
-            acceleration: m/s^2.
-
-        Raises:
-            ValueError: One sentence that names what is beyond which limit.
-        """
-        pose = np.asarray(goal, float)
-        if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[3], [0, 0, 0, 1]):
-            raise ValueError("A goal must be a finite (4, 4) transform of the tool in the robot's base.")
-        rotation, position = pose[:3, :3], pose[:3, 3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-            raise ValueError("A goal's rotation must be a rotation: orthonormal and right-handed.")
-        if not self.contains(position):
-            box = f"{format_position(self.lower)} to {format_position(self.upper)} m"
-            raise ValueError(f"The goal {format_position(position)} m is outside the box from {box}.")
-        self._check_below("The {}", speed=speed, acceleration=acceleration)
-
-    def checked(self, goal: Array, speed: float | None, acceleration: float | None) -> tuple[float, float]:
-        """Speed and acceleration of a motion, the limits' own where none is given, once it is known to be allowed.
-
-        Args:
-            goal: (4, 4) T_b_t in m.
-            speed: m/s, or None for `free_speed`.
-            acceleration: m/s^2, or None for the limit.
-
-        Returns:
-            Speed (m/s) and acceleration (m/s^2).
-
-        Raises:
-            ValueError: As `check`.
-        """
-        speed = self.free_speed if speed is None else speed
-        acceleration = self.acceleration if acceleration is None else acceleration
-        self.check(goal, speed, acceleration)
-        return speed, acceleration
-
-    def check_approach(self, distance: float, force: float, torque: float) -> None:
-        """Refuse an approach that goes too far or pushes too hard.
-
-        Args:
-            distance: m, that it may go.
-            force: N, that stops it.
-            torque: Nm, that stops it.
-
-        Raises:
-            ValueError: One sentence that names what is beyond which limit.
-        """
-        self._check_below("An approach's {}", approach_distance=distance, force=force, torque=torque)
-
-    def _check_below(self, what: str, **asked: float) -> None:
-        """Refuse what is not above 0 and within the limit of its name; NaN is not."""
-        for name, value in asked.items():
-            if not 0 < value <= getattr(self, name):
-                named = what.format(name.removeprefix("approach_"))
-                raise ValueError(f"{named} {value} is outside (0, {getattr(self, name)}], the rig's limit.")
-
-    def contains(self, position: Array, margin: float = 0.0) -> bool:
-        """Test whether the box holds a position.
-
-        Args:
-            position: (3,) m, in the base.
-            margin: m, by which it may lie outside.
-
-        Returns:
-            True inside, or at most `margin` outside.
-        """
-        return bool(
-            (np.asarray(position) >= np.array(self.lower) - margin).all()
-            and (np.asarray(position) <= np.array(self.upper) + margin).all()
-        )
+    # Touch-off against a flat
+    touch_off_force_n: float = _limit(2.0, "N", "stops a corner of the skin at the flat; it gives some N per mm")
+    touch_off_overtravel_m: float = _limit(5e-3, "m", "stops an approach that finds no flat where it should be")
+    touch_off_max_shift_m: float = _limit(5e-3, "m", "refuses a result too far from the rig")
+    touch_off_max_tilt_rad: float = _limit(math.radians(4), "rad", "refuses a result too far from the rig")
 
 
-def format_position(position: Array) -> str:
-    """A position for a sentence.
+SAFETY = SafetyLimits()
+
+
+def range_of(name: str) -> tuple[float, float, str]:
+    """Look up the range of a value.
 
     Args:
-        position: (3,) m.
+        name: Name of the value, such as "speed" for the limit `speed_range`.
 
     Returns:
-        Such as "(0.400, 0.000, 0.300)".
+        The lowest value, the highest value, and their unit.
     """
-    return "(" + ", ".join(f"{x:.3f}" for x in position) + ")"
+    entry = next(entry for entry in fields(SafetyLimits) if entry.name == f"{name}_range")
+    return *getattr(SAFETY, entry.name), entry.metadata["unit"]

@@ -1,4 +1,4 @@
-"""Poses as six numbers: a position (m) and a rotation vector (rad), as pendants and lines of a table hold them."""
+"""Poses as six numbers, a position (m) and a rotation vector (rad), as pendants and tables hold them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,19 +11,19 @@ from i2t.types import Array
 
 
 def pose_to_vector(pose: Float[Array, "4 4"]) -> list[float]:
-    """Position and rotation vector of a transform.
+    """Convert a transform to a position and a rotation vector.
 
     Args:
         pose: (4, 4) rigid transform, m.
 
     Returns:
-        x, y, z (m) and the rotation vector (rad), its angle in [0, pi].
+        x, y, z (m) and the rotation vector (rad), whose angle is in [0, pi].
     """
     return [*pose[:3, 3].tolist(), *Rotation.from_matrix(pose[:3, :3]).as_rotvec().tolist()]
 
 
 def pose_from_vector(vector: Sequence[Any]) -> Float[Array, "4 4"]:
-    """The transform of a position and a rotation vector; the inverse of `pose_to_vector`.
+    """Convert a position and a rotation vector to a transform; the inverse of `pose_to_vector`.
 
     Args:
         vector: x, y, z (m) and a rotation vector (rad).
@@ -36,30 +36,30 @@ def pose_from_vector(vector: Sequence[Any]) -> Float[Array, "4 4"]:
     return pose
 
 
-def apart(one: Float[Array, "4 4"], other: Float[Array, "4 4"]) -> tuple[float, float]:
-    """How far two poses are from each other.
+def pose_difference(first: Float[Array, "4 4"], second: Float[Array, "4 4"]) -> tuple[float, float]:
+    """Measure the distance and the angle between two poses.
 
     Args:
-        one: (4, 4) rigid transform, m.
-        other: (4, 4) rigid transform, m.
+        first: (4, 4) rigid transform, m.
+        second: (4, 4) rigid transform, m.
 
     Returns:
-        Distance (m) and angle (rad, in [0, pi]).
+        The distance (m) between the origins and the angle (rad, in [0, pi]) between the rotations.
     """
-    turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3])
-    return float(np.linalg.norm(other[:3, 3] - one[:3, 3])), float(turn.magnitude())
+    rotation = Rotation.from_matrix(first[:3, :3].T @ second[:3, :3])
+    return float(np.linalg.norm(second[:3, 3] - first[:3, 3])), float(rotation.magnitude())
 
 
 def shifted_along_z(pose: Float[Array, "4 4"], distance: float) -> Float[Array, "4 4"]:
-    """A pose moved along its own z axis.
+    """Move a pose along its own z axis.
 
     Args:
         pose: (4, 4) rigid transform, m; it is not changed.
-        distance: m, negative for backwards.
+        distance: Distance in m; negative moves backwards.
 
     Returns:
-        (4, 4) the moved transform.
+        (4, 4) moved transform, m.
     """
-    moved = np.array(pose, float)
-    moved[:3, 3] += distance * moved[:3, 2]
-    return moved
+    shifted = np.array(pose, float)
+    shifted[:3, 3] += distance * shifted[:3, 2]
+    return shifted

@@ -1,37 +1,34 @@
-"""Protocols of a skin, an arm and a depth camera, whoever made them; and their data.
+"""Protocols of a skin, an arm and a depth camera of any make, and their data.
 
-A device is built without touching anything, tells its features, and works between `connect` and `close`, which `with`
-calls. Times are `time.monotonic()` of this machine in seconds, taken as near to the measurement as the device allows.
-Every call that waits says how long (`timeout`, s), and whatever goes wrong comes out as a `DeviceError` of one sentence
-that names the device and the remedy: from the call that was made, or from the next one if it happened in between. Units
-are those of `i2t.types`: metres, radians, newtons, and microtesla for the skin.
+Building a device opens nothing; it reports its features, and works between `connect` and `close`, which `with` calls.
+Times are `time.monotonic()` of this machine in seconds, taken as close to the measurement as the device allows. Every
+call that waits has a `timeout` (s). Every failure raises a `DeviceError` with one sentence that names the device and
+the remedy: from the call that failed, or from the next call if the failure happened in between. Units are those of
+`i2t.types`: metres, radians, newtons, and microtesla for the skin.
 
-Real drivers, emulated devices (real drivers talking to `i2t.emulators`), simulated and replayed ones meet the same
-protocols and pass the same tests (`i2t.hardware.contract`).
+Real drivers, emulated devices (real drivers connected to `i2t.emulators`), simulated and replayed devices implement the
+same protocols and pass the same tests (`i2t.hardware.contract`).
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, Protocol, SupportsIndex, TypeAlias, TypeVar, runtime_checkable
+from typing import Any, Literal, NamedTuple, Protocol, Self, SupportsIndex, TypeAlias, runtime_checkable
 
 from i2t.depth.camera import Camera
 from i2t.types import Array
 
-READ_SPARE_S = 2.0  # that samples may come late by: a busy computer's pauses, and the arm stands still meanwhile
-
-T = TypeVar("T")
 StopReason: TypeAlias = Literal["condition", "force", "torque", "distance"]
 
 
 class Device(Protocol):
-    """Methods that all devices share."""
+    """Methods of all devices."""
 
     def connect(self) -> None:
-        """Start the device; calling it again after a failure or `close` starts it anew. Raises DeviceError."""
+        """Start the device, or restart it after a failure or `close`; raise DeviceError if that fails."""
 
     def close(self) -> None:
-        """Stop it and give its port back, from any thread, as often as one likes; raises nothing."""
+        """Stop the device and release its port; may be called repeatedly and from any thread, and never raises."""
 
-    def __enter__(self: T) -> T:
+    def __enter__(self) -> Self:
         """Connect."""
 
     def __exit__(self, *error: Any) -> None:
@@ -39,254 +36,254 @@ class Device(Protocol):
 
 
 class SkinFeatures(NamedTuple):
-    """Features of a skin, known before it is connected."""
+    """Features of a skin, available before it is connected."""
 
-    name: str  # of the device, for messages
-    source: str  # real, emulated or simulated: what a file must say of its readings
-    channels: tuple[str, ...]  # one for each value of a reading, in the board's order
-    unit: str  # uT
+    name: str  # name of the device, for messages
+    source: str  # real, emulated or simulated; files record it with the readings
+    channels: tuple[str, ...]  # names of the values of a reading, in the board's order
+    unit: str  # of the readings: uT
     rate: float  # Hz, nominal
 
 
 def channel_names(chips: int) -> tuple[str, ...]:
-    """Names of the values of a reading.
+    """Name the values of a reading.
 
     Args:
-        chips: Of the board.
+        chips: Number of chips of the board.
 
     Returns:
-        3 chips names, in the board's order.
+        Three names for each chip, in the board's order.
     """
     return tuple(f"chip{chip}_{axis}" for chip in range(chips) for axis in "xyz")
 
 
 class Samples(NamedTuple):
-    """Samples of a skin, one on each row, in the board's order and axes; nothing has been subtracted."""
+    """Samples of a skin, one in each row, in the board's order and axes; nothing has been subtracted."""
 
-    number: Array  # (n,) int64, counts the samples of this device; a jump is what its queue had to let go
-    time: Array  # (n,) s, monotonic and never decreasing
-    reading: Array  # (n, c) uT, c = 3 values for each chip; NaN for a chip that did not answer, in no sample for all
-    temperature: Array  # (n, chips) degrees Celsius, of each chip; NaN if the skin does not tell
+    number: Array  # (n,) int64, running number of the samples; the queue dropped the samples of a jump
+    time: Array  # (n,) s, monotonic time, never decreasing
+    reading: Array  # (n, c) uT, c = 3 values for each chip; NaN for a chip that did not answer, but never for all chips
+    temperature: Array  # (n, chips) degrees Celsius; NaN if the skin does not report it
 
 
 class SkinCounters(NamedTuple):
-    """Counts of samples, bytes and losses, since the skin was first connected. Only `rate` ever falls."""
+    """Counts of samples, bytes and losses since the skin was first connected. Only `rate` can fall."""
 
-    samples: int = 0  # delivered
-    lost: int = 0  # frames that did not come whole, by the board's own count or the bytes of them that were left
+    samples: int = 0  # delivered samples
+    lost: int = 0  # incomplete frames, by the board's own counter or by the bytes of their remains
     gaps: int = 0  # places where frames are missing
-    bytes: int = 0  # that came
-    skipped: int = 0  # of those, in no frame
+    bytes: int = 0  # received bytes
+    skipped: int = 0  # received bytes outside frames
     empty: int = 0  # frames in which no chip answered; they are not delivered
-    missing: int = 0  # chips that did not answer, in all samples together
-    connects: int = 0  # connections made
+    missing: int = 0  # chips that did not answer, summed over all samples
+    connects: int = 0  # connections
     rate: float = 0.0  # Hz, over the last second
 
     @property
     def loss(self) -> float:
-        """Part of the frames that was lost."""
+        """Share of the frames that were lost."""
         return self.lost / max(1, self.samples + self.lost)
 
 
 @runtime_checkable
 class Skin(Device, Protocol):
-    """A magnetic skin that sends samples by itself."""
+    """A magnetic skin that sends samples continuously."""
 
     @property
     def features(self) -> SkinFeatures:
-        """Features, known before `connect`."""
+        """Features of the skin, available before `connect`."""
 
     @property
     def counters(self) -> SkinCounters:
-        """Counts so far; can be asked for at any time and never raises."""
+        """Counts so far; available at any time, never raises."""
 
     def latest(self, timeout: float = 0.4) -> Samples:
-        """The newest sample, at once.
+        """Return the newest sample at once.
 
         Args:
-            timeout: s, how old it may be.
+            timeout: Maximum age of the sample in s.
 
         Returns:
-            One row.
+            The newest sample, as one row.
 
         Raises:
-            DeviceTimeoutError: The newest is older.
+            DeviceTimeoutError: The newest sample is older.
         """
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """The next samples, all measured after the call.
+        """Read the next samples, all measured after the call.
 
         Args:
-            count: How many.
-            timeout: s; by default twice what the nominal rate needs, and `READ_SPARE_S`.
+            count: Number of samples.
+            timeout: Maximum wait in s; by default twice the time at the nominal rate, plus 2 s.
 
         Returns:
-            `count` rows.
+            The samples, as `count` rows.
 
         Raises:
-            ValueError: More were asked for than the queue can hold, or none.
-            DeviceTimeoutError: They did not come in time.
+            ValueError: The count is zero, or larger than the queue.
+            DeviceTimeoutError: The samples did not arrive in time.
         """
 
     def since(self, number: SupportsIndex) -> Samples:
-        """Samples after a given one that are still in the queue, without waiting.
+        """Return the samples after a given one that are still in the queue, without waiting.
 
         Args:
-            number: Of that sample, as in `Samples`; -1 for all.
+            number: Number of the given sample, as in `Samples`; -1 for all samples.
 
         Returns:
-            As many rows as there are; maybe none.
+            The samples, one in each row; may be empty.
         """
 
 
 class ArmFeatures(NamedTuple):
-    """Features of an arm, known before it is connected."""
+    """Features of an arm, available before it is connected."""
 
-    name: str  # of the device, for messages
+    name: str  # name of the device, for messages
     source: str  # real, emulated or simulated
     rate: float  # Hz, of its states
-    box: Array  # (2, 3) m, lowest and highest tool position in the base frame that any motion may reach
-    speed: float  # m/s, the greatest that is accepted
-    acceleration: float  # m/s^2
+    box: Array  # (2, 3) m, lower and upper corner of the box for the tool's position in the base
+    speed: float  # m/s, maximum
+    acceleration: float  # m/s^2, maximum
 
 
 class ArmState(NamedTuple):
-    """The arm at one moment."""
+    """State of an arm at one moment."""
 
-    time: float  # s, monotonic
-    T_b_t: Array  # (4, 4) tool in base, as measured
+    time: float  # s, monotonic time
+    T_b_t: Array  # (4, 4) measured pose of the tool in the base, m
     joints: Array  # (joints,) rad
-    velocity: Array  # (6,) of the tool: m/s, rad/s, along the base's axes
+    velocity: Array  # (6,) of the tool, along the base's axes: m/s, rad/s
     wrench: Array  # (6,) on the tool, along the tool's axes: N, Nm, zeroed by `zero_wrench`
     moving: bool  # whether a motion is under way
-    safe: bool  # False in a protective stop, an emergency stop or a violation
+    safe: bool  # False in a protective stop, an emergency stop or a violation of safety limits
 
 
 @runtime_checkable
 class Arm(Device, Protocol):
-    """An arm that carries the skin. Motions start and return at once; `state` tells how they go.
+    """An arm that carries the skin. Calls for motions return at once; `state` reports the progress.
 
-    A target outside the box and a speed above the limit are refused before anything moves.
+    A goal outside the box or a speed above the limit is refused before anything moves.
     """
 
     @property
     def features(self) -> ArmFeatures:
-        """Features, known before `connect`."""
+        """Features of the arm, available before `connect`."""
 
     def state(self, timeout: float = 0.1) -> ArmState:
-        """The newest state.
+        """Return the newest state.
 
         Args:
-            timeout: s, how old it may be.
+            timeout: Maximum age of the state in s.
 
         Returns:
-            The state.
+            The newest state.
 
         Raises:
-            DeviceTimeoutError: The newest is older; the arm was stopped as far as it can be told to.
+            DeviceTimeoutError: The newest state is older; the arm was told to stop, if it can be reached.
         """
 
     def move(self, T_b_t: Array, speed: float, acceleration: float) -> Array:
-        """Start a straight motion of the tool and return at once; one under way is replaced.
+        """Start a straight motion of the tool and return at once; replace a motion that is under way.
 
         Args:
             T_b_t: (4, 4) goal of the tool in the base, m.
-            speed: m/s.
-            acceleration: m/s^2.
+            speed: Speed in m/s.
+            acceleration: Acceleration in m/s^2.
 
         Returns:
-            (4, 4) goal that was really sent.
+            (4, 4) goal that was actually sent, m.
 
         Raises:
-            ValueError: The goal is outside the box or too fast; nothing was sent.
-            DeviceError: The arm is lost, stopped or does not take the motion.
+            ValueError: The goal is outside the box, or the motion is too fast; nothing was sent.
+            DeviceError: The arm is lost or stopped, or refuses the motion.
         """
 
     def stop(self, timeout: float = 1.0) -> None:
-        """Stop all motion and return when the arm stands still, from any thread.
+        """Stop all motion and return when the arm stands still; may be called from any thread.
 
         Args:
-            timeout: s, until it must have been seen to stand.
+            timeout: Time in s until the arm must stand.
 
         Raises:
-            DeviceError: It could not be seen to stand in time.
+            DeviceError: The arm was not seen to stand in time.
         """
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Take the wrench felt now as zero; only with the arm standing still and touching nothing.
+        """Zero the wrench at its present value; the arm must stand still and touch nothing.
 
         Args:
-            timeout: s, until the arm must have done it.
+            timeout: Maximum wait in s.
 
         Raises:
-            DeviceError: The arm moves, or it took longer.
+            DeviceError: The arm moves, or the command took too long.
         """
 
 
 @runtime_checkable
 class PlanningArm(Protocol):
-    """An arm that knows where it can go; others are asked for nothing but the box."""
+    """An arm that can plan; for other arms only the box is checked."""
 
     def why_unreachable(self, goals: Sequence[Array]) -> str:
-        """Reason why it cannot follow straight lines from pose to pose, asked before anything moves.
+        """Explain, before anything moves, why the arm cannot follow straight lines from pose to pose.
 
         Args:
             goals: Poses T_b_t (4, 4) of the tool, m.
 
         Returns:
-            One sentence why not; empty where it can.
+            One sentence with the reason; empty if the arm can reach all poses.
         """
 
 
 class CameraFeatures(NamedTuple):
-    """Features of a depth camera, known before it is connected."""
+    """Features of a depth camera, available before it is connected."""
 
-    name: str  # of the device, for messages
+    name: str  # name of the device, for messages
     source: str  # real, simulated or replay
-    nearest: float  # m, below which it measures nothing; NaN where only the device knows it
+    nearest: float  # m, shortest depth that it measures; NaN if only the device knows it
     rate: float  # Hz, nominal
 
 
 class View(NamedTuple):
-    """One depth image and the colours of the same pixels."""
+    """A depth image and the colours of the same pixels."""
 
-    time: float  # s, monotonic, of the exposure as near as is known
-    depth: Array  # (h, w) m along the optical axis; NaN where nothing was measured
+    time: float  # s, monotonic time of the exposure, as precise as possible
+    depth: Array  # (h, w) m along the optical axis; NaN for unmeasured pixels
     colour: Array | None  # (h, w, 3) uint8 RGB
 
 
 class ColourImage(NamedTuple):
-    """A colour image as it was taken, for what must see fine print: colours of a `View` have depth's holes."""
+    """A colour image as the sensor took it, for fine print: the colours of a `View` have the holes of its depth."""
 
-    time: float  # s, monotonic
+    time: float  # s, monotonic time
     image: Array  # (h, w, 3) uint8 RGB
-    camera: Camera  # of this image
-    T_c_colour: Array  # (4, 4), its frame in the depth camera's
+    camera: Camera  # lens of this image
+    T_c_colour: Array  # (4, 4), frame of the image in the depth camera's, m
 
 
 @runtime_checkable
 class DepthCamera(Device, Protocol):
-    """A depth camera with colour aligned to depth."""
+    """A depth camera whose colours are aligned with depth."""
 
     @property
     def features(self) -> CameraFeatures:
-        """Known before `connect`."""
+        """Features of the camera, available before `connect`."""
 
     @property
     def camera(self) -> Camera:
-        """Size and lens of its depth images; raises NotConnectedError where only the device knows them."""
+        """Size and lens of the depth images; raises NotConnectedError while only the device knows them."""
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view exposed after the call.
+        """Take a view that is exposed after the call.
 
         Args:
-            timeout: s.
+            timeout: Maximum wait in s.
 
         Returns:
-            Depth and colour.
+            The depth and the colours.
 
         Raises:
-            DeviceTimeoutError: None came in time.
+            DeviceTimeoutError: No view arrived in time.
             NotConnectedError: The camera is not connected.
         """
 
@@ -295,30 +292,30 @@ class ApproachResult(NamedTuple):
     """Outcome of a guarded approach."""
 
     reason: StopReason  # what ended the approach
-    answer: Any  # what the caller's stop condition returned, None unless it stopped the arm
-    trigger: ArmState  # what was known when the arm was told to brake
-    state: ArmState  # at rest
-    distance: float  # m from the start to rest
+    answer: Any  # answer of the caller's stop condition if it stopped the arm, otherwise None
+    trigger: ArmState  # state that made the arm brake
+    state: ArmState  # state at rest
+    distance: float  # m, from the start to the position at rest
 
 
 @runtime_checkable
 class GuardedArm(Arm, Protocol):
-    """An arm that follows its motions to their end; the touch procedure needs one."""
+    """An arm that supervises its motions to their end, as the touch procedure requires."""
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
         """Move straight to a pose and wait.
 
         Args:
             T_b_t: (4, 4) goal, m.
-            speed: m/s, by default the greatest that is allowed.
-            acceleration: m/s^2, by default the greatest that is allowed.
+            speed: Speed in m/s, by default the highest allowed.
+            acceleration: Acceleration in m/s^2, by default the highest allowed.
 
         Returns:
             The state at rest at the goal.
 
         Raises:
-            ValueError: The goal is outside the box or too fast; nothing has moved.
-            DeviceError: The arm met something, or was lost; it stands as far as it can be told to.
+            ValueError: The goal is outside the box, or the motion is too fast; nothing has moved.
+            DeviceError: The arm met something, or was lost; it was told to stop, if it can be reached.
         """
 
     def approach(
@@ -330,20 +327,21 @@ class GuardedArm(Arm, Protocol):
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along the tool's z axis, out of the skin, until something says stop.
+        """Move along the tool's z axis, out of the skin, until a stop condition is met.
 
         Args:
-            distance: m, after which it stops at the latest.
-            speed: m/s.
-            stop_condition: Called with each new state in the caller's thread; anything true stops the arm.
-            force: N, norm of the force that stops the arm.
-            torque: Nm, norm of the torque that stops the arm.
-            acceleration: m/s^2.
+            distance: Maximum distance in m.
+            speed: Speed in m/s.
+            stop_condition: Function that is called with each new state, in the caller's thread; a true answer stops the
+                arm.
+            force: Norm of the force in N that stops the arm.
+            torque: Norm of the torque in Nm that stops the arm.
+            acceleration: Acceleration in m/s^2.
 
         Returns:
-            How it ended; the arm stands.
+            The outcome of the approach; the arm stands.
 
         Raises:
-            ValueError: It would leave the box or exceed a limit; nothing has moved.
-            DeviceError: The arm was lost, or stopped by somebody else.
+            ValueError: The arm would leave the box or exceed a limit; nothing has moved.
+            DeviceError: The arm was lost, or was stopped by request.
         """

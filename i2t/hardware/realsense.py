@@ -1,17 +1,17 @@
 """A RealSense depth camera over pyrealsense2, or a file that it recorded: depth in metres, colour of the same pixels.
 
-    python -m i2t.hardware.realsense                        # the one camera that is plugged in: model, lens, range
+    python -m i2t.hardware.realsense                        # the only camera that is plugged in: model, lens, range
     python -m i2t.hardware.realsense --save DIR --count 5   # keep views as `i2t.hardware.camera_folder` reads them
 
-The camera's lens, with its distortion, is that of the depth image as the device tells it; nothing is undistorted.
-A view is exposed after the call where the camera's clock is the computer's (global or system time; the rule on Linux
-and Windows). Where it is not, or a file is played, frames that may have been under way at the call are let go.
+The lens, with its distortion, is that of the depth image as the device reports it; images are not undistorted. A view
+is exposed after the call if the camera's clock is the computer's (global or system time, the default on Linux and
+Windows). Otherwise, and for a recording, frames that may have been under way at the call are dropped.
 
-Stereo cameras measure nothing nearer than focal length x baseline / greatest disparity; NEAREST_MM is what their maker
-states. At the paper's 104 mm only a D405 measures (at any resolution); a D435 needs 105 mm even at its smallest image
-(424 x 240) and 150 mm at the paper's 640 x 360, which its lens is like; D415 and D455 need 160 mm and more, SR300 and
-L515 200 and 250 mm. A disparity shift, set with the maker's viewer, brings a D435 nearer; its model is then no reason
-to refuse it: leave `distance` out.
+Stereo cameras measure nothing nearer than focal length x baseline / maximum disparity; NEAREST_MM holds the values of
+the maker. At the paper's 104 mm only a D405 measures, at any resolution. A D435 needs 105 mm even at its smallest image
+(424 x 240) and 150 mm at the paper's 640 x 360, where its lens is like the paper's; D415 and D455 need 160 mm and more,
+SR300 and L515 200 and 250 mm. A disparity shift, set with the maker's viewer, lets a D435 measure nearer; then leave
+out `distance`, which would refuse the model.
 
 Sources: RealSense D400 series data sheet (337029), "Minimum-Z depth"; data sheets of SR300 and L515.
 """
@@ -40,7 +40,7 @@ from i2t.hardware.protocols import CameraFeatures, ColourImage, View
 from i2t.types import Array
 
 SIZES_PX = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))
-NEAREST_MM = {  # of each model at these sizes
+NEAREST_MM = {  # of each model at the sizes in SIZES_PX
     "D405": (40, 45, 55, 70, 70, 100),
     "D415": (160, 180, 240, 310, 310, 450),
     "D435": (105, 120, 150, 175, 195, 280),
@@ -48,51 +48,49 @@ NEAREST_MM = {  # of each model at these sizes
     "SR300": (200,) * 6,
     "L515": (250,) * 6,
 }
-SETTLE_S = 0.5  # of frames that are let go at the start, for the exposure to settle
-UNDERWAY_FRAMES = 2  # frames that may have been exposed before they were asked for, where times do not tell
 
 
 def nearest(model: str, width: int, height: int) -> float:
-    """Nearest depth that a model measures, by its maker, who states it for six image sizes: the next larger counts.
+    """Look up the nearest depth that a model measures, by its maker, at the next larger of six image sizes.
 
     Args:
-        model: Such as "D405", or the name that the device tells.
-        width: Pixels.
-        height: Pixels.
+        model: Model such as "D405", or the name that the device reports.
+        width: Width of the image in pixels.
+        height: Height of the image in pixels.
 
     Returns:
-        m; NaN where it is not known.
+        The depth in m; NaN if it is unknown.
     """
-    for name, listed in NEAREST_MM.items():
-        fitting = [least for (w, h), least in zip(SIZES_PX, listed, strict=True) if width <= w and height <= h]
+    for name, depths in NEAREST_MM.items():
+        fitting = [depth for (w, h), depth in zip(SIZES_PX, depths, strict=True) if width <= w and height <= h]
         if name in model.upper() and fitting:
             return fitting[0] / 1000
     return float("nan")
 
 
 class TooNearError(DeviceError, ValueError):
-    """A camera is asked to look from nearer than it measures: what was asked for is to be changed."""
+    """A camera is to look from a shorter distance than it measures; the request must be changed."""
 
 
 def check_distance(model: str, width: int, height: int, distance: float) -> None:
-    """Refuse a camera that measures nothing as near as it is to look.
+    """Refuse a camera that cannot measure at the requested distance.
 
     Args:
-        model: Such as "D405".
-        width: Pixels.
-        height: Pixels.
-        distance: m, from which it is to look.
+        model: Model such as "D405".
+        width: Width of the image in pixels.
+        height: Height of the image in pixels.
+        distance: Distance in m from which the camera is to look.
 
     Raises:
-        TooNearError: With what to change.
+        TooNearError: The camera measures nothing as near; the message says what to change.
     """
-    least = nearest(model, width, height)
-    if distance < least:
+    minimum = nearest(model, width, height)
+    if distance < minimum:
         fits = [f", or take {w} x {h} pixels" for w, h in SIZES_PX if nearest(model, w, h) <= distance][-1:]
         others = [f", or mount a {name}" for name in NEAREST_MM if nearest(name, width, height) <= distance][:1]
         raise TooNearError(
-            f"the {model} measures nothing nearer than {1e3 * least:.0f} mm at {width} x {height} pixels, and is to "
-            f"look from {1e3 * distance:.0f} mm: look from {1e3 * least:.0f} mm{''.join(fits + others)}"
+            f"the {model} measures nothing nearer than {1e3 * minimum:.0f} mm at {width} x {height} pixels, and is to "
+            f"look from {1e3 * distance:.0f} mm: look from {1e3 * minimum:.0f} mm{''.join(fits + others)}"
         )
 
 
@@ -100,11 +98,11 @@ class RealSense(CameraBase):
     """A RealSense camera (`i2t.hardware.protocols.DepthCamera`).
 
     Args:
-        serial: its serial number; by default the one camera that is plugged in
-        size: (width, height) of the depth image, and of colour
-        rate: Hz
-        distance: m from which it is to look; a model that measures nothing so near is refused by `connect`
-        file: a recording of the SDK (.db3, or .bag of older ones) to play instead, over and over
+        serial: Serial number of the camera; by default the only camera that is plugged in.
+        size: (width, height) of the depth and the colour image in pixels.
+        rate: Rate of the images in Hz.
+        distance: Distance in m from which the camera is to look; `connect` refuses a model that cannot measure there.
+        file: Recording of the SDK (.db3, or .bag of older versions) that is played in a loop instead.
     """
 
     def __init__(
@@ -125,19 +123,19 @@ class RealSense(CameraBase):
         name = f"the recording {file}" if file is not None else f"the RealSense {serial or ''}".strip()
         source = "replay" if file is not None else "real"
         super().__init__(CameraFeatures(name, source, float("nan"), float(rate)))
-        self.serial_number = ""  # of the camera, once it is connected
+        self.serial_number = ""  # of the camera, after `connect`
         self._lock = threading.Lock()
         self._pipe: Any = None
         self._colour: tuple[Camera, Array] | None = None
 
     def connect(self) -> None:
-        """Start streaming; raises DeviceError."""
+        """Start streaming; raise DeviceError if that fails."""
         self.close()
         rs, (width, height) = self._rs, self._size
         config = rs.config()
         if self._file is not None:
             if not self._file.is_file():
-                raise DeviceError(f"{self._file} cannot be read (there is no such file); name a recording")
+                raise DeviceError(f"{self._file} cannot be read (the file does not exist); name a recording")
             config.enable_device_from_file(str(self._file), True)
         elif not self._plugged():
             raise self._refused("")  # the SDK would wait 15 s for one
@@ -153,7 +151,7 @@ class RealSense(CameraBase):
         try:
             self._describe(profile)
             self._align, self._pipe = rs.align(rs.stream.depth), pipe
-            end = time.monotonic() + (SETTLE_S if self._file is None else 0.0)
+            end = time.monotonic() + (0.5 if self._file is None else 0.0)  # s, for the exposure to settle
             while time.monotonic() < end:
                 self._wait(5.0)
         except BaseException:
@@ -163,7 +161,7 @@ class RealSense(CameraBase):
             raise
 
     def _describe(self, profile: Any) -> None:
-        """Take model, number and lenses from the device that streams; refuse one that measures nothing so near."""
+        """Read model, serial number and lenses from the streaming device; refuse it if it cannot measure so near."""
         rs, device = self._rs, profile.get_device()
         model = device.get_info(rs.camera_info.name)
         if device.supports(rs.camera_info.serial_number):
@@ -171,11 +169,11 @@ class RealSense(CameraBase):
         if self._distance is not None:
             check_distance(model, *self._size, self._distance)
         depth, colour = (
-            profile.get_stream(each).as_video_stream_profile() for each in (rs.stream.depth, rs.stream.color)
+            profile.get_stream(stream).as_video_stream_profile() for stream in (rs.stream.depth, rs.stream.color)
         )
-        self._camera, apart = _camera(depth.get_intrinsics()), colour.get_extrinsics_to(depth)
-        rotation = np.reshape(apart.rotation, (3, 3), order="F")
-        self._colour = _camera(colour.get_intrinsics()), transform(rotation, np.array(apart.translation))
+        self._camera, extrinsics = _camera(depth.get_intrinsics()), colour.get_extrinsics_to(depth)
+        rotation = np.reshape(extrinsics.rotation, (3, 3), order="F")
+        self._colour = _camera(colour.get_intrinsics()), transform(rotation, np.array(extrinsics.translation))
         name = f"{self._name.split(' (')[0]} ({model})"
         self._features = self._features._replace(name=name, nearest=nearest(model, *self._size))
 
@@ -188,7 +186,7 @@ class RealSense(CameraBase):
                 pipe.stop()
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view exposed after the call, as in `DepthCamera.capture`."""
+        """Take a view that is exposed after the call, as in `DepthCamera.capture`."""
         when, frames = self._fresh(timeout)
         frames = self._align.process(frames)
         depth, colour = frames.get_depth_frame(), frames.get_color_frame()
@@ -198,44 +196,45 @@ class RealSense(CameraBase):
         return View(when, metres, np.array(colour.get_data()) if colour else None)
 
     def colour(self, timeout: float = 2.0) -> ColourImage:
-        """The colour image as it was taken, after the call.
+        """Take a colour image as the sensor sees it, exposed after the call.
 
         Args:
-            timeout: s.
+            timeout: Maximum wait in s.
 
         Returns:
             The image with the colour sensor's own lens.
 
         Raises:
-            DeviceTimeoutError: None came in time.
+            DeviceTimeoutError: No image arrived in time.
         """
         when, frames = self._fresh(timeout)
         assert self._colour is not None
         return ColourImage(when, np.array(frames.get_color_frame().get_data()), *self._colour)
 
     def _fresh(self, timeout: float) -> tuple[float, Any]:
-        """Exposure time of the next frames exposed after now, and these frames."""
+        """Wait for frames that are exposed from now on; return their exposure time and the frames."""
         called = time.monotonic()
         for number in itertools.count():
-            left = called + timeout - time.monotonic()
-            frames = self._wait(left) if left > 0 else None
+            remaining = called + timeout - time.monotonic()
+            frames = self._wait(remaining) if remaining > 0 else None
             if frames is None:
                 break
             exposed = self._exposed(frames)
-            new = number >= UNDERWAY_FRAMES if exposed is None else exposed >= called
+            # Without comparable times, two frames may have been exposed before the call.
+            new = number >= 2 if exposed is None else exposed >= called
             if new and frames.get_depth_frame() and frames.get_color_frame():
                 return time.monotonic() - 1 / self._rate if exposed is None else exposed, frames
-        raise DeviceTimeoutError(f"{self._name} gave no view in {timeout:.2g} s; check its cable: it needs USB 3")
+        raise DeviceTimeoutError(f"{self._name} sent no view in {timeout:.2g} s; check its cable: it needs USB 3")
 
     def _wait(self, timeout: float) -> Any:
-        """The next frames, or None; raises NotConnectedError, or DeviceError if the camera is gone."""
+        """Wait for the next frames, or None; raise NotConnectedError, or DeviceError if the camera is gone."""
         pipe = self._pipe
         if pipe is None:
             raise self._not_connected()
-        ended = time.monotonic() + timeout
+        deadline = time.monotonic() + timeout
         while True:
-            # In pieces, so that a camera that is gone or closed is noticed before a long wait is over.
-            piece = min(0.25, ended - time.monotonic())
+            # Wait in pieces, to notice early that the camera is gone or closed.
+            piece = min(0.25, deadline - time.monotonic())
             arrived, frames = pipe.try_wait_for_frames(max(1, round(1e3 * piece)))
             if arrived:
                 return frames
@@ -244,39 +243,37 @@ class RealSense(CameraBase):
             if self._file is None and not self._plugged():
                 self.close()
                 raise DeviceError(f"{self._name} is gone; plug it in and connect again")
-            if time.monotonic() >= ended:
+            if time.monotonic() >= deadline:
                 return None
 
     def _exposed(self, frames: Any) -> float | None:
-        """Time of exposure of frames, on the monotonic clock; None where their clock is not this computer's."""
+        """Time of exposure of frames, on the monotonic clock; None if their clock is not this computer's."""
         domains = self._rs.timestamp_domain
         if frames.get_frame_timestamp_domain() not in (domains.global_time, domains.system_time):
             return None
         age = time.time() - 1e-3 * frames.get_timestamp()
-        return time.monotonic() - age if 0 <= age < 1.0 else None  # else a clock was set, or a file is played
+        return time.monotonic() - age if 0 <= age < 1.0 else None  # otherwise a clock was set, or a file is played
 
     def _plugged(self) -> bool:
-        found = self._devices()
-        return self._serial in found if self._serial is not None else bool(found)
+        devices = self._devices()
+        return self._serial in devices if self._serial is not None else bool(devices)
 
     def _refused(self, reason: str) -> DeviceError:
         width, height = self._size
         if self._file is not None:
             return DeviceError(f"{self._file} cannot be played at {width} x {height}, {self._rate} Hz ({reason})")
-        found = self._devices()
         if not self._plugged():
-            there = ", ".join(f"{name} {serial}" for serial, name in found.items()) or "none"
-            return DeviceError(f"{self._name} was not found (RealSense cameras here: {there}); plug it in, on USB 3")
+            present = ", ".join(f"{name} {serial}" for serial, name in self._devices().items()) or "none"
+            return DeviceError(f"{self._name} was not found (RealSense cameras here: {present}); plug it in, on USB 3")
         if "resolve" in reason:
-            what = f"{width} x {height}, {self._rate} Hz"
-            return DeviceError(f"{self._name} does not stream {what}; choose another, and on USB 2 a lower one")
+            mode = f"{width} x {height}, {self._rate} Hz"
+            return DeviceError(f"{self._name} does not stream {mode}; choose another mode, and on USB 2 a lower one")
         return DeviceError(f"{self._name} cannot be started ({reason}); close other programs that use it")
 
     def _devices(self) -> dict[str, str]:
-        """Names of the cameras that are plugged in, by their serial numbers."""
-        info = self._rs.camera_info
-        found = self._rs.context().query_devices()
-        return {each.get_info(info.serial_number): each.get_info(info.name) for each in found}
+        """List the names of the cameras that are plugged in, by their serial numbers."""
+        info, devices = self._rs.camera_info, self._rs.context().query_devices()
+        return {device.get_info(info.serial_number): device.get_info(info.name) for device in devices}
 
 
 def _camera(lens: Any) -> Camera:
@@ -286,25 +283,25 @@ def _camera(lens: Any) -> Camera:
 
 @dataclass(frozen=True)
 class RealSenseArgs:
-    """Show what a depth camera sees, and keep views of it."""
+    """Show what a depth camera sees, and save views of it."""
 
-    serial: str | None = None  # which camera, if there are several
+    serial: str | None = None  # serial number of the camera, if there are several
     file: Path | None = None  # play this recording instead
     size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (640, 360)  # pixels
     rate: Count = 30  # Hz
-    distance: float | None = None  # m from which it is to look
-    save: Path | None = None  # a new folder for the views
-    count: Count = 1  # how many views
+    distance: float | None = None  # m from which the camera is to look
+    save: Path | None = None  # new folder for the views
+    count: Count = 1  # number of views
 
 
-def _show(asked: RealSenseArgs) -> None:
-    require_path("--file", asked.file, "recording")
-    with RealSense(asked.serial, asked.size, asked.rate, asked.distance, asked.file) as camera:
+def _show(args: RealSenseArgs) -> None:
+    require_path("--file", args.file, "recording")
+    with RealSense(args.serial, args.size, args.rate, args.distance, args.file) as camera:
         print(f"{camera.features.name}: nothing nearer than {1e3 * camera.features.nearest:.0f} mm\n{camera.camera}")
-        views: Iterable[View] = (camera.capture() for _ in range(asked.count))
-        views = camera_folder.save_views(asked.save, camera.camera, views) if asked.save else views
+        views: Iterable[View] = (camera.capture() for _ in range(args.count))
+        views = camera_folder.save_views(args.save, camera.camera, views) if args.save else views
         for number, view in enumerate(views):
-            middle = view.depth[asked.size[1] // 2 - 10 :, asked.size[0] // 2 - 10 :][:20, :20]
+            middle = view.depth[args.size[1] // 2 - 10 :, args.size[0] // 2 - 10 :][:20, :20]
             at = np.nanmedian(middle) if np.isfinite(middle).any() else np.nan
             print(f"view {number}: {np.isfinite(view.depth).mean():.0%} measured, {1e3 * at:.1f} mm in the middle")
 

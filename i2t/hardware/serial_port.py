@@ -1,8 +1,8 @@
-"""Which programs use a serial port, and why a port may not be opened, as far as the system shows it.
+"""Users of a serial port, and reasons why it cannot be opened, as far as the system reveals them.
 
-A port may be open in several programs at once; each byte then reaches one of them. The lock that pyserial takes holds
-off only programs that ask for it; `TIOCEXCL` holds off all that are opened later (root's excepted). Programs that have
-a port open are found by the links in /proc/PID/fd (Linux; those of other users show to root alone).
+A port may be open in several programs at once; each byte then reaches only one of them. The lock of pyserial excludes
+only programs that request it; `TIOCEXCL` excludes all programs that open the port later (except root's). The links in
+/proc/PID/fd show which programs have a port open (Linux; only root sees those of other users).
 """
 
 import contextlib
@@ -14,11 +14,10 @@ try:
     import fcntl
     import grp
     import termios
-except ImportError:  # Windows, where a port can be opened once only
+except ImportError:  # Windows, where a port can be opened only once
     fcntl = grp = termios = None  # type: ignore[assignment]
 
-PROCESSES = Path("/proc")
-OFTEN_READ_PORTS = "ModemManager or a serial monitor"
+COMMON_PORT_USERS = "ModemManager or a serial monitor"
 
 
 def users_of(port: str) -> dict[int, str]:
@@ -28,11 +27,11 @@ def users_of(port: str) -> dict[int, str]:
         port: Name of the port, or a link to it.
 
     Returns:
-        The names of the programs by process id, without those that the system does not show to this user.
+        The names of the programs by process id, as far as the system shows them to this user.
     """
     target, users = os.path.realpath(port), {}
-    for folder in PROCESSES.glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # ended meanwhile, or another user's
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended, or is another user's
             if any(_leads_to(folder / "fd" / name, target) for name in os.listdir(folder / "fd")):
                 users[int(folder.name)] = (folder / "comm").read_text().strip()
     return users
@@ -41,7 +40,7 @@ def users_of(port: str) -> dict[int, str]:
 def _leads_to(link: Path, target: str) -> bool:
     try:
         return os.readlink(link) == target
-    except OSError:  # closed meanwhile
+    except OSError:  # it has been closed
         return False
 
 
@@ -52,26 +51,26 @@ def other_users(port: str) -> str:
         port: Name of the port, or a link to it.
 
     Returns:
-        A list such as "cat (process 12) and screen (process 34)"; "" where no other program is found.
+        A list such as "cat (process 12) and screen (process 34)"; empty if no other program is found.
     """
     others = {process: name for process, name in users_of(port).items() if process != os.getpid()}
     return " and ".join(f"{name} (process {process})" for process, name in sorted(others.items()))
 
 
-def keep_others_out(line: Any, keep: bool = True) -> None:
-    """Let no other program open a port that is open here; without effect where the system has no such thing.
+def set_exclusive(line: Any, exclusive: bool = True) -> None:
+    """Prevent other programs from opening a port that is open here, if the system can.
 
     Args:
-        line: The open port, a `serial.Serial`.
-        keep: Whether to keep other programs out; False lets them in again.
+        line: Open port, a `serial.Serial`.
+        exclusive: Whether to exclude other programs; False admits them again.
     """
     if termios is not None:
-        with contextlib.suppress(OSError, ValueError, TypeError):  # closed already, or no terminal
-            fcntl.ioctl(line.fileno(), termios.TIOCEXCL if keep else termios.TIOCNXCL)
+        with contextlib.suppress(OSError, ValueError, TypeError):  # it is closed, or not a terminal
+            fcntl.ioctl(line.fileno(), termios.TIOCEXCL if exclusive else termios.TIOCNXCL)
 
 
 def why_forbidden(port: str) -> str:
-    """Say why this user may not open a port, and what to do.
+    """Explain why this user may not open a port, and what to do.
 
     Args:
         port: Name of the port.
@@ -80,13 +79,13 @@ def why_forbidden(port: str) -> str:
         A sentence without a full stop.
     """
     if grp is None:
-        return f"{port} may not be opened; it may be in use by another program: close that one"
+        return f"{port} may not be opened; another program may be using it: close that program"
     group, members = "dialout", list[str]()
     with contextlib.suppress(OSError, KeyError):
         number = os.stat(port).st_gid
         group, _, _, members = grp.getgrgid(number)
         if number in (*os.getgroups(), os.getegid()):
-            return f"{port} may not be opened by its group, {group}, in which you are; allow it: sudo chmod g+rw {port}"
+            return f"{port} may not be opened by your group, {group}; allow it: sudo chmod g+rw {port}"
     if os.environ.get("USER") in members:
-        return f"{port} may not be opened yet, as you joined its group, {group}, after you logged in; log in again"
+        return f"{port} may not be opened yet, because you joined its group, {group}, after you logged in; log in again"
     return f"{port} may not be opened; add yourself to its group and log in again: sudo usermod -aG {group} $USER"

@@ -1,22 +1,22 @@
-"""Health of a skin at rest: dead, frozen and saturated chips, noise; and whether it feels.
+"""Health of a skin at rest: dead, frozen, saturated and noisy chips; and whether the skin responds to a press.
 
-A pure judgement of samples that a skin sent while it touched nothing, and of the change that a light press made. Each
-defect is one sentence that names chip and axis. What makes readings a lie stops a session (`stops`); what makes them
-worse is said. A chip that does not answer is missing (NaN), which readings say themselves: it is named, and stops a
-session where less than half of the chips are left.
+The functions judge samples that a skin sent while it touched nothing, and the change that a light press made. Each
+defect is one sentence that names chip and axis. Defects that falsify readings stop a session (`stops`); defects that
+only worsen them are reported. A chip that does not answer is missing (NaN in the readings): it is named, and stops a
+session if fewer than half of the chips are left.
 
-Which noise is to be expected is the board's own: the median over its chips of the same axis, but at least half of that
-of real ReSkin boards at the paper's settings (3.1 uT along x and y, 4.6 uT along z, recorded at rest). A channel is too
-noisy above three times that, or above 15 uT. Noise is measured from the differences of successive samples without their
-largest hundredth, so that a slow field or a step is no noise. An axis is frozen that did not change once, where the
-same axis of other chips would have done so with a probability of one in a million at the most. It is saturated where
-it stays at its greatest value, beyond the least end of the converter's range (MLX90393 data sheet: 2^15 steps of 0.150
-uT along x and y and 0.242 uT along z at the finest settings).
+The expected noise is the board's own: the median over its chips of the same axis, but at least half of the noise of
+real ReSkin boards (`HealthConfig.typical_noise_ut`). A channel is too noisy above three times that, or above 15 uT. The
+noise is estimated from the differences of successive samples without their largest hundredth, so that neither a slow
+field nor a step counts as noise. An axis is frozen if it did not change once, although the same axis of other chips
+would have stayed unchanged with a probability of at most one in a million. An axis is saturated if it stays at its
+largest value, near or beyond the end of the converter's smallest range.
 
 Microtesla, board axes. NumPy only.
 """
 
 import warnings
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,196 +27,215 @@ from i2t.hardware.protocols import Samples, Skin
 from i2t.skin.boards import mean_known, silent_chips
 from i2t.types import Array
 
-HEALTH_REST_S, HEALTH_SAMPLES = 0.5, 200  # whichever of both comes first, after the least number
-MIN_REST_SAMPLES = 24
-READ_AT_ONCE, LISTEN_TIMEOUT_S = 8, 3.0  # so that a board of some hertz is judged too
-TYPICAL_NOISE_UT = (3.1, 3.1, 4.6)  # of one sample of a real ReSkin board at rest, x, y, z
-NOISE_FACTOR, MAX_NOISE_UT = 3.0, 15.0
-GLITCH_SHARE = 0.01  # of the largest differences, that are glitches and no noise
-FROZEN_CHANCE = 1e-6
-CONVERTER_END_UT = (4915.0, 4915.0, 7930.0)  # least range of a converter, either way
-END_SHARE, CLIPPED_SHARE = 0.98, 0.3  # of that range; of the samples that are at the greatest value
-MIN_CHIP_SHARE = 0.5  # of the chips, that must answer
-LEAST_RESPONSE_UT = 4.0  # of a reading, to a press of the least force, also of a flat; noise alone is below
-LEAST_PRESS_N = 1.5
+# uT along x, y and z, smallest range of the converter in either direction. MLX90393 data sheet: 2^15 steps of 0.150 uT
+# along x and y and of 0.242 uT along z at the finest settings.
+CONVERTER_RANGE_UT = (4915.0, 4915.0, 7930.0)
+
+
+@dataclass(frozen=True)
+class HealthConfig:
+    """Thresholds of the health of a skin.
+
+    The typical noise was recorded on ReSkin boards at rest, at the paper's settings.
+    """
+
+    rest_duration: float = 0.5  # s of samples at rest, once there are `min_samples`
+    rest_samples: int = 200  # samples at rest that are enough, even in less time
+    min_samples: int = 24  # samples that a judgement needs
+    samples_per_read: int = 8  # few, so that a board of some hertz is judged too
+    read_timeout: float = 3.0  # s
+    typical_noise_ut: tuple[float, float, float] = (3.1, 3.1, 4.6)  # standard deviation of a sample along x, y and z
+    noise_factor: float = 3.0  # times the expected noise that is too noisy
+    max_noise_ut: float = 15.0
+    glitch_share: float = 0.01  # share of the differences, the largest ones, that are left out of the noise
+    frozen_probability: float = 1e-6  # of an unchanged axis by chance
+    saturation_share: float = 0.98  # of the converter's range
+    clipped_share: float = 0.3  # share of the samples at the largest value that means saturation
+    min_chip_share: float = 0.5  # share of the chips that must answer
+    min_response_ut: float = 4.0  # of a reading to a press, even by a flat; noise alone stays below
+    min_press_force: float = 1.5  # N of a press that must change the reading
 
 
 class SkinDefect(NamedTuple):
-    """One thing that is wrong with a skin."""
+    """A defect of a skin."""
 
     sentence: str
-    stops: bool  # no session may start on it
+    stops: bool  # whether no session may start
 
 
 class SkinHealth(NamedTuple):
-    """Health of a skin by its samples at rest."""
+    """Health of a skin, judged from samples at rest."""
 
     rate: float  # Hz
-    noise: Float[np.ndarray, " c"]  # uT, standard deviation of one sample; NaN for a chip that is missing
-    temperature: Float[np.ndarray, " chips"]  # degrees Celsius; NaN where the skin does not tell
+    noise: Float[np.ndarray, " c"]  # uT, standard deviation of one sample; NaN for a missing chip
+    temperature: Float[np.ndarray, " chips"]  # degrees Celsius; NaN if the skin does not report it
     missing: tuple[int, ...]  # chips that did not answer
     defects: tuple[SkinDefect, ...]
 
     @property
     def summary(self) -> str:
-        """Rate, noise, temperature and missing chips, for a person."""
-        known = self.noise[np.isfinite(self.noise)]
-        parts = [f"{self.rate:.0f} Hz", f"noise up to {known.max():.1f} uT" if len(known) else "no chip answers"]
-        warmth = self.temperature[np.isfinite(self.temperature)]
-        parts += [f"{warmth.min():.1f} to {warmth.max():.1f} C"] if len(warmth) else []
+        """Rate, noise, temperature and missing chips in one line."""
+        noise = self.noise[np.isfinite(self.noise)]
+        parts = [f"{self.rate:.0f} Hz", f"noise up to {noise.max():.1f} uT" if len(noise) else "no chip answers"]
+        celsius = self.temperature[np.isfinite(self.temperature)]
+        parts += [f"{celsius.min():.1f} to {celsius.max():.1f} C"] if len(celsius) else []
         return ", ".join(parts) + (f"; without {_chips(self.missing)}" if self.missing else "")
 
 
-def rest_samples(skin: Skin, clock: Clock | None = None) -> Samples:
-    """Samples of a skin that touches nothing, for half a second, or until a slow board has sent enough.
+def rest_samples(skin: Skin, clock: Clock | None = None, *, config: HealthConfig = HealthConfig()) -> Samples:
+    """Read samples of a skin that touches nothing.
 
     Args:
-        skin: Connected.
-        clock: In whose time it lives; by default this machine's.
+        skin: Connected skin.
+        clock: Clock of the skin; by default this machine's.
+        config: Duration and number of samples.
 
     Returns:
-        At least 24 rows.
+        Samples of half a second, or as many as a slow board needs to be judged: at least 24 rows.
 
     Raises:
-        DeviceError: It is silent.
+        DeviceError: The skin is silent.
     """
     clock = MonotonicClock() if clock is None else clock
-    parts, begun = [skin.read(READ_AT_ONCE, LISTEN_TIMEOUT_S)], clock.now()
-    count = READ_AT_ONCE
-    while count < MIN_REST_SAMPLES or (count < HEALTH_SAMPLES and clock.now() - begun < HEALTH_REST_S):
-        parts.append(skin.read(READ_AT_ONCE, LISTEN_TIMEOUT_S))
-        count += READ_AT_ONCE
+    parts, start = [skin.read(config.samples_per_read, config.read_timeout)], clock.now()
+    count = config.samples_per_read
+    while count < config.min_samples or (count < config.rest_samples and clock.now() - start < config.rest_duration):
+        parts.append(skin.read(config.samples_per_read, config.read_timeout))
+        count += config.samples_per_read
     return Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
-def check_skin(samples: Samples) -> SkinHealth:
-    """Judge samples of a skin that touched nothing.
+def check_skin(samples: Samples, *, config: HealthConfig = HealthConfig()) -> SkinHealth:
+    """Judge the health of a skin from samples that it sent while it touched nothing.
 
     Args:
-        samples: As of `rest_samples`: 24 rows or more.
+        samples: Samples as of `rest_samples`: 24 rows or more.
+        config: Thresholds of the judgement.
 
     Returns:
-        What they tell.
+        The health of the skin, with its defects.
     """
     reading = np.asarray(samples.reading, float)
     by_chip = reading.reshape(len(reading), -1, 3)
     missing = tuple(int(chip) for chip in np.flatnonzero(~np.isfinite(by_chip).all(2).any(0)))
     temperature = mean_known(np.asarray(samples.temperature, float), axis=0)
     dead = np.tile(silent_chips(reading).mean(0) > 0.5, (3, 1)).T
-    saturated = _saturated(by_chip) & ~dead
-    frozen = _frozen(by_chip) & ~dead & ~saturated
-    noise = _white_noise(by_chip)
-    heard = np.where(dead | saturated | frozen, np.nan, noise)
+    saturated = _saturated(by_chip, config) & ~dead
+    frozen = _frozen(by_chip, config) & ~dead & ~saturated
+    noise = _white_noise(by_chip, config)
+    judged_noise = np.where(dead | saturated | frozen, np.nan, noise)
     at_rest = np.nan_to_num(mean_known(by_chip, axis=0))
     defects = [
-        *_missing_defects(missing, by_chip.shape[1]),
-        *_axis_defects(dead, "sends zeros and nothing else", remedy="check its cable and its solder"),
+        *_missing_defects(missing, by_chip.shape[1], config),
+        *_axis_defects(dead, "sends zeros only", remedy="check its cable and its soldering"),
         *_axis_defects(saturated, "is at the end of its range", at_rest, "take the magnet away, or lower the gain"),
-        *_axis_defects(frozen, "stands still", at_rest, "check its cable and its solder, and reset the board"),
-        *_noise_defects(heard),
+        *_axis_defects(frozen, "stands still", at_rest, "check its cable and its soldering, and reset the board"),
+        *_noise_defects(judged_noise, config),
     ]
     span = float(samples.time[-1] - samples.time[0])
     rate = (len(reading) - 1) / span if span > 0 else float("nan")
     return SkinHealth(rate, noise.ravel(), temperature, missing, tuple(defects))
 
 
-def press_defect(change: Float[Array, " c"], force: float) -> str:
-    """Judge what a light press did to a reading.
+def press_defect(change: Float[Array, " c"], force: float, *, config: HealthConfig = HealthConfig()) -> str:
+    """Check that a skin responded to a light press.
 
     Args:
-        change: (c,) uT, of the reading; NaN for a chip that is missing.
-        force: N, of the press.
+        change: (c,) change of the reading in uT; NaN for a missing chip.
+        force: Force of the press in N.
+        config: Thresholds of force and response.
 
     Returns:
-        A sentence if the skin felt nothing of it, else "".
+        A sentence if the skin did not respond, otherwise an empty string.
     """
     size = float(np.sqrt(np.nansum(np.asarray(change, float) ** 2)))
-    if force < LEAST_PRESS_N or size >= LEAST_RESPONSE_UT:
+    if force < config.min_press_force or size >= config.min_response_ut:
         return ""
     return (
-        f"a press of {force:.1f} N changed its reading by {size:.1f} uT, less than {LEAST_RESPONSE_UT:g}: the "
-        "elastomer is missing or not magnetised, or something else than the skin was pressed"
+        f"a press of {force:.1f} N changed its reading by {size:.1f} uT, less than {config.min_response_ut:g}: "
+        "the elastomer is missing or not magnetised, or something other than the skin was pressed"
     )
 
 
-def frozen_sentence(reading: Float[Array, "n c"]) -> str:
-    """Judge samples in the midst of a session, where a skin that is frozen would feel no contact.
+def frozen_sentence(reading: Float[Array, "n c"], *, config: HealthConfig = HealthConfig()) -> str:
+    """Check during a session that a skin is not frozen; a frozen skin would feel no contact.
 
     Args:
-        reading: (n, c) uT, successive samples with the noise of a real skin; NaN for a chip that is missing.
+        reading: (n, c) successive samples in uT, with the noise of a real skin; NaN for a missing chip.
+        config: Number of samples that the judgement needs.
 
     Returns:
-        A sentence if no chip changed once in 24 samples or more, else "".
+        A sentence if no chip changed once in 24 samples or more, otherwise an empty string.
     """
     by_chip = np.asarray(reading, float).reshape(len(reading), reading.shape[1] // 3, 3)
-    by_chip = by_chip[:, np.isfinite(by_chip).all(2).sum(0) >= MIN_REST_SAMPLES]  # those that can be judged
-    if not by_chip.shape[1] or not _frozen(by_chip).all():
+    by_chip = by_chip[:, np.isfinite(by_chip).all(2).sum(0) >= config.min_samples]
+    if not by_chip.shape[1] or not _frozen(by_chip, config).all():
         return ""
     return f"its readings did not change once in {len(by_chip)} samples: it is frozen; reset the board, check its cable"
 
 
-def _white_noise(by_chip: Array) -> np.ndarray:
-    """White noise (chips, 3) uT of one sample, without slow changes; NaN for a chip that is missing."""
+def _white_noise(by_chip: Array, config: HealthConfig) -> np.ndarray:
+    """White noise (chips, 3) of one sample in uT, without slow changes; NaN for a missing chip."""
     change = np.abs(np.diff(by_chip, axis=0))
     noise = np.full(by_chip.shape[1:], np.nan)
     for chip, axis in np.ndindex(*noise.shape):
-        known = np.sort(change[:, chip, axis][np.isfinite(change[:, chip, axis])])
-        kept = known[: len(known) - int(np.ceil(GLITCH_SHARE * len(known)))]
-        if len(kept) >= MIN_REST_SAMPLES // 2:
+        sizes = np.sort(change[:, chip, axis][np.isfinite(change[:, chip, axis])])
+        kept = sizes[: len(sizes) - int(np.ceil(config.glitch_share * len(sizes)))]
+        if len(kept) >= config.min_samples // 2:
             noise[chip, axis] = np.sqrt(np.mean(kept**2) / 2)
     return noise
 
 
-def _saturated(by_chip: Array) -> np.ndarray:
-    """Mask (chips, 3) of axes that stay at their greatest value, near or beyond the least end of a converter."""
+def _saturated(by_chip: Array, config: HealthConfig) -> np.ndarray:
+    """Mask (chips, 3) of axes that stay at their largest value, near or beyond the converter's smallest range."""
     size = np.abs(np.where(np.isfinite(by_chip), by_chip, 0.0))
-    greatest = size.max(0)
-    clipped = (size == greatest).mean(0) > CLIPPED_SHARE
-    return clipped & (greatest >= END_SHARE * np.array(CONVERTER_END_UT))
+    largest = size.max(0)
+    clipped = (size == largest).mean(0) > config.clipped_share
+    return clipped & (largest >= config.saturation_share * np.array(CONVERTER_RANGE_UT))
 
 
-def _frozen(by_chip: Array) -> np.ndarray:
-    """Mask (chips, 3) of axes that did not change once, though the other chips' say that they should have."""
+def _frozen(by_chip: Array, config: HealthConfig) -> np.ndarray:
+    """Mask (chips, 3) of axes that did not change once, although the same axes of other chips did."""
     change = np.diff(by_chip, axis=0)
-    known = np.isfinite(change).sum(0)
+    count = np.isfinite(change).sum(0)
     moved = ((change != 0) & np.isfinite(change)).sum(0)
-    still = (known >= MIN_REST_SAMPLES // 2) & (moved == 0)
-    if still[known > 0].all():
-        return still  # of the whole board
-    moves = np.where((known > 0) & ~still, moved / np.maximum(known, 1), np.nan)  # share of the changes
+    still = (count >= config.min_samples // 2) & (moved == 0)
+    if still[count > 0].all():
+        return still  # the whole board
+    moved_share = np.where((count > 0) & ~still, moved / np.maximum(count, 1), np.nan)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # of an axis along which every chip stands still
-        usual = np.nanmedian(moves, axis=0)
-    usual = np.where(np.isnan(usual), np.nanmedian(moves), usual)
-    return still & ((1 - usual) ** known < FROZEN_CHANCE)
+        warnings.simplefilter("ignore", RuntimeWarning)  # of an axis that stands still on every chip
+        usual = np.nanmedian(moved_share, axis=0)
+    usual = np.where(np.isnan(usual), np.nanmedian(moved_share), usual)
+    return still & ((1 - usual) ** count < config.frozen_probability)
 
 
-def _missing_defects(missing: tuple[int, ...], chips: int) -> list[SkinDefect]:
+def _missing_defects(missing: tuple[int, ...], chips: int, config: HealthConfig) -> list[SkinDefect]:
     left = chips - len(missing)
-    if left >= MIN_CHIP_SHARE * chips:
+    if left >= config.min_chip_share * chips:
         return []
     return [SkinDefect(f"only {left} of {chips} chips answer, without {_chips(missing)}; check the cables", True)]
 
 
-def _axis_defects(wrong: np.ndarray, what: str, at: np.ndarray | None = None, remedy: str = "") -> list[SkinDefect]:
-    """Sentences on axes (chips, 3) that lie: of the whole board, or of chips."""
-    if wrong.all() and len(wrong) > 1:
+def _axis_defects(mask: np.ndarray, what: str, at: np.ndarray | None = None, remedy: str = "") -> list[SkinDefect]:
+    """Defects of the axes in a mask (chips, 3): one for the whole board, or one for each chip."""
+    if mask.all() and len(mask) > 1:
         return [SkinDefect(f"every chip {what}; {remedy}", True)]
     defects = []
-    for chip in np.flatnonzero(wrong.any(1)):
-        along = ", ".join("xyz"[axis] for axis in np.flatnonzero(wrong[chip]))
-        values = "" if at is None else f", at {', '.join(f'{value:.1f}' for value in at[chip][wrong[chip]])} uT"
+    for chip in np.flatnonzero(mask.any(1)):
+        along = ", ".join("xyz"[axis] for axis in np.flatnonzero(mask[chip]))
+        values = "" if at is None else f", at {', '.join(f'{value:.1f}' for value in at[chip][mask[chip]])} uT"
         defects.append(SkinDefect(f"chip {chip} {what} along {along}{values}; {remedy}", True))
     return defects
 
 
-def _noise_defects(noise: np.ndarray) -> list[SkinDefect]:
-    typical = np.array(TYPICAL_NOISE_UT)
+def _noise_defects(noise: np.ndarray, config: HealthConfig) -> list[SkinDefect]:
+    typical = np.array(config.typical_noise_ut)
     own = np.array([np.nanmedian(column) if np.isfinite(column).any() else 0.0 for column in noise.T])
-    limit = np.minimum(MAX_NOISE_UT, NOISE_FACTOR * np.maximum(own, typical / 2))
-    said = "chip {}'s {} has {:.1f} uT of noise, above {:.1f}; look for a loose cable, or a motor near it"
-    loud = np.argwhere(noise > limit)  # False where it is NaN
-    return [SkinDefect(said.format(i, "xyz"[axis], noise[i, axis], limit[axis]), False) for i, axis in loud]
+    limit = np.minimum(config.max_noise_ut, config.noise_factor * np.maximum(own, typical / 2))
+    sentence = "chip {}'s {} has {:.1f} uT of noise, above {:.1f}; look for a loose cable, or a motor near it"
+    noisy = np.argwhere(noise > limit)  # False for NaN
+    return [SkinDefect(sentence.format(i, "xyz"[axis], noise[i, axis], limit[axis]), False) for i, axis in noisy]
 
 
 def _chips(numbers: tuple[int, ...]) -> str:

@@ -1,22 +1,25 @@
-"""Place of the skin in the tool, by touching a flat with each of its corners; the first lines of a rig that are true.
+"""Pose of the skin in the tool, found by touching a flat with each corner of the skin.
 
     python -m i2t.hardware.touch_off --host 192.168.0.2 --rig lab.toml --height 0.012 --at 0.4 0.1 --write
 
-A rigid, level flat lies at a known height in the robot's base, say the table, or a gauge block on it. The tool is
-tilted so that one corner of the skin is lowest, and lowered until it is felt; from the tool's pose T_b_t then, the
-corner (x, y) of the skin has in the tool the height
+WARNING: The command moves the arm. Set the speed slider to a fifth and keep a hand on the emergency stop.
+
+A rigid, level flat lies at a known height in the robot's base: the table, or a gauge block on it. The tool is tilted so
+that one corner of the skin is lowest, and lowered until the corner feels the flat. From the tool's pose T_b_t at that
+moment, the corner (x, y) of the skin has in the tool the height
 
     z = (height - o_z - R_zx x - R_zy y) / R_zz,        T_b_t = (R, o),
 
-and four corners make a plane, z = z0 + sx x + sy y by least squares: the skin's face. The tool's frame is moved along
-its z axis and tilted onto it; sideways and about z a flat shows nothing. The fourth corner is one more than a plane
-needs: by how much the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around, is reported.
+and four corners determine a plane, z = z0 + sx x + sy y by least squares: the face of the skin. The tool's frame is
+moved along its z axis and tilted onto this plane. A flat reveals nothing about sideways shifts or rotations about z. A
+plane needs three corners; the distance by which the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around, is
+reported.
 
-A press begins before it is felt. A corner that sinks into an elastic layer by d meets it over an area of d^2 at a mean
-strain in proportion to d, so its force grows as d^3; with a spring 1 / k in series the travel since first contact is
-a F^(1/3) + F / k. First contact, a and k are those that fit the forces on the way best, by least squares. On the skin
-of the simulated world that is 0.03 mm early at this tilt, where a straight line through the forces would be
-0.5 mm late.
+A press begins before it is felt. A corner that sinks into an elastic layer by d touches over an area of d^2 at a mean
+strain proportional to d, so its force grows as d^3. With a spring of stiffness k in series, the travel since first
+contact is a F^(1/3) + F / k. First contact, a and k are fitted to the forces on the way by least squares. On the skin
+of the simulated world the result is 0.03 mm early at this tilt; a straight line through the forces would be 0.5 mm
+late.
 """
 
 import math
@@ -35,7 +38,8 @@ from scipy.spatial.transform import Rotation
 from i2t.cli.exit_codes import command
 from i2t.errors import DeviceError
 from i2t.geometry import inverse, transform
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.limits import SAFETY
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.plugins import DeviceSetup, check_device, load_device
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
@@ -43,62 +47,74 @@ from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW
 from i2t.types import Array
 
-CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of the corners, in their order around
-TILT_RAD = math.radians(6)  # of the tool while it touches
-CLEARANCE_M = 6e-3  # above the flat, from where the lowest corner is lowered
-MAX_OVERTRAVEL_M = 5e-3  # past where it should touch, after which there is no flat
-TRANSFER_SPEED_M_S, LOWERING_SPEED_M_S = 0.05, 0.02
-APPROACH_ACCELERATION_M_S2 = 0.1
-SPEED_M_S, STOP_FORCE_N = 2e-3, 2.0  # a corner gives some newtons per millimetre
-SOFT_M_PER_CUBE_ROOT_N = 0.8e-3  # m/N^(1/3), a guess of a corner
-CONTACT_FORCE_SHARE, MIN_LOOKS = 0.2, 5  # of the last force, above which it counts as felt; looks that must feel it
-MAX_SHIFT_M, MAX_TILT_RAD = 5e-3, math.radians(4)  # what is further from the rig was no touch of a flat
+CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # signs of x and y of the corners, in their order around
+
+
+@dataclass(frozen=True)
+class TouchOffConfig:
+    """Motions of a touch-off, and how the force of a corner is judged."""
+
+    tilt: float = math.radians(6)  # rad, of the tool while it touches
+    clearance: float = 6e-3  # m above the flat, from where the lowest corner is lowered
+    transfer_speed: float = 0.05  # m/s between the corners
+    lowering_speed: float = 0.02  # m/s down to the clearance
+    approach_speed: float = 2e-3  # m/s onto the flat
+    approach_acceleration: float = 0.1  # m/s^2
+    softness_guess: float = 0.8e-3  # m/N^(1/3), of a corner
+    contact_force_share: float = 0.2  # share of the largest force that counts as felt
+    min_contact_samples: int = 5  # samples that must feel the flat
 
 
 class FittedPlane(NamedTuple):
-    """Plane of the skin as it was found."""
+    """Plane of the skin's face, fitted to the touches of its corners."""
 
-    T_tool_skin: Array  # (4, 4), from the tool's frame as it was: a shift along z and a tilt
-    flatness_error: float  # m, by which each corner misses their plane
+    T_tool_skin: Array  # (4, 4), in the tool's frame of the rig: a shift along z and a tilt
+    flatness_error: float  # m, by which each corner misses the plane
 
 
-def corner_rotation(side: tuple[int, int]) -> Float[Array, "3 3"]:
-    """The turn that brings one corner of the skin forward.
+def corner_rotation(side: tuple[int, int], tilt: float = TouchOffConfig.tilt) -> Float[Array, "3 3"]:
+    """Calculate the rotation that brings one corner of the skin forward.
 
     Args:
         side: Signs of the corner's x and y.
+        tilt: Angle of the rotation in rad.
 
     Returns:
         (3, 3) rotation in the tool's axes.
     """
-    axis = np.array([side[1], -side[0], 0.0]) / math.sqrt(2)  # axis x corner is along +z
-    return Rotation.from_rotvec(TILT_RAD * axis).as_matrix()
+    axis = np.array([side[1], -side[0], 0.0]) / math.sqrt(2)  # axis x corner points along +z
+    return Rotation.from_rotvec(tilt * axis).as_matrix()
 
 
-def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> float:
-    """Distance to first contact in a press of a corner.
+def contact_onset(
+    distance: Float[Array, " n"], force: Float[Array, " n"], *, config: TouchOffConfig = TouchOffConfig()
+) -> float:
+    """Estimate the distance to first contact in a press of a corner.
 
     Args:
-        distance: m, of the looks on the way.
-        force: N, felt then.
+        distance: (n,) distance of each sample on the way, m.
+        force: (n,) force of each sample, N.
+        config: Thresholds of the force.
 
     Returns:
-        m, where first contact was.
+        The distance in m at which contact began.
 
     Raises:
-        ValueError: The force did not rise, or a look is not finite.
+        ValueError: The force did not rise, or a sample is not finite.
     """
     distance, force = np.asarray(distance, float), np.asarray(force, float)
     if lost := int(np.sum(~np.isfinite(distance + force))):
-        raise ValueError(f"{lost} of {len(force)} looks have no finite distance and force; touch again")
-    felt = force > CONTACT_FORCE_SHARE * max(force.max(), 0.0)
-    if felt.sum() < MIN_LOOKS or np.ptp(distance[felt]) <= 0:
-        raise ValueError(f"the force did not rise in at least {MIN_LOOKS} looks; lower the skin more slowly")
+        raise ValueError(f"{lost} of {len(force)} samples have no finite distance and force; touch again")
+    felt = force > config.contact_force_share * max(force.max(), 0.0)
+    if felt.sum() < config.min_contact_samples or np.ptp(distance[felt]) <= 0:
+        raise ValueError(
+            f"the force did not rise in at least {config.min_contact_samples} samples; lower the skin more slowly"
+        )
     if np.polyfit(distance[felt], force[felt], 1)[0] <= 0:
         raise ValueError("the force did not rise with the travel; zero it in the air and touch again")
     low, high = distance[0], distance[felt][0]
     deep = max(distance[-1] - low, 1e-6)
-    guess = [high - 0.3 * np.ptp(distance[felt]), math.log(SOFT_M_PER_CUBE_ROOT_N), math.log(ARM_STIFFNESS_N_PER_M)]
+    guess = [high - 0.3 * np.ptp(distance[felt]), math.log(config.softness_guess), math.log(ARM_STIFFNESS_N_PER_M)]
     bounds = [low - deep, math.log(1e-6), math.log(1e2)], [high, math.log(1e-2), math.log(1e6)]
 
     def residuals(x: Array) -> Array:
@@ -108,15 +124,15 @@ def contact_onset(distance: Float[Array, " n"], force: Float[Array, " n"]) -> fl
 
 
 def corner_force(indentation: Float[Array, " n"], soft: float, stiffness: float) -> Float[Array, " n"]:
-    """Force of a corner that is pressed: indentation = soft F^(1/3) + F / stiffness, solved by Cardano's formula.
+    """Calculate the force F of a pressed corner: indentation = soft F^(1/3) + F / stiffness, by Cardano's formula.
 
     Args:
-        indentation: m since first contact; none below zero.
-        soft: m/N^(1/3), of the elastic corner.
-        stiffness: N/m, of arm and mount.
+        indentation: (n,) travel since first contact in m; below zero there is no force.
+        soft: Softness of the elastic corner in m/N^(1/3).
+        stiffness: Stiffness of arm and mount in N/m.
 
     Returns:
-        N.
+        (n,) force in N.
     """
     half = stiffness * np.maximum(indentation, 0) / 2
     root = np.sqrt(half**2 + (soft * stiffness / 3) ** 3)
@@ -124,17 +140,17 @@ def corner_force(indentation: Float[Array, " n"], soft: float, stiffness: float)
 
 
 def fit_plane(touches: Sequence[Array], height: float) -> FittedPlane:
-    """The skin's face from the tool's poses where each of its corners began to touch.
+    """Fit the face of the skin to the tool's poses in which its corners began to touch.
 
     Args:
-        touches: Four T_b_t (4, 4), in the order of `CORNER_SIGNS`.
-        height: m, of the flat in the base.
+        touches: Four poses T_b_t (4, 4), in the order of `CORNER_SIGNS`.
+        height: Height of the flat in the base, m.
 
     Returns:
-        Where the face is in the tool.
+        The plane of the face in the tool.
 
     Raises:
-        ValueError: It lies so far from the tool's frame that something else was touched.
+        ValueError: The face is so far from the tool's frame that something else was touched.
     """
     corners = PAD_WINDOW / 2 * np.array(CORNER_SIGNS, float)
     z = np.array([(height - T[2, 3] - T[2, :2] @ corner) / T[2, 2] for T, corner in zip(touches, corners, strict=True)])
@@ -142,7 +158,7 @@ def fit_plane(touches: Sequence[Array], height: float) -> FittedPlane:
     z0, sx, sy = np.linalg.lstsq(design, z, rcond=None)[0]
     normal = np.array([-sx, -sy, 1.0]) / math.sqrt(1 + sx**2 + sy**2)
     tilt = math.acos(normal[2])
-    if abs(z0) > MAX_SHIFT_M or tilt > MAX_TILT_RAD:
+    if not (abs(z0) <= SAFETY.touch_off_max_shift_m and tilt <= SAFETY.touch_off_max_tilt_rad):
         raise ValueError(
             f"the skin would be {1e3 * z0:.1f} mm and {math.degrees(tilt):.1f} degrees from where the rig has it; "
             "check the flat's height, and measure T_flange_tool with a ruler first"
@@ -158,36 +174,40 @@ def touch_off(
     at: tuple[float, float],
     height: float,
     report: Callable[[str], None] = print,
+    *,
+    config: TouchOffConfig = TouchOffConfig(),
 ) -> FittedPlane:
-    """Touch a flat with all corners.
+    """Touch a flat with all corners of the skin.
 
     Args:
-        arm: Connected.
-        limits: Of the arm.
-        at: x and y (m) of the flat in the base.
-        height: m, of the flat in the base.
-        report: Hears how it goes.
+        arm: Connected arm.
+        limits: Limits of the arm.
+        at: Position (x, y) of the flat in the base, m.
+        height: Height of the flat in the base, m.
+        report: Function that receives a line on each corner.
+        config: Motions of the touch-off.
 
     Returns:
-        Where the skin's face is.
+        The plane of the skin's face.
 
     Raises:
-        ValueError: It would leave the box; nothing has moved.
-        DeviceError: The arm fails, meets nothing, or something on its way.
+        ValueError: The tool would leave the box; nothing has moved.
+        DeviceError: The arm fails, does not meet the flat, or meets something on its way.
     """
-    starts = [_start(side, at, height) for side in CORNER_SIGNS]
+    starts = [_start(side, at, height, config) for side in CORNER_SIGNS]
+    reach = config.clearance + SAFETY.touch_off_overtravel_m
     for start in starts:
-        for goal in (start, shifted_along_z(start, CLEARANCE_M + MAX_OVERTRAVEL_M)):
-            limits.check(goal, SPEED_M_S, APPROACH_ACCELERATION_M_S2)
-    top = max(start[2, 3] for start in starts) + CLEARANCE_M
-    across, down = (min(speed, limits.free_speed) for speed in (TRANSFER_SPEED_M_S, LOWERING_SPEED_M_S))
+        for goal in (start, shifted_along_z(start, reach)):
+            limits.check(goal, config.approach_speed, config.approach_acceleration)
+    top = max(start[2, 3] for start in starts) + config.clearance
+    across, down = (min(speed, limits.free_speed) for speed in (config.transfer_speed, config.lowering_speed))
     touches = []
     for side, start in zip(CORNER_SIGNS, starts, strict=True):
         above = start.copy()
         above[2, 3] = top
         arm.go(above, across)
         arm.go(start, down)
-        onset = _touch_corner(arm, side, start)
+        onset = _touch_corner(arm, side, start, config)
         touches.append(shifted_along_z(start, onset))
         report(f"corner {side}: touched after {1e3 * onset:.2f} mm")
         arm.go(start, down)
@@ -195,61 +215,62 @@ def touch_off(
     return fit_plane(touches, height)
 
 
-def _start(side: tuple[int, int], at: tuple[float, float], height: float) -> Array:
-    """T_b_t (4, 4) from where a corner is lowered onto the flat."""
-    rotation = np.diag([1.0, -1.0, -1.0]) @ corner_rotation(side)
+def _start(side: tuple[int, int], at: tuple[float, float], height: float, config: TouchOffConfig) -> Array:
+    """Pose T_b_t (4, 4) from which a corner is lowered onto the flat."""
+    rotation = np.diag([1.0, -1.0, -1.0]) @ corner_rotation(side, config.tilt)
     lowest = -float(rotation[2, :2] @ (PAD_WINDOW / 2 * np.array(side)))  # m from the tool's origin down to that corner
-    return transform(rotation, np.array([*at, height + lowest + CLEARANCE_M]))
+    return transform(rotation, np.array([*at, height + lowest + config.clearance]))
 
 
-def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array) -> float:
-    """Lower a corner from T_b_t (4, 4), where the arm stands; returns the distance (m) to first contact."""
+def _touch_corner(arm: GuardedArm, side: tuple[int, int], start: Array, config: TouchOffConfig) -> float:
+    """Lower a corner from T_b_t (4, 4), where the arm stands, and return the distance (m) to first contact."""
     arm.zero_wrench()
-    looks: list[tuple[float, float]] = []
+    samples: list[tuple[float, float]] = []
 
-    def look(state: ArmState) -> None:
-        looks.append((float((state.T_b_t[:3, 3] - start[:3, 3]) @ start[:3, 2]), float(-state.wrench[2])))
+    def record(state: ArmState) -> None:
+        samples.append((float((state.T_b_t[:3, 3] - start[:3, 3]) @ start[:3, 2]), float(-state.wrench[2])))
 
-    reach = CLEARANCE_M + MAX_OVERTRAVEL_M
-    done = arm.approach(reach, SPEED_M_S, look, force=STOP_FORCE_N, acceleration=APPROACH_ACCELERATION_M_S2)
-    if done.reason != "force":
+    reach = config.clearance + SAFETY.touch_off_overtravel_m
+    speed, acceleration = config.approach_speed, config.approach_acceleration
+    result = arm.approach(reach, speed, record, force=SAFETY.touch_off_force_n, acceleration=acceleration)
+    if result.reason != "force":
         raise DeviceError(f"corner {side} met no flat within {1e3 * reach:g} mm: check its height")
-    look(done.trigger)
+    record(result.trigger)
     try:
-        return contact_onset(*np.array(looks).T)
+        return contact_onset(*np.array(samples).T, config=config)
     except ValueError as error:
         raise DeviceError(f"corner {side}: {error}") from error
 
 
 @dataclass(frozen=True)
 class TouchOffArgs:
-    """Find the skin in the tool by touching a flat with each of its corners."""
+    """Find the pose of the skin in the tool by touching a flat with each corner of the skin."""
 
-    rig: Path  # the lab's calibration
+    rig: Path  # the lab's calibration file
     height: float  # of the flat in the base, m
     at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # the flat's position in the base, m
-    arm: str = "ur"  # or another package's: the name that it registers, or package.module:Class
+    arm: str = "ur"  # or an arm of another package: its registered name, or package.module:Class
     host: str | None = None  # address of the arm's controller; a UR arm needs one
-    write: bool = False  # put what is found into the rig
+    write: bool = False  # write the result into the rig
 
 
-def _touch_off(asked: TouchOffArgs) -> None:
-    rig = Rig.read(asked.rig)
-    check_device("arm", asked.arm, {"address": asked.host})
-    setup = DeviceSetup(rig, asked.host)  # whose stack holds what is started
-    with setup.stack, load_device("arm", asked.arm, setup) as arm:
-        found = touch_off(arm, rig.limits, asked.at, asked.height)
-    T = rig.T_flange_tool @ found.T_tool_skin
-    tilt = math.degrees(math.acos(min(1.0, found.T_tool_skin[2, 2])))
+def _touch_off(args: TouchOffArgs) -> None:
+    rig = Rig.read(args.rig)
+    check_device("arm", args.arm, {"address": args.host})
+    setup = DeviceSetup(rig, args.host)  # its stack closes what was started for the arm
+    with setup.stack, load_device("arm", args.arm, setup) as arm:
+        plane = touch_off(arm, rig.limits, args.at, args.height)
+    T = rig.T_flange_tool @ plane.T_tool_skin
+    tilt = math.degrees(math.acos(min(1.0, plane.T_tool_skin[2, 2])))
     print(
-        f"the skin is {1e3 * found.T_tool_skin[2, 3]:+.2f} mm along z and {tilt:.2f} degrees from where the rig has "
-        f"it; the corners miss a plane by {1e3 * found.flatness_error:.2f} mm"
+        f"the skin is {1e3 * plane.T_tool_skin[2, 3]:+.2f} mm along z and {tilt:.2f} degrees from where the rig has "
+        f"it; the corners miss a plane by {1e3 * plane.flatness_error:.2f} mm"
     )
-    if asked.write:
-        # The camera stays where it is on the flange.
-        camera = inverse(found.T_tool_skin) @ rig.T_tool_camera
-        replace(rig, T_flange_tool=T, T_tool_camera=camera).write(asked.rig)
-        print(f"{asked.rig}: written")
+    if args.write:
+        # The camera keeps its place on the flange.
+        camera = inverse(plane.T_tool_skin) @ rig.T_tool_camera
+        replace(rig, T_flange_tool=T, T_tool_camera=camera).write(args.rig)
+        print(f"{args.rig}: written")
 
 
 main = command(
@@ -257,7 +278,7 @@ main = command(
     _touch_off,
     program="python -m i2t.hardware.touch_off",
     description=__doc__,
-    interrupted="stopped; the rig is as it was",
+    interrupted="stopped; the rig is unchanged",
 )
 
 

@@ -1,4 +1,4 @@
-"""World of devices that are not real, without NumPy: the object, and the pads that touch it."""
+"""World of simulated and emulated devices, without NumPy: the object, and the pads that touch it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,11 +14,11 @@ class WorldArgs:
 
     FLAT: ClassVar[bool] = True  # flags are --object, not --world.object
 
-    object: str = "hexagon"  # of the catalogue, or a mesh file
-    # of a mesh file, which does not say it itself; so there is no default
+    object: str = "hexagon"  # name in the catalogue, or a mesh file
+    # unit of a mesh file, which does not contain it; so there is no default
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    largest_piece: bool = False  # of a mesh file is touched alone; the arm keeps clear of the rest
-    pad: Path | None = None  # a pad on disk, for simulated and emulated skins; by default a random one
-    seed: Seed = 0  # of the sites, and of what is simulated
-    no_pose_error: bool = False  # simulated: object and camera are where they are believed to be
-    stiffness: Annotated[float, Limits(100, 1e6)] = ARM_STIFFNESS_N_PER_M  # simulated: of arm and mount, N/m
+    largest_piece: bool = False  # touch only the largest piece of a mesh file; the arm avoids the rest
+    pad: Path | None = None  # pad file for simulated and emulated skins; by default a random pad
+    seed: Seed = 0  # seed of the sites and of the simulation
+    no_pose_error: bool = False  # simulated: object and camera are exactly where the rig has them
+    stiffness: Annotated[float, Limits(100, 1e6)] = ARM_STIFFNESS_N_PER_M  # simulated: stiffness of arm and mount, N/m

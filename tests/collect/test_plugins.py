@@ -22,7 +22,7 @@ from i2t.skin.boards import reskin_board
 
 ACME = Path(__file__).parents[2] / "examples" / "acme_devices"
 
-CLASSES = [f"--{kind}=acme_devices:Acme{kind.capitalize()}" for kind in plugins.GROUPS]
+CLASSES = [f"--{kind}=acme_devices:Acme{kind.capitalize()}" for kind in plugins.KINDS]
 
 
 @pytest.fixture
@@ -32,7 +32,8 @@ def acme(monkeypatch):
     for module in ("acme_devices", "acme_sdk"):
         monkeypatch.delitem(sys.modules, module, raising=False)
     registered = EntryPoints(
-        EntryPoint("acme", f"acme_devices:Acme{kind.capitalize()}", group) for kind, group in plugins.GROUPS.items()
+        EntryPoint("acme", f"acme_devices:Acme{kind.capitalize()}", group)
+        for kind, (group, *_) in plugins.KINDS.items()
     )
     ours = plugins.entry_points
     monkeypatch.setattr(plugins, "entry_points", lambda **wanted: [*ours(**wanted), *registered.select(**wanted)])
@@ -67,11 +68,11 @@ def test_the_examples_are_collected_with(acme, tmp_path, capsys):
     assert made.touches.reading.shape == (1, 12)
     assert (made.source, made.board.num_chips) == ("simulated", 4)
     assert np.linalg.norm(made.touches.reading) > 15
-    names = [f"--{kind}=acme" for kind in plugins.GROUPS]
+    names = [f"--{kind}=acme" for kind in plugins.KINDS]
     assert command.main(["--out", str(tmp_path / "dry"), "--dry-run", *names, *shared]) == 0
     said = capsys.readouterr().out
     assert "BAD" not in said
-    assert all(f"Acme's {kind}: " in said for kind in plugins.GROUPS)
+    assert all(f"Acme's {kind}: " in said for kind in plugins.KINDS)
 
 
 @pytest.mark.parametrize(

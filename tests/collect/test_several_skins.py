@@ -167,7 +167,7 @@ def rig(tmp_path):
 
 
 @pytest.mark.parametrize(("old", "new", "said"), [
-    ('address = "/dev/ttyACM1"', "", "skins.right names no board; add its address or its serial_number"),
+    ('address = "/dev/ttyACM1"', "", "skins.right identifies no board; add its address or its serial_number"),
     ('pad = "right pad"', 'serial_number = "E6"', "skins.right has an address and a serial_number; keep one"),
     ("  [1.0, 0.0, 0.0, 0.02]", "  [2.0, 0.0, 0.0, 0.02]", "skins.right.T_tool_skin: is not a rigid motion"),
 ])  # fmt: skip
@@ -195,8 +195,8 @@ def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, de
 def test_a_skin_that_meets_everything_first_or_lies_on_another_is_doubted():
     turned = (np.pi, 0.0, 0.0)  # on the other side of a finger, where it presses nothing
     for rotation, where, said in (
-        (np.zeros(3), (0.0, 0.0, 0.05), "puts it 50 mm before the skin that presses"),
-        (np.zeros(3), (0.002, 0.0, 0.0), "puts it 2 mm from the skin at the tool, where that one is"),
+        (np.zeros(3), (0.0, 0.0, 0.05), "puts it 50 mm in front of the skin that presses"),
+        (np.zeros(3), (0.002, 0.0, 0.0), "puts it 2 mm from the skin at the tool, in its place"),
         (np.zeros(3), (ASIDE_M, 0.0, 0.0), None),
         (turned, (0.0, 0.0, -0.005), None),
     ):

@@ -11,7 +11,7 @@ from i2t.emulators import ur_controller
 from i2t.emulators.in_process import SimulatedArm, SimulatedLab
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.contract import ArmContract
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import GuardedArm
 from i2t.hardware.ur.driver import UrArm

@@ -12,7 +12,7 @@ from i2t.depth.camera import Camera
 from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedLab, SimulatedSkin, SkinInLab, VirtualClock
 from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, _meet
 from i2t.geometry import transform
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.rig import Rig
 from i2t.objects import catalogue
 from i2t.simulation.depth_camera import render_view

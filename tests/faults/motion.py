@@ -23,10 +23,9 @@ from i2t.collect.settings import TouchSettings
 from i2t.emulators import ur_controller
 from i2t.emulators.in_process import SimulatedArm
 from i2t.errors import DeviceError
-from i2t.hardware.collision import REACTION_S, overrun_force
-from i2t.hardware.limits import BRAKING_M_S2
+from i2t.hardware.collision import overrun_force
+from i2t.hardware.limits import SAFETY
 from i2t.hardware.rig import Rig
-from i2t.hardware.ur.config import STATE_TIMEOUT_S, WATCHDOG_RATE_HZ
 from i2t.hardware.ur.driver import UrArm
 from i2t.types import ReturnCode
 from tests.faults.closed_form import (
@@ -43,7 +42,8 @@ from tests.faults.table import NOTICED, Fault, Measure, Trial
 Harm: TypeAlias = Callable[[str, "subprocess.Popen[str]"], Any]  # of a controller, by its address and process
 
 SETTINGS, LIMITS = TouchSettings(), Rig().limits
-OVERRUN = partial(overrun_force, SETTINGS.press, LIMITS.stiffness, braking=BRAKING_M_S2)
+REACTION_S, STATE_TIMEOUT_S, WATCHDOG_RATE_HZ = SAFETY.reaction_time_s, SAFETY.state_timeout_s, SAFETY.watchdog_rate_hz
+OVERRUN = partial(overrun_force, SETTINGS.press, LIMITS.stiffness, braking=SAFETY.braking_m_s2)
 TRAVEL_M, BREAKING_SPEED_M_S = 0.15, 0.1  # of a motion in which something breaks
 FROZEN_S = 1.0
 STOP_GOAL_S = 0.2
@@ -324,7 +324,8 @@ HARMS: dict[str, Harm] = {
 }
 BOXED = (OVER, Measure("outside its box", 0))
 STANDS = (Measure("stands after", STOP_GOAL_S, "s"), NEVER)
-TENTH_N, UNHEARD_N = 0.1 * SETTINGS.force, OVERRUN(delay=REACTION_S + STATE_TIMEOUT_S)  # without states nothing is felt
+TENTH_N = 0.1 * SETTINGS.force
+UNHEARD_N = OVERRUN(delay=REACTION_S + STATE_TIMEOUT_S)  # without states no force is felt
 BLINDNESS = {
     "its force is no number": ("forge actual_TCP_force nan", TENTH_N),
     "its force is infinite": ("forge actual_TCP_force inf", TENTH_N),

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
 from i2t.geometry import inverse, transform
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.rig import Rig
 from i2t.types import Array
 from tests.faults.rig_objects import RIG_OBJECTS

@@ -17,7 +17,7 @@ from i2t.errors import DeviceError
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.reskin.frames import RUN_LENGTH, Decoder, decode
 from i2t.hardware.reskin.layouts import Format, FrameLayout, encode
-from i2t.hardware.skin_health import MIN_REST_SAMPLES, frozen_sentence
+from i2t.hardware.skin_health import HealthConfig, frozen_sentence
 from tests.faults.table import NOTICED, Fault, Measure, Trial
 
 PATIENCE_S = 10.0
@@ -92,9 +92,10 @@ def frozen_board(number: int) -> Trial:
         samples = device.read(FAULT_SAMPLES, PATIENCE_S)
     reading, at = samples.reading, samples.time
     still = int(np.flatnonzero((np.diff(reading, axis=0) != 0).any(1))[-1]) + 1  # the first of those that are all alike
-    ends = range(MIN_REST_SAMPLES, len(reading) + 1)
-    said = [end for end in ends if frozen_sentence(reading[end - MIN_REST_SAMPLES : end])]
-    false = sum(end < still + MIN_REST_SAMPLES for end in said)
+    length = HealthConfig.min_samples
+    ends = range(length, len(reading) + 1)
+    said = [end for end in ends if frozen_sentence(reading[end - length : end])]
+    false = sum(end < still + length for end in said)
     return {"noticed": at[said[0] - 1] - at[still] if said else float("inf"), "false": false, "looks": len(ends)}
 
 

@@ -48,7 +48,7 @@ def test_what_is_missing_or_damaged_is_named_in_one_sentence(views, tmp_path):
         (lambda: colour.write_bytes(b"\x89PNG"), r"colour/000000.png"),
         (colour.unlink, r"No such file.*colour/000000.png"),
         (lambda: Image.fromarray(np.ones((5, 6), np.uint16)).save(depth), r"has the shape \(5, 6\) where the"),
-        (lambda: [each.unlink() for each in depth.parent.iterdir()], "holds no views"),
+        (lambda: [file.unlink() for file in depth.parent.iterdir()], "holds no views"),
         (lambda: lens.write_text(text.replace("scale = 0.0001\n", "")), f"^{lens}.*'scale' is missing"),
         (lambda: lens.write_text(f"breadth = 6\n{text}"), f"^{lens}.*unknown key breadth"),
         (lambda: lens.write_text(text.replace("fx = 60.0", "fx = -1.0")), f"^{lens}.*focal lengths"),
@@ -99,7 +99,7 @@ def test_a_lens_that_is_given_twice_or_is_of_another_image_is_refused(tmp_path):
         (ROS.replace("0.0, 0.0, 1.0]", "0.0]"), "K is .* give 9 numbers"),
         (ROS.replace(MATRIX, '"wide"'), "K is not a list of numbers"),
         (f"{ROS}P = {PROJECTION.replace('391.2', '350.0')}\n", "K and P are of two lenses"),
-        (f"{ROS}R = [0, -1, 0, 1, 0, 0, 0, 0, 1]\n", "R turns a rectified image"),
+        (f"{ROS}R = [0, -1, 0, 1, 0, 0, 0, 0, 1]\n", "R rotates a rectified image"),
         (f"{ROS}binning_x = 2\n", "binning_x is 2"),
         (f"{ROS}roi = {{x_offset = 100}}\n", "roi is .*x_offset"),
         (ROS.replace("plumb_bob", "equidistant"), "fisheye lens"),
@@ -132,7 +132,7 @@ def test_the_projection_alone_is_the_lens_of_a_rectified_image(tmp_path):
     size = "width = 640\nheight = 360\n"
     assert lens_of(tmp_path, f"{size}P = {PROJECTION}\n") == lens_of(tmp_path, PLAIN)
     assert lens_of(tmp_path, f"{PLAIN}P = {PROJECTION}\n") == lens_of(tmp_path, PLAIN)
-    with pytest.raises(ValueError, match="P is of the rectified image and D of the raw one, and K is missing"):
+    with pytest.raises(ValueError, match="P is of the rectified image and D of the raw image, and K is missing"):
         lens_of(tmp_path, f'{size}P = {PROJECTION}\nD = {COEFFICIENTS}\ndistortion_model = "plumb_bob"\n')
     with pytest.raises(ValueError, match="K and P are of two lenses"):
         lens_of(tmp_path, f"{PLAIN}P = {PROJECTION}\n".replace("fx = 391.2", "fx = 400.0"))

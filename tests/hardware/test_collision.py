@@ -11,8 +11,9 @@ from i2t.collect.dry_run import energy_lines
 from i2t.collect.path import TouchPath
 from i2t.collect.settings import TouchSettings
 from i2t.errors import DeviceError
-from i2t.hardware.collision import REACTION_S, fastest_speed, overrun_force
-from i2t.hardware.limits import LIMIT_RANGES, MotionLimits
+from i2t.hardware.collision import fastest_speed, overrun_force
+from i2t.hardware.limits import SAFETY, range_of
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.rig import Rig
 
@@ -24,7 +25,7 @@ def test_the_fastest_speed_gains_just_the_force_and_without_delay_it_is_the_brak
             assert overrun_force(speed, stiffness, braking=2.0) == pytest.approx(force)
     assert fastest_speed(0.0, 1e4, braking=2.0) == fastest_speed(-1.0, 1e4, braking=2.0) == 0.0
     assert overrun_force(0.2, 1e4, braking=2.0, delay=0.0) == pytest.approx(1e4 * 0.2**2 / 4)
-    assert overrun_force(0.2, 1e4, braking=1e12) == pytest.approx(1e4 * 0.2 * REACTION_S)
+    assert overrun_force(0.2, 1e4, braking=1e12) == pytest.approx(1e4 * 0.2 * SAFETY.reaction_time_s)
 
 
 def test_free_motion_is_as_fast_as_can_be_stopped_within_the_limit():
@@ -65,9 +66,9 @@ def test_speeds_of_a_touch_are_bounded_and_shown():
     assert re.findall(r"([\d.]+) N\b(?!/)", press) == ["8.8", "2.8", "3.8"]
 
 
-@pytest.mark.parametrize("name", LIMIT_RANGES)
+@pytest.mark.parametrize("name", ["speed", "acceleration", "force", "torque", "approach_distance", "stiffness"])
 def test_a_rig_s_limit_that_makes_no_sense_is_refused(name):
-    least, most, _ = LIMIT_RANGES[name]
-    for bad in (0.0, -1.0, least / 2, 2 * most, float("nan"), float("inf")):
+    low, high, _ = range_of(name)
+    for bad in (0.0, -1.0, low / 2, 2 * high, float("nan"), float("inf")):
         with pytest.raises(ValueError, match=f"{name} is "):
             MotionLimits((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), **{name: bad})

@@ -21,11 +21,11 @@ def test_the_sketch_sends_what_its_chips_answer_and_leaves_out_one_that_does_not
     words = ["g++", "-std=c++11", "-Wall", "-Wextra", "-Werror", f"-I{ARDUINO}", "-x", "c++", "-", "-o", "sketch"]
     subprocess.run(words, input=main, text=True, check=True, cwd=tmp_path)
     data = subprocess.run([tmp_path / "sketch"], capture_output=True, check=True).stdout
-    (decoder,), found = decode_any(decoders(), data)
-    assert (decoder.layout.form, len(found), decoder.skipped, decoder.lost) == (Format.CRC, 300, 0, 0)
+    (decoder,), decoded = decode_any(decoders(), data)
+    assert (decoder.layout.form, len(decoded), decoder.skipped, decoder.lost) == (Format.CRC, 300, 0, 0)
     field = np.column_stack([15 * ADDRESSES, -1.05 * ADDRESSES, np.full(5, 0.242 * 32767)])
     field[3] = np.nan
     celsius = np.where(ADDRESSES == 0x10, 0.0, 25 + ADDRESSES / 45.2)
-    for frame in found:
+    for frame in decoded:
         np.testing.assert_allclose(frame.reading.reshape(5, 3), field, rtol=1e-6)
         np.testing.assert_allclose(frame.temperature, celsius, rtol=1e-6)

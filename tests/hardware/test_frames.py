@@ -43,10 +43,10 @@ def decoded(data: bytes, form: Format = Format.BINARY) -> tuple:
     return decode(Decoder(FrameLayout(form)), data)
 
 
-def numbers(found, size: int = SIZE) -> list[int]:
+def numbers(delivered_frames, size: int = SIZE) -> list[int]:
     """Which frames of a stream of frames of one size were found."""
-    assert not any(frame.end % size for frame in found)
-    return [frame.end // size - 1 for frame in found]
+    assert not any(frame.end % size for frame in delivered_frames)
+    return [frame.end // size - 1 for frame in delivered_frames]
 
 
 def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
@@ -79,9 +79,9 @@ CHECKED = (Format.FRAMED, Format.CRC)
 @pytest.mark.parametrize("form", Format)
 def test_formats_are_those_of_the_firmware(form):
     assert encode(FIELD, CELSIUS, form) == BY_HAND[form]
-    (decoder,), found = decode_any(decoders(), b"7\r\n" + 4 * BY_HAND[form])
-    assert (decoder.layout, len(found)) == (FrameLayout(form), 4)
-    for frame in found:
+    (decoder,), delivered_frames = decode_any(decoders(), b"7\r\n" + 4 * BY_HAND[form])
+    assert (decoder.layout, len(delivered_frames)) == (FrameLayout(form), 4)
+    for frame in delivered_frames:
         np.testing.assert_array_equal(frame.reading, FIELD)
         np.testing.assert_array_equal(frame.temperature, 5 * [np.nan] if form == Format.FRAMED else CELSIUS)
     assert len(BY_HAND[form]) == FrameLayout(form).size == SIZES[form]  # as its maker says
@@ -96,16 +96,16 @@ def test_every_frame_of_a_clean_stream_of_any_board_arrives_once(form, chips):
     whole = sent(readings, celsius, form)
     start = len(whole[0]) // 2
     data = b"".join(whole)[start:] + b"\r\n"
-    (decoder,), found = decode_any(decoders(chips=chips), data)
+    (decoder,), delivered_frames = decode_any(decoders(chips=chips), data)
     assert decoder.layout == FrameLayout(form, chips)
     ends = np.cumsum([len(frame) for frame in whole])[1:] - start
-    assert [frame.end for frame in found] == ends.tolist()
+    assert [frame.end for frame in delivered_frames] == ends.tolist()
     assert (decoder.lost, decoder.gaps) == (0, 0)
-    np.testing.assert_allclose([frame.reading for frame in found], readings[1:], atol=1e-3)
+    np.testing.assert_allclose([frame.reading for frame in delivered_frames], readings[1:], atol=1e-3)
     expected = np.full((39, chips), np.nan) if form == Format.FRAMED else celsius[1:]
-    np.testing.assert_allclose([frame.temperature for frame in found], expected, atol=1e-3)
+    np.testing.assert_allclose([frame.temperature for frame in delivered_frames], expected, atol=1e-3)
     assert not decode_any(decoders(chips + 1), data)[1]
-    assert f"frames of {chips} chips come, not of 7" in diagnose(data, 7)
+    assert f"frames of {chips} chips arrive, not of 7" in diagnose(data, 7)
 
 
 @settings(max_examples=30, deadline=None)
@@ -119,16 +119,16 @@ def test_every_frame_of_a_clean_stream_of_any_board_arrives_once(form, chips):
 def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, seed, damage, cuts, start):
     data = corrupt(b"".join(stream(30, form, seed=seed % 5)), *damage, np.random.default_rng(seed))[start:]
     once, expected = decode_any(decoders(), data)
-    candidates, found = decoders(), []
+    candidates, delivered_frames = decoders(), []
     for begin, end in pairwise([0, *sorted(min(cut, len(data)) for cut in cuts), len(data)]):
         candidates, more = decode_any(candidates, data[begin:end])
-        found += more
+        delivered_frames += more
         assert all(adds_up(decoder, end) for decoder in candidates)
-    assert [frame.end for frame in found] == [frame.end for frame in expected]
-    np.testing.assert_array_equal([frame.reading for frame in found], [frame.reading for frame in expected])
-    for one, other in zip(candidates, once, strict=True):
-        np.testing.assert_equal(one._asdict(), other._asdict())
-    for frame in found:
+    assert [frame.end for frame in delivered_frames] == [frame.end for frame in expected]
+    np.testing.assert_array_equal([frame.reading for frame in delivered_frames], [frame.reading for frame in expected])
+    for decoder, expected_decoder in zip(candidates, once, strict=True):
+        np.testing.assert_equal(decoder._asdict(), expected_decoder._asdict())
+    for frame in delivered_frames:
         size = np.abs(frame.reading)
         assert not ((size > 0) & (size < FIELD_RANGE_UT[0])).any()
         assert not (size > FIELD_RANGE_UT[1]).any()
@@ -138,8 +138,8 @@ def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, see
 @settings(max_examples=40, deadline=None)
 @given(st.binary(max_size=3000), st.sampled_from(list(Format)))
 def test_noise_is_no_board(data, form):
-    decoder, found = decoded(data, form)
-    assert not found
+    decoder, delivered_frames = decoded(data, form)
+    assert not delivered_frames
     assert adds_up(decoder, len(data))
     assert diagnose(data, 5)
 
@@ -155,15 +155,21 @@ def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
     whole = sent(truth, celsius, form)
     arrived = [corrupt(frame, substitute, drop, rng) for frame in whole]
     number = {int(end): i for i, end in enumerate(np.cumsum([len(frame) for frame in arrived]))}
-    decoder, found = decoded(b"".join(arrived), form)
+    decoder, delivered_frames = decoded(b"".join(arrived), form)
     assert adds_up(decoder, max(number))
     intact = {i for i, (a, b) in enumerate(zip(arrived, whole, strict=True)) if a == b}
-    delivered = [number.get(frame.end) for frame in found]
+    delivered = [number.get(frame.end) for frame in delivered_frames]
     assert len(intact - set(delivered)) < missed * len(intact)
-    off = [np.abs(frame.reading - truth[i]).max() for i, frame in zip(delivered, found, strict=True) if i is not None]
+    off = [
+        np.abs(frame.reading - truth[i]).max()
+        for i, frame in zip(delivered, delivered_frames, strict=True)
+        if i is not None
+    ]
     # Of two changes behind a checksum one in 255 cancels.
-    assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= (0.002 * len(found) if form == Format.FRAMED else 0)
-    lost = count - min(i for i in delivered if i is not None) - len(found)
+    assert delivered.count(None) + np.sum(np.array(off) > 1e-3) <= (
+        0.002 * len(delivered_frames) if form == Format.FRAMED else 0
+    )
+    lost = count - min(i for i in delivered if i is not None) - len(delivered_frames)
     assert abs(decoder.lost - lost) <= 5
 
 
@@ -174,8 +180,8 @@ def test_line_ends_within_numbers_do_not_mislead(noise):
     data = b"".join(stream(6, noise=noise, temperature=celsius))
     assert data.count(b"\r\n") >= 36
     for start in range(SIZE):
-        _, found = decoded(data[start:])
-        assert [(frame.end + start) % SIZE for frame in found] == [0] * (6 - (start > 0))
+        _, delivered_frames = decoded(data[start:])
+        assert [(frame.end + start) % SIZE for frame in delivered_frames] == [0] * (6 - (start > 0))
 
 
 @pytest.mark.parametrize("start", [0, 3])
@@ -184,12 +190,12 @@ def test_two_alignments_are_one_too_many(start):
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
     assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE]) is not None
     data = (20 * frame)[start:]
-    decoder, found = decoded(data)
-    assert not found
+    decoder, delivered_frames = decoded(data)
+    assert not delivered_frames
     assert "alignments" in diagnose(data, 5)
-    _, found = decode(decoder, b"".join(stream(5)))
+    _, delivered_frames = decode(decoder, b"".join(stream(5)))
     # The last of them begins a run that has one alignment.
-    assert [frame.end for frame in found] == [len(data) + SIZE * i for i in range(6)]
+    assert [frame.end for frame in delivered_frames] == [len(data) + SIZE * i for i in range(6)]
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-6])
@@ -197,8 +203,8 @@ def test_a_value_that_cannot_be_condemns_its_frame_and_a_jump_is_true(value):
     readings, celsius = rest(20)
     readings[5, 7] = value
     readings[12:] += 500.0  # a magnet came
-    decoder, found = decoded(b"".join(sent(readings, celsius)))
-    assert numbers(found) == [i for i in range(20) if i != 5]
+    decoder, delivered_frames = decoded(b"".join(sent(readings, celsius)))
+    assert numbers(delivered_frames) == [i for i in range(20) if i != 5]
     assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, SIZE)
 
 
@@ -211,8 +217,8 @@ def test_every_changed_byte_is_found(form):
     for place, change in enumerate(np.random.default_rng(0).integers(1, 256, size)):
         bad = bytearray(whole)
         bad[4 * size + place] ^= int(change)
-        decoder, found = decoded(bytes(bad), form)
-        assert numbers(found, size) == [0, 1, 2, 3, 5, 6, 7]
+        decoder, delivered_frames = decoded(bytes(bad), form)
+        assert numbers(delivered_frames, size) == [0, 1, 2, 3, 5, 6, 7]
         assert (decoder.lost, decoder.gaps, decoder.skipped) == (1, 1, size)
 
 
@@ -230,11 +236,11 @@ def test_a_counter_tells_what_is_missing(form):
     readings, celsius = rest(300)
     gone = {5, 6, 7, 100, *range(200, 270)}
     whole = sent(readings, celsius, form)
-    decoder, found = decoded(b"".join(frame for i, frame in enumerate(whole) if i not in gone), form)
-    assert (len(found), decoder.lost, decoder.gaps) == (300 - len(gone), len(gone), 3)
+    decoder, delivered_frames = decoded(b"".join(frame for i, frame in enumerate(whole) if i not in gone), form)
+    assert (len(delivered_frames), decoder.lost, decoder.gaps) == (300 - len(gone), len(gone), 3)
     stuck = b"".join(encode(reading, celsius[0], form, 7) for reading in readings[:40])
-    decoder, found = decoded(stuck, form)  # a board without a working counter loses nothing
-    assert (len(found), decoder.lost, decoder.gaps) == (40, 0, 0)
+    decoder, delivered_frames = decoded(stuck, form)  # a board without a working counter loses nothing
+    assert (len(delivered_frames), decoder.lost, decoder.gaps) == (40, 0, 0)
 
 
 # Chips that fail.
@@ -244,17 +250,17 @@ def test_a_counter_tells_what_is_missing(form):
 def test_a_chip_that_fails_is_missing_and_never_zero(form):
     truth, celsius = rest(40)
     truth[10:20, 6:9] = np.nan
-    decoder, found = decoded(b"\n" + b"".join(sent(truth, celsius, form)) + b"\n", form)
-    np.testing.assert_array_equal(np.isnan([frame.reading for frame in found]), np.isnan(truth))
+    decoder, delivered_frames = decoded(b"\n" + b"".join(sent(truth, celsius, form)) + b"\n", form)
+    np.testing.assert_array_equal(np.isnan([frame.reading for frame in delivered_frames]), np.isnan(truth))
     assert (decoder.missing, decoder.empty) == (10, 0)
 
 
 def test_frames_without_any_chip_are_counted_and_not_delivered():
     truth, celsius = rest(90)
     truth[np.arange(90) % 3 != 0] = np.nan
-    decoder, found = decoded(b"".join(sent(truth, celsius, Format.FRAMED)), Format.FRAMED)
-    assert (len(found), decoder.empty, decoder.missing, decoder.lost) == (30, 60, 0, 0)
-    assert np.isfinite([frame.reading for frame in found]).all()
+    decoder, delivered_frames = decoded(b"".join(sent(truth, celsius, Format.FRAMED)), Format.FRAMED)
+    assert (len(delivered_frames), decoder.empty, decoder.missing, decoder.lost) == (30, 60, 0, 0)
+    assert np.isfinite([frame.reading for frame in delivered_frames]).all()
 
 
 def test_what_is_wrong_is_said():

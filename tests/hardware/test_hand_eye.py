@@ -5,6 +5,7 @@ import re
 import shutil
 import sys
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -17,12 +18,12 @@ from i2t.depth.camera import Camera
 from i2t.depth.distortion import deproject
 from i2t.emulators import ur_controller
 from i2t.errors import DeviceError
-from i2t.hardware import hand_eye, hand_eye_fit
+from i2t.hardware import hand_eye
 from i2t.hardware.contract import refuse
 from i2t.hardware.hand_eye import CharucoBoard
-from i2t.hardware.hand_eye_fit import BoardView, board_pose, fit, pixel_rays
+from i2t.hardware.hand_eye_fit import BoardView, HandEyeConfig, board_pose, fit, pixel_rays
 from i2t.hardware.plugins import colour_view
-from i2t.hardware.poses import apart, pose_from_vector
+from i2t.hardware.poses import pose_difference, pose_from_vector
 from i2t.hardware.protocols import ColourImage
 from i2t.hardware.rig import Rig
 from i2t.hardware.ur.access import tool_pose
@@ -68,12 +69,12 @@ def board_view(T_b_t, rng, noise, told=None):
 def test_without_noise_it_is_exact():
     rng = np.random.default_rng(0)
     board_views = [board_view(T, rng, 0.0) for T in tools(6, rng)]
-    for each in board_views:
-        np.testing.assert_allclose(board_pose(each), np.linalg.inv(each.T_b_t @ TRUE) @ LAID, atol=1e-9)
-    found = fit(board_views, CAMERA.fx)
-    np.testing.assert_allclose(found.T_t_c, TRUE, atol=1e-7)
-    np.testing.assert_allclose(found.T_b_o, LAID, atol=1e-7)
-    assert found.rms < 1e-4
+    for seen in board_views:
+        np.testing.assert_allclose(board_pose(seen), np.linalg.inv(seen.T_b_t @ TRUE) @ LAID, atol=1e-9)
+    result = fit(board_views, CAMERA.fx)
+    np.testing.assert_allclose(result.T_t_c, TRUE, atol=1e-7)
+    np.testing.assert_allclose(result.T_b_o, LAID, atol=1e-7)
+    assert result.rms < 1e-4
 
 
 @pytest.mark.full
@@ -82,37 +83,37 @@ def test_the_error_it_states_is_the_error_it_makes():
     squares of three independent parts each scatters by sqrt(2 / 24) = 29 %, by 50 % where one part rules, so its root
     by 15 to 25 %, and the jackknife of 12 views by some 20 % of its own: within a factor of two they must agree.
     """
-    made, stated = [], []
+    errors, stated = [], []
     for seed in range(8):
         rng = np.random.default_rng(seed)
-        found = fit([board_view(T, rng, 0.1, reported(T, rng)) for T in tools(12, rng)], CAMERA.fx)
-        made.append(apart(found.T_t_c, TRUE))
-        stated.append((found.position_error, found.rotation_error))
-    made, stated = (np.sqrt(np.mean(np.square(each), 0)) for each in (made, stated))
-    assert ((made > 0.5 * stated) & (made < 2 * stated)).all()
+        result = fit([board_view(T, rng, 0.1, reported(T, rng)) for T in tools(12, rng)], CAMERA.fx)
+        errors.append(pose_difference(result.T_t_c, TRUE))
+        stated.append((result.position_error, result.rotation_error))
+    errors, stated = (np.sqrt(np.mean(np.square(values), 0)) for values in (errors, stated))
+    assert ((errors > 0.5 * stated) & (errors < 2 * stated)).all()
     # Smaller than what the simulated world takes for usual: 1 mm and 0.5 degrees per axis.
-    assert (made < [1e-3, math.radians(0.5)]).all()
+    assert (errors < [1e-3, math.radians(0.5)]).all()
 
 
-def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused(monkeypatch):
+def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused():
     rng = np.random.default_rng(1)
     board_views = [board_view(T, rng, 0.1) for T in tools(10, rng)]
-    clean = apart(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0]
-    for each in board_views[::2]:
-        each.rays[rng.integers(len(each.rays))] += 3 / CAMERA.fx
-    assert apart(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0] < max(3 * clean, 0.1e-3)
+    clean = pose_difference(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0]
+    for seen in board_views[::2]:
+        seen.rays[rng.integers(len(seen.rays))] += 3 / CAMERA.fx
+    assert pose_difference(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0] < max(3 * clean, 0.1e-3)
     upright = [board_view(T, rng, 0.1, reported(T, rng)) for T in tools(8, rng, tilt=0.0)]
-    one = BoardView(upright[0].T_b_t, upright[0].corners[:5], upright[0].rays[:5])
+    sparse = BoardView(upright[0].T_b_t, upright[0].corners[:5], upright[0].rays[:5])
     lost = [*board_views[:8], board_views[8]._replace(T_b_t=np.full((4, 4), np.nan))]
     calls = [
         (fit, (lost, CAMERA.fx), "view 9 has a pose or corners that are not finite"),
         (fit, (board_views[:5], CAMERA.fx), "found in 5 views; take at least 6"),
-        (fit, (upright, CAMERA.fx), "tilt it by 15 degrees or more about two"),
-        (board_pose, (one,), "shows 5 corners"),
+        (fit, (upright, CAMERA.fx), "tilt it by 15 degrees or more about two axes"),
+        (board_pose, (sparse,), "shows 5 corners"),
     ]
     refuse(ValueError, calls)
-    monkeypatch.setattr(hand_eye_fit, "MAX_FIT_STEPS", 1)
-    refuse(ValueError, [(fit, (board_views, CAMERA.fx), "does not settle within 1 steps")])
+    impatient = partial(fit, config=HandEyeConfig(max_steps=1))
+    refuse(ValueError, [(impatient, (board_views, CAMERA.fx), "does not converge within 1 steps")])
 
 
 def test_lines_of_sight_are_those_of_the_core():
@@ -164,14 +165,14 @@ def taken(tmp_path_factory):
 def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
     path, T_c_colour = taken
     Rig().write(tmp_path / "lab.toml")
-    # What was found is the colour camera; the rig has the depth camera.
+    # The estimate is the colour camera; the rig has the depth camera.
     wanted = TRUE @ np.linalg.inv(T_c_colour)
     assert hand_eye.main(["estimate", str(path), "--rig", str(tmp_path / "lab.toml"), "--write"]) == 0
     out = capsys.readouterr().out
     assert out.startswith("8 views, 0.")
     distance, angle = map(float, re.search(r"standard error (\S+) mm, (\S+) degrees", out).groups())
     written = Rig.read(tmp_path / "lab.toml")
-    metres, radians = apart(wanted, written.T_tool_camera)
+    metres, radians = pose_difference(wanted, written.T_tool_camera)
     # Three standard errors, which of eight views are themselves known to a quarter.
     assert 1e3 * metres < 4 * distance < 8
     assert math.degrees(radians) < 4 * angle < 4
@@ -183,7 +184,7 @@ def test_what_is_missing_is_said(taken, tmp_path, capsys):
     shutil.copytree(taken[0], copy := tmp_path / "views")
     for file, text, why in (
         ("images/000.png", "no image", "000.png: cannot be read"),
-        ("poses.csv", "000.png,1,2,3\n", "is no pose; write NAME.png"),
+        ("poses.csv", "000.png,1,2,3\n", "is not a pose; write NAME.png"),
         ("camera.toml", "fx = 1\n", "'cx' is missing"),
     ):
         (copy / file).write_text(text)

@@ -13,13 +13,13 @@ ATTEMPTS = 20
 
 
 def shown(words, capsys, wanted) -> str:
-    """What the tool prints once it has heard the board; one that other programs have starved is asked again."""
+    """Output of the tool once it has read the board; repeated if other programs starve it."""
     for _ in range(ATTEMPTS):
         capsys.readouterr()
-        code, said = monitor.main(words), capsys.readouterr().out
-        if code == 0 and wanted in said:
-            return said
-    raise AssertionError(said)
+        code, output = monitor.main(words), capsys.readouterr().out
+        if code == 0 and wanted in output:
+            return output
+    raise AssertionError(output)
 
 
 def test_a_table_has_each_chips_change_and_says_which_is_missing():
@@ -32,14 +32,14 @@ def test_a_table_has_each_chips_change_and_says_which_is_missing():
     assert lines[4] == "change of all: 2.2 uT"
 
 
-@pytest.mark.parametrize(("noise", "health"), [("1", monitor.HEALTHY_TEXT), ("0", "UNHEALTHY: chip 0 stands still")])
+@pytest.mark.parametrize(("noise", "health"), [("1", "healthy at rest"), ("0", "UNHEALTHY: chip 0 stands still")])
 def test_a_board_is_drawn_kept_and_judged(capsys, monkeypatch, tmp_path, noise, health):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     with started("--noise", noise, "--fail", "1") as (port, _):
-        said = shown(["--port", port, "--seconds", "1"], capsys, health)
-        assert "emulated  binary" in said
-        assert "missing" in said
-        assert "\x1b[9F\x1b[J" in said  # drawn over the last table
+        output = shown(["--port", port, "--seconds", "1"], capsys, health)
+        assert "emulated  binary" in output
+        assert "missing" in output
+        assert "\x1b[9F\x1b[J" in output  # drawn over the last table
         path = tmp_path / "a.csv"
         shown(["--port", port, "--seconds", "0.5", "--record", str(path)], capsys, "Hz")
         assert monitor.main(["--port", port, "--seconds", "0.5", "--record", str(path)]) == 2

@@ -58,7 +58,7 @@ def test_it_gives_metres_lens_and_aligned_colour_of_views_that_are_new(file):
         assert np.abs(view.colour[seen][:, :2].astype(int) - COLOUR[seen][:, :2]).max() <= 1
         assert (view.colour[seen][:, 2] == 7).mean() > 0.97
         assert (view.colour[~seen] == 0).all()
-        with pytest.raises(DeviceTimeoutError, match=r"gave no view in 0\.001 s"):
+        with pytest.raises(DeviceTimeoutError, match=r"sent no view in 0\.001 s"):
             camera.capture(0.001)
 
 
@@ -138,8 +138,8 @@ def test_what_cannot_be_connected_says_why(file, tmp_path):
         "cannot be played at 640 x 360",
         r"D405 measures nothing nearer than 40 mm",  # as the file's own device tells
     )
-    for why, said in zip(whys, tried.stdout.splitlines(), strict=True):
-        assert re.search(why, said)
+    for why, line in zip(whys, tried.stdout.splitlines(), strict=True):
+        assert re.search(why, line)
 
 
 def test_which_models_see_at_the_papers_distance():
@@ -157,6 +157,6 @@ def test_the_command_shows_and_keeps_views(file, tmp_path, capsys):
     out = capsys.readouterr().out
     assert "D405" in out
     assert "view 1: 100% measured, 126.7 mm" in out
-    assert sorted(each.name for each in (tmp_path / "views" / "colour").iterdir()) == ["000000.png", "000001.png"]
+    assert sorted(path.name for path in (tmp_path / "views" / "colour").iterdir()) == ["000000.png", "000001.png"]
     assert realsense.main([*shown, "--save", str(tmp_path / "views")]) == 2  # nothing is overwritten
     assert realsense.main([*shown, "--distance", "0.01"]) == 2

@@ -23,25 +23,25 @@ from i2t.errors import DeviceError
 from i2t.hardware import serial_port
 from i2t.hardware.contract import refuse
 from i2t.hardware.reskin import driver
-from i2t.hardware.reskin.driver import BoardInfo, ReSkin
+from i2t.hardware.reskin.driver import BoardInfo, BoardSearch, ReSkin
 from i2t.hardware.reskin.layouts import Format, encode
 
 REST = Readings(0.0, 0.0, 0).at(0.0)[0]  # uT, of an emulated board without noise
 
 
 def failure(skin, words: str) -> str:
-    """What the skin says once it fails with these words."""
-    said: list[str] = []
+    """Message of a skin once it fails with these words."""
+    messages: list[str] = []
 
     def ask() -> bool:
         try:
             skin.latest()
         except DeviceError as error:
-            said.append(str(error))
-        return bool(said) and words in said[-1]
+            messages.append(str(error))
+        return bool(messages) and words in messages[-1]
 
     eventually(ask)
-    return said[-1]
+    return messages[-1]
 
 
 @pytest.mark.parametrize("form", Format)
@@ -60,8 +60,8 @@ def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
         assert skin.features.source == "emulated"
         with skin:
             skin.read(20, PATIENCE)
-            said = failure(skin, "is gone")
-            assert re.fullmatch(r"the skin on .* is gone \(.*\); plug it in and connect again", said)
+            message = failure(skin, "is gone")
+            assert re.fullmatch(r"the skin on .* is gone \(.*\); plug it in and connect again", message)
             before = skin.counters.samples
             assert len(skin.since(-1).number) == before  # what came is still there
             refuse(DeviceError, [(skin.read, (1,), "is gone"), (skin.since, (before,), "is gone")])
@@ -87,18 +87,17 @@ def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_boar
 
 
 @pytest.mark.full
-def test_a_wrong_baud_rate_is_said(monkeypatch):
-    monkeypatch.setattr(driver, "FIRST_FRAME_S", 0.3)
-    monkeypatch.setattr(driver, "START_UP_S", 0.0)
+def test_a_wrong_baud_rate_is_said():
+    search = BoardSearch(first_frame_timeout=0.3, startup_time=0.0)
     with started("--baud", "460800") as (port, _), pytest.raises(DeviceError, match=r"at 9600 baud .* the baud rate"):
-        ReSkin(port, 9600).connect()
+        ReSkin(port, 9600, search=search).connect()
 
 
 def test_what_cannot_be_opened_says_why(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with started() as (port, _), ReSkin(port):
         calls = [
-            (ReSkin(port).connect, (), "open already in this very program"),
+            (ReSkin(port).connect, (), "already open in this program"),
             (ReSkin(str(tmp_path / "nowhere")).connect, (), r"there is no port .*nowhere"),
             (ReSkin(str(tmp_path / "file")).connect, (), "is it a serial port"),
         ]
@@ -108,7 +107,7 @@ def test_what_cannot_be_opened_says_why(tmp_path):
         (OSError("Could not exclusively lock port"), "in use by another program"),
         (OSError(errno.EACCES, "Permission denied"), "may not be opened"),
     ):
-        assert why in ReSkin(port)._why_closed(port, error)
+        assert why in ReSkin(port)._open_problem(port, error)
 
 
 @contextlib.contextmanager
@@ -144,17 +143,17 @@ def test_a_port_that_another_program_reads_is_not_said_to_be_unplugged(tmp_path)
             assert "cable" not in sentence
         with ReSkin(port) as skin:
             skin.read(5, PATIENCE)
-            refuse(DeviceError, [(ReSkin(port).connect, (), "open already in this very program")])
+            refuse(DeviceError, [(ReSkin(port).connect, (), "already open in this program")])
 
 
 def test_a_second_reader_that_the_system_does_not_show_is_named_as_a_cause(tmp_path):
     port = tmp_path / "port"
     shared = OSError("device reports readiness to read but returned no data (device disconnected or multiple access?)")
-    assert "is gone" in str(ReSkin(str(port))._lost(shared))
+    assert "is gone" in str(ReSkin(str(port))._lost_error(shared))
     port.touch()  # it is still there
-    sentence = str(ReSkin(str(port))._lost(shared))
+    sentence = str(ReSkin(str(port))._lost_error(shared))
     assert "unplugged for a moment, or another program reads the port too" in sentence
-    assert "is gone" in str(ReSkin(str(port))._lost(OSError(errno.EIO, "Input/output error")))
+    assert "is gone" in str(ReSkin(str(port))._lost_error(OSError(errno.EIO, "Input/output error")))
 
 
 def test_a_real_port_is_kept_from_programs_that_open_it_later(monkeypatch):
@@ -188,7 +187,7 @@ def test_a_real_port_is_kept_from_programs_that_open_it_later(monkeypatch):
     [
         ([], [], "add yourself to its group and log in again: sudo usermod -aG dialout"),
         ([], ["ada"], "you joined its group, dialout, after you logged in"),
-        ([20], ["ada"], "in which you are; allow it: sudo chmod g+rw"),
+        ([20], ["ada"], "may not be opened by your group, dialout; allow it: sudo chmod g+rw"),
     ],
 )
 def test_a_forbidden_port_names_its_group_and_what_is_missing(monkeypatch, groups, members, words):
@@ -275,7 +274,7 @@ def test_ports_are_found_by_who_made_the_board_and_a_board_under_another_name_is
 
 
 def feel(process, field) -> None:
-    """Sends a field to a board that has said where to."""
+    """Send a field to a board that has printed its address."""
     host, number = process.stdout.readline().split()[1].split(":")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
         out.sendto(np.asarray(field, "<f4").tobytes(), (host, int(number)))
@@ -301,7 +300,7 @@ def test_what_was_sent_to_nobody_is_not_read():
 def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
     switches = ("--board", "grid-2x2", "--field", "--noise", "0", "--fail", "1", "--format", form)
     with started(*switches) as (port, process):
-        with pytest.raises(DeviceError, match="frames of 4 chips come, not of 5; say which board it is"):
+        with pytest.raises(DeviceError, match="frames of 4 chips arrive, not of 5; name the right board"):
             ReSkin(port, 115200).connect()
         with ReSkin(port, 115200, chips=4) as skin:
             still = skin.read(5, PATIENCE).reading[-1]
@@ -313,9 +312,9 @@ def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
 
 
 @pytest.mark.full
-def test_the_baud_rate_is_found_and_rubbish_after_a_reset_is_waited_out(monkeypatch):
-    monkeypatch.setattr(driver, "BAUD_RATES", (115200, 921600))
+def test_the_baud_rate_is_found_and_rubbish_after_a_reset_is_waited_out():
+    search = BoardSearch(baud_rates=(115200, 921600))
     switches = ("--format", "framed", "--garbage-for", "1.6", "--baud", "921600")
-    with started(*switches) as (port, _), ReSkin(port) as skin:
+    with started(*switches) as (port, _), ReSkin(port, search=search) as skin:
         assert np.isfinite(skin.read(20, PATIENCE).reading).all()
         assert (skin.info.baud, skin.info.form) == (921600, Format.FRAMED)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from i2t.depth.camera import Camera
 from i2t.hardware.contract import refuse
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig import __main__ as rigs
@@ -72,7 +72,7 @@ TOOL, CAMERA = IDENTITY + "0.05]", IDENTITY + "-0.064]"
     ("old", "new", "why"),
     [
         (TOOL, TOOL.replace("0.05", "50.0"), r"tool.T_flange_tool: lies 50 m away, of at most 0.5; give metres"),
-        ("[tool]", '[tool]\narm = "ur5e"', r"'arm' is no key of \[tool\]; known are T_flange_tool"),
+        ("[tool]", '[tool]\narm = "ur5e"', r"'arm' is not a key of \[tool\]; give one of T_flange_tool"),
         (TOOL, TOOL.replace("1.0", "1.1"), r"tool.T_flange_tool: is not a rigid motion .* orthonormal"),
         (TOOL, TOOL.replace("[1.0", "[-1.0"), r"tool.T_flange_tool: is not a rigid motion .it is mirrored"),
         (TOOL, TOOL.replace("0.05", "nan"), r"tool.T_flange_tool holds NaN or infinity"),
@@ -83,13 +83,13 @@ TOOL, CAMERA = IDENTITY + "0.05]", IDENTITY + "-0.064]"
         ),
         (CAMERA, CAMERA.replace("1.0", "-1.0", 1).replace("1.0, -0", "-1.0, -0"), r"turns the camera's axis more than"),
         ("mass = 0.5", "mass = true", r"tool.mass is True; give one number"),
-        ("mass = 0.5", "mas = 0.5", r"'mas' is no key of \[tool\]; is it mass\?"),
+        ("mass = 0.5", "mas = 0.5", r"'mas' is not a key of \[tool\]; is it mass\?"),
         ("mass = 0.5\n", "", r"tool.mass is missing; add it to \[tool\]"),
         ('model = "none"', 'model = "fisheye"', r"camera: model 'fisheye' is a fisheye lens"),
         ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [-1e-06", r"has a negative variance"),
         ("object_covariance = [\n  [1e-06, 0.0", "object_covariance = [\n  [1e-06, 1e-7", r"is not symmetric"),
-        ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [1.0", r"says 1 m; give variances in m"),
-        ("[world]", "[globe]", r"'globe' is no table; known are tool, camera, world, limits"),
+        ("object_covariance = [\n  [1e-06", "object_covariance = [\n  [1.0", r"means 1 m; give variances in m"),
+        ("[world]", "[globe]", r"'globe' is not a table; give one of tool, camera, world, limits"),
         ("speed = 0.25", "speed = nan", r"limits.speed holds NaN"),
         ("lower = [0.25", "lower = [0.75", r"limits.lower, .*, must lie below upper"),
         ("[tool]", "[tool", r"is not TOML"),

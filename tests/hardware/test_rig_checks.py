@@ -43,13 +43,13 @@ def test_a_mistake_is_refused_in_one_sentence_or_left_to_the_first_touch(mistake
     right = right_rig()
     try:
         wrong = mistake.make(right)
-        found = implausible(wrong, vertices)
+        doubts = implausible(wrong, vertices)
         lens = other_lens(wrong.camera, right.camera)
-        found = [*found, *([lens] if lens else [])]
+        doubts = [*doubts, *([lens] if lens else [])]
     except ValueError as error:
-        found = [str(error)]
-    assert bool(found) != (mistake.name in LEFT_TO_THE_FIRST_TOUCH)
-    for sentence in found:
+        doubts = [str(error)]
+    assert bool(doubts) != (mistake.name in LEFT_TO_THE_FIRST_TOUCH)
+    for sentence in doubts:
         assert "\n" not in sentence
         assert 25 < len(sentence) < 260
 
@@ -58,5 +58,5 @@ def test_a_doubt_is_refused_with_the_way_round_it_and_a_mesh_in_another_unit_is_
     wrong = replace(Rig(), T_world_object=np.diag([1.0, -1.0, -1.0, 1.0]))
     with pytest.raises(ValueError, match=r"below the table: is it upside down.*--trust-rig"):
         require_plausible(wrong, vertices)
-    (found,) = implausible(Rig(), 1e-3 * vertices)
-    assert "check --unit" in found
+    (doubt,) = implausible(Rig(), 1e-3 * vertices)
+    assert "check --unit" in doubt

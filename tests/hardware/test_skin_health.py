@@ -5,11 +5,11 @@ import pytest
 from scipy.signal import lfilter
 
 from i2t.hardware.protocols import Samples
-from i2t.hardware.skin_health import CONVERTER_END_UT, check_skin, frozen_sentence, press_defect
+from i2t.hardware.skin_health import CONVERTER_RANGE_UT, check_skin, frozen_sentence, press_defect
 
 STEPS = np.array([0.150, 0.150, 0.242])
 SIGMA = np.array([3.1, 3.1, 4.6])
-END_UT = CONVERTER_END_UT[2]
+END_UT = CONVERTER_RANGE_UT[2]
 
 
 def at_rest(seed=0, count=200, chips=5, rate=400.0):
@@ -76,9 +76,9 @@ def clipped(values):
 )
 def test_a_defect_is_one_sentence_and_what_lies_stops_a_session(part, change, sentence, stops):
     samples = harmed((part, change))
-    (found,) = check_skin(samples).defects
-    assert found.sentence.startswith(sentence)
-    assert found.stops == stops
+    (defect,) = check_skin(samples).defects
+    assert defect.sentence.startswith(sentence)
+    assert defect.stops == stops
 
 
 def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():

@@ -1,4 +1,4 @@
-"""Skins whose samples a thread receives: whatever their library does, samples are of this connection, or it is said."""
+"""Skins whose samples a thread receives: samples are of the present connection, or an error says why not."""
 
 import threading
 import time
@@ -8,9 +8,8 @@ import pytest
 from helpers.waiting import eventually
 
 from i2t.errors import DeviceError, DeviceTimeoutError
-from i2t.hardware import skin_stream
 from i2t.hardware.contract import refuse
-from i2t.hardware.skin_stream import Measurement, StreamedSkin
+from i2t.hardware.skin_stream import Measurement, StreamConfig, StreamedSkin
 
 CHIPS = 2
 
@@ -43,25 +42,24 @@ def fail(error):
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("wrong", "message"),
     [
         (lambda link: fail(OSError(5, "gone")), r"the board is gone \(.*gone\); plug it in"),
         (lambda link: fail(SystemExit(3)), r"the board is gone \(3\)"),
-        (lambda link: [sample(values=4)], "of another shape than 6 values"),
-        (lambda link: [sample(ahead=100.0)], "dates samples into the future"),
+        (lambda link: [sample(values=4)], "do not have 6 values"),
+        (lambda link: [sample(ahead=100.0)], "dates samples in the future"),
     ],
 )
-def test_whatever_ends_the_thread_every_call_says_why(wrong, said):
+def test_whatever_ends_the_thread_every_call_says_why(wrong, message):
     sent = []
     skin = Board(lambda link: sent.append(link) or ([sample()] if len(sent) < 3 else wrong(link)))
     skin.connect()
     eventually(lambda: skin.closed == [1])
     calls = (skin.latest, ()), (skin.read, (5,)), (skin.since, (skin.counters.samples,))
-    refuse(DeviceError, [(*call, said) for call in calls])
+    refuse(DeviceError, [(*call, message) for call in calls])
 
 
-def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection(monkeypatch):
-    monkeypatch.setattr(skin_stream, "JOIN_S", 0.05)
+def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection():
     hangs, outcomes = threading.Event(), iter([lambda: [sample(), sample()], lambda: fail(OSError("late"))])
 
     def receive(link):
@@ -71,6 +69,7 @@ def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection(monkeypat
         return next(outcomes)()
 
     skin = Board(receive)
+    skin.stream_config = StreamConfig(join_timeout=0.05)
     for _ in range(2):
         hangs.clear()
         skin.connect()
@@ -86,15 +85,16 @@ def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection(monkeypat
     skin.close()
 
 
-def test_a_board_that_cannot_be_opened_or_says_nothing_leaves_nothing_open(monkeypatch):
-    monkeypatch.setattr(skin_stream, "FIRST_SAMPLE_S", 0.1)
+def test_a_board_that_cannot_be_opened_or_says_nothing_leaves_nothing_open():
     silent = Board(lambda link: [])
+    silent.stream_config = StreamConfig(first_sample_timeout=0.1)
     with pytest.raises(DeviceTimeoutError, match="has been silent"):
         silent.connect()
     assert silent.closed == [1]
     silent.open_link = lambda: fail(PermissionError(13, "denied"))
     refuse(DeviceError, [(silent.connect, (), r"the board is gone \(.*denied\)")])
     interrupted = Board(lambda link: [])
+    interrupted.stream_config = silent.stream_config
     interrupted._check = lambda: fail(KeyboardInterrupt())
     with pytest.raises(KeyboardInterrupt):
         interrupted.connect()

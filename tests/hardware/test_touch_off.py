@@ -11,11 +11,11 @@ from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
 from i2t.errors import DeviceError
 from i2t.geometry import transform
 from i2t.hardware.contract import refuse
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.touch_off import (
-    CLEARANCE_M,
     CORNER_SIGNS,
+    TouchOffConfig,
     contact_onset,
     corner_force,
     corner_rotation,
@@ -87,19 +87,19 @@ def arm_with(true, height=HEIGHT):
 def test_an_arm_finds_its_skin(z, rx, ry):
     true, messages = skin(z, rx, ry), []
     with arm_with(true) as arm:
-        found = touch_off(arm, LIMITS, AT, HEIGHT, messages.append)
-        assert arm.state().T_b_t[2, 3] > HEIGHT + CLEARANCE_M
-    np.testing.assert_allclose(found.T_tool_skin[2, 3], true[2, 3], atol=0.02e-3)
-    np.testing.assert_allclose(found.T_tool_skin[:3, 2], true[:3, 2], atol=2e-3)
-    assert found.flatness_error < 0.02e-3
+        plane = touch_off(arm, LIMITS, AT, HEIGHT, messages.append)
+        assert arm.state().T_b_t[2, 3] > HEIGHT + TouchOffConfig.clearance
+    np.testing.assert_allclose(plane.T_tool_skin[2, 3], true[2, 3], atol=0.02e-3)
+    np.testing.assert_allclose(plane.T_tool_skin[:3, 2], true[:3, 2], atol=2e-3)
+    assert plane.flatness_error < 0.02e-3
     assert len(messages) == 4
 
 
 def test_what_is_no_press_and_no_flat_is_said():
     few, falling = (np.array([0, 1e-3]), np.array([0, 1.0])), (np.arange(6.0), 6 - np.arange(6.0))
     lost = np.arange(8.0), np.where(np.arange(8) == 5, np.nan, np.arange(8.0))
-    calls = [(contact_onset, few, "in at least 5 looks"), (contact_onset, falling, "did not rise with")]
-    refuse(ValueError, [*calls, (contact_onset, lost, "1 of 8 looks have no finite distance and force")])
+    calls = [(contact_onset, few, "in at least 5 samples"), (contact_onset, falling, "did not rise with")]
+    refuse(ValueError, [*calls, (contact_onset, lost, "1 of 8 samples have no finite distance and force")])
     with arm_with(skin(0, 0, 0), HEIGHT - 0.02) as arm, pytest.raises(DeviceError, match="met no flat within 11 mm"):
         touch_off(arm, LIMITS, AT, HEIGHT, str)
     for at, height in (((0.7, 0.1), HEIGHT), (AT, 0.0)):

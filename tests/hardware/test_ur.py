@@ -27,11 +27,11 @@ from i2t.emulators import robot_motion, ur_controller
 from i2t.emulators.ur_controller import TICK, ask
 from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.contract import refuse
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.limits import SAFETY
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.ur import access, driver, rtde_worker
 from i2t.hardware.ur.driver import UrArm
-from i2t.hardware.ur.rtde_worker import BRAKE_MPS2
 
 LIMITS = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5), approach_distance=0.3)
 STATE_TIMEOUT, WATCHDOG_RATE = 0.5, 4.0  # s, Hz: a machine that is busy with other tests is not a fault
@@ -126,7 +126,7 @@ def test_the_lock_is_in_the_users_own_folder_and_follows_no_link(monkeypatch, tm
     refuse(DeviceError, [(*take, "Linux or macOS")])
 
 
-LIBRARY = {  # what the part of ur_rtde says that a motion needs
+LIBRARY = {  # answers of the part of ur_rtde that a motion needs
     "getTimestamp": 1.0, "getSafetyStatusBits": 1, "getRuntimeState": rtde_worker.PLAYING, "operationId": 0,
     "isAsyncOperationRunning": False, "getTargetSpeedFraction": 1.0, "isConnected": True,
     **{f"getActual{what}": [0.0] * 6 for what in ("TCPPose", "TCPSpeed", "TCPForce", "Q")},
@@ -135,9 +135,18 @@ LIBRARY = {  # what the part of ur_rtde says that a motion needs
 
 def test_a_motion_is_made_under_a_fed_watchdog_only():
     ours, theirs = (rtde_worker.Channel(end) for end in socket.socketpair())
-    library = Mock(**{f"{name}.return_value": said for name, said in LIBRARY.items()})
+    library = Mock(**{f"{name}.return_value": value for name, value in LIBRARY.items()})
     library.getAsyncOperationProgressEx.return_value = library
-    worker = rtde_worker.Worker(theirs, library, library, watchdog_rate=4.0, state_timeout=STATE_TIMEOUT)
+    limits = rtde_worker.WorkerLimits(
+        watchdog_rate=4.0,
+        state_timeout=STATE_TIMEOUT,
+        braking=2.0,
+        standing_speed=1e-3,
+        brake_settling=0.05,
+        start_timeout=0.5,
+        exit_timeout=2,
+    )
+    worker = rtde_worker.Worker(theirs, library, library, limits)
     worker.observe()
     motion = {"pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
     heartbeat, move = {"heartbeat": True}, {"command": "move", "id": 1, "arguments": motion}
@@ -153,7 +162,7 @@ def test_a_motion_is_made_under_a_fed_watchdog_only():
     assert error(move) == "its watchdog is not being fed"
     assert error(heartbeat, move) == "its watchdog is not being fed"  # nor set
     assert error({"command": "set_watchdog", "id": 2, "arguments": {}}) is None
-    time.sleep(2 / worker.watchdog_rate)
+    time.sleep(2 / limits.watchdog_rate)
     assert error(move) == "its watchdog is not being fed"
     assert "moveL" not in sent()
     assert error(heartbeat, move) is None
@@ -165,10 +174,10 @@ def test_a_motion_is_made_under_a_fed_watchdog_only():
 def test_the_process_keeps_its_connections_and_can_make_no_other():
     code = (
         "import socket; from i2t.hardware.ur import rtde_worker as worker\n"
-        "one, other = (worker.Channel(end) for end in socket.socketpair())\n"
+        "ours, theirs = (worker.Channel(end) for end in socket.socketpair())\n"
         "worker.forbid_new_connections()\n"
-        "one.send({'ready': True})\n"
-        "assert other.receive(1.0) == [{'ready': True}]\n"
+        "ours.send({'ready': True})\n"
+        "assert theirs.receive(1.0) == [{'ready': True}]\n"
         "try: socket.socket()\n"
         "except OSError: print('none')\n"
     )
@@ -246,7 +255,7 @@ def test_an_approach_ends_on_force(above):
     reached = STIFFNESS * (PLANE - done.state.T_b_t[2, 3])
     # What was felt before the trigger is below the limit; after it the arm goes on for at most what news (8 ms), a
     # look (10 ms) and a command (two handshakes) take, and brakes. A busy machine adds to it: 20 ms in 100.
-    assert 4.0 < reached < 4.0 + STIFFNESS * (SPEED * 0.12 + SPEED**2 / (2 * BRAKE_MPS2))
+    assert 4.0 < reached < 4.0 + STIFFNESS * (SPEED * 0.12 + SPEED**2 / (2 * SAFETY.braking_m_s2))
 
 
 def test_an_approach_ends_on_torque(above):
@@ -292,7 +301,7 @@ def test_a_paused_motion_is_waited_for(above):
 
 def test_an_approach_that_nobody_watches_is_stopped(above):
     host, arm = above
-    with pytest.raises(DeviceError, match="Nobody looked"):
+    with pytest.raises(DeviceError, match="was not watched"):
         arm.approach(0.02, 0.002, lambda state: time.sleep(3 * STATE_TIMEOUT))
     assert not status(host)["moving"]
 
@@ -300,8 +309,8 @@ def test_an_approach_that_nobody_watches_is_stopped(above):
 def test_stop_from_another_thread(above):
     host, arm = above
     stopped = []
-    said, _ = in_motion(arm, host, lambda: stopped.append((arm.stop(5.0), status(host)["moving"])))
-    assert re.search("MotionStoppedError: .*by request", said)
+    message, _ = in_motion(arm, host, lambda: stopped.append((arm.stop(5.0), status(host)["moving"])))
+    assert re.search("MotionStoppedError: .*by request", message)
     assert stopped == [(None, False)]
 
 
@@ -310,7 +319,7 @@ def test_stop_from_another_thread(above):
 
 @contextlib.contextmanager
 def amid(host, speed, fault):
-    """Do something once the arm moves so fast (m/s) in the block; gives a list of what the controller said then."""
+    """Do something once the arm moves faster than `speed` (m/s); yield a list that then holds its status."""
     began = []
 
     def act():
@@ -334,12 +343,12 @@ def in_motion(arm, host, fault) -> tuple[str, float]:
     return f"{type(caught.value).__name__}: {caught.value}", began[0]["pose"][1]
 
 
-NO_NEWS = "No news from the controller|gives a state of"
+NO_NEWS = "No state arrived from|sent its last state"
 BROKEN = f"TimeoutError: .*({NO_NEWS}|The connection to the controller .* broke)"
 
 
 @pytest.mark.parametrize(
-    ("fault", "said"),
+    ("fault", "message"),
     [
         ("stall", BROKEN),
         ("stall-control", BROKEN),
@@ -352,13 +361,13 @@ BROKEN = f"TimeoutError: .*({NO_NEWS}|The connection to the controller .* broke)
     ],
     ids=["stall", "stall-control", "drop-control", "drop-state", "SIGSEGV", "SIGKILL", "SIGSTOP", "kill-program"],
 )
-def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_asked(above, fault, said):
+def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_asked(above, fault, message):
     """The controller's streams and program, and a client library that crashes or hangs."""
     host, arm = above
     worker, uploads = arm.connection._process.pid, status(host)["uploads"]
     fail = (lambda: ask(host, fault)) if isinstance(fault, str) else (lambda: os.kill(worker, fault))
     error, began = in_motion(arm, host, fail)
-    assert re.search(said, error)
+    assert re.search(message, error)
     eventually(lambda: not status(host)["moving"])
     time.sleep(2 / WATCHDOG_RATE)
     stood = status(host)
@@ -386,18 +395,18 @@ def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_as
 def test_a_state_that_cannot_be_stops_the_arm(above, forged, guarded):
     """NaN, infinite, frozen and absurd values of every number on which a motion depends."""
     host, arm = above
-    said = ""
+    message = ""
     ask(host, "plane 0 0")
     try:
         with amid(host, 0.018, lambda: ask(host, f"forge {forged}")) as began:
             ended = arm.approach(0.15, SPEED, force=8.0).reason if guarded else arm.go(pose(0.4, 0.25, 0.3), SPEED)
             assert ended == "force"
     except DeviceError as error:
-        said = str(error)
+        message = str(error)
     finally:
         ask(host, "forge")
         ask(host, f"plane {PLANE} {STIFFNESS}")
-    assert said.count(". ") == 0  # one sentence
+    assert message.count(". ") == 0  # one sentence
     eventually(lambda: not status(host)["moving"])
     assert status(host)["stood"] - began[0]["clock"] < STATE_TIMEOUT + 1.0  # s: noticed within a second of the timeout
 
@@ -467,7 +476,7 @@ def test_control_is_refused_in_local_mode_to_a_second_client_and_by_a_mute_port(
 
 VICTIM = f"""
 import sys, time
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.ur.driver import UrArm
 from i2t.hardware.poses import pose_from_vector
 assert "jax" not in sys.modules

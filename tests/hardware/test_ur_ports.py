@@ -1,4 +1,4 @@
-"""What is said of a UR controller whose ports do not all answer."""
+"""Messages about a UR controller whose ports do not all answer."""
 
 import contextlib
 import itertools
@@ -77,7 +77,7 @@ def impatient(monkeypatch):
     monkeypatch.setattr(ports.controller_version, "__defaults__", (0.3,))
 
 
-def said_of(host: str) -> str:
+def refusal(host: str) -> str:
     with pytest.raises(DeviceError) as caught:
         access.check_controller(host)
     sentence = str(caught.value)
@@ -95,11 +95,11 @@ def test_a_controller_whose_ports_all_answer_is_accepted():
 
 def test_polyscope_x_is_named_by_the_version_that_rtde_tells():
     with FakeController(version=10).listen(RTDE, SCRIPT) as fake:
-        sentence = said_of(fake.host)
+        sentence = refusal(fake.host)
         assert "answers on ports 30004 (RTDE) and 30003 (real-time client)" in sentence
         assert "refuses connections on port 29999 (dashboard)" in sentence
         assert "runs PolyScope X (URControl 10.11)" in sentence
-        assert "switch" not in sentence
+        assert "enable" not in sentence
         access.check_reachable(fake.host)  # its pose can be asked for
     sentence = explain("10.0.0.1", dict.fromkeys(PORTS, Answer.TIMED_OUT) | {RTDE: Answer.ANSWERS}, (10, 7))
     assert "runs PolyScope X" in sentence
@@ -108,43 +108,43 @@ def test_polyscope_x_is_named_by_the_version_that_rtde_tells():
 
 def test_a_dashboard_that_is_switched_off_is_to_be_switched_on():
     with FakeController(version=5).listen(RTDE, SCRIPT) as fake:
-        sentence = said_of(fake.host)
-        assert "switch Dashboard Server on under Settings > Security > Services" in sentence
+        sentence = refusal(fake.host)
+        assert "enable Dashboard Server under Settings > Security > Services" in sentence
         assert "PolyScope X" not in sentence
     with FakeController(version=0).listen(RTDE, SCRIPT) as fake:
-        assert "unless it runs PolyScope X" in said_of(fake.host)
+        assert "unless it runs PolyScope X" in refusal(fake.host)
 
 
 @pytest.mark.parametrize("port", [RTDE, SCRIPT])
 def test_a_service_that_is_switched_off_is_named(port):
     others = [other for other in PORTS if other != port]
     with FakeController().listen(*others) as fake:
-        sentence = said_of(fake.host)
+        sentence = refusal(fake.host)
         assert f"answers on ports {others[0]} and {others[1]}, but refuses connections on port {port}" in sentence
-        assert f"switch {port.service} on" in sentence
+        assert f"enable {port.service} under" in sentence
 
 
 def test_a_port_that_a_firewall_drops_is_to_be_allowed():
     with FakeController().listen(DASHBOARD, SCRIPT).listen(RTDE, answer=Answer.TIMED_OUT) as fake:
-        assert "gives no sign on port 30004 (RTDE): allow port 30004" in said_of(fake.host)
+        assert "gives no sign on port 30004 (RTDE): allow port 30004" in refusal(fake.host)
 
 
 def test_an_address_where_all_ports_are_refused_is_another_machine_and_one_that_is_silent_is_none():
     with FakeController() as fake:
-        sentence = said_of(fake.host)
+        sentence = refusal(fake.host)
         assert "a machine is there, and refuses connections on ports 30004 (RTDE), 29999 (dashboard)" in sentence
     with FakeController().listen(*PORTS, answer=Answer.TIMED_OUT) as fake:
-        assert "nothing comes from that address" in said_of(fake.host)
+        assert "no reply comes from that address" in refusal(fake.host)
     with FakeController().listen(*PORTS, answer=Answer.CLOSED) as fake:
-        assert "answers on port 30003" in said_of(fake.host)
-    assert "no way to that address" in explain("10.0.0.1", dict.fromkeys(PORTS, Answer.NO_ROUTE))
-    assert "is not known to this computer" in said_of("no-such-arm.invalid")
-    assert "is not known to this computer" in said_of("http://192.168.0.2:29999")
+        assert "answers on port 30003" in refusal(fake.host)
+    assert "no route to that address" in explain("10.0.0.1", dict.fromkeys(PORTS, Answer.NO_ROUTE))
+    assert "is not known to this computer" in refusal("no-such-arm.invalid")
+    assert "is not known to this computer" in refusal("http://192.168.0.2:29999")
 
 
 def test_ports_that_accept_and_say_nothing_ask_for_patience():
     with FakeController().listen(DASHBOARD, SCRIPT).listen(RTDE, answer=Answer.MUTE) as fake:
-        assert "accepts connections and does not answer on port 30004 (RTDE): wait until" in said_of(fake.host)
+        assert "accepts connections and does not answer on port 30004 (RTDE): wait until" in refusal(fake.host)
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_ports_that_accept_and_say_nothing_ask_for_patience():
 )
 def test_a_controller_that_answers_and_cannot_be_controlled_says_why(question, answer, words):
     with FakeController(**{question: answer}).listen(*PORTS) as fake:
-        assert words in said_of(fake.host)
+        assert words in refusal(fake.host)
 
 
 def test_an_old_dashboard_that_does_not_know_a_question_is_no_obstacle():

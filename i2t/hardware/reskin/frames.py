@@ -1,15 +1,16 @@
-"""Bytes of a board to frames: pure functions on whatever part of the stream has come.
+"""Decoding of a board's bytes into frames: pure functions of the part of the stream that has arrived.
 
-`i2t.hardware.reskin.layouts` says how frames look. The binary format has no header, counter or checksum, and CR LF also
-occurs within its numbers (34.513 degrees is 98 0d 0a 42). So a *candidate* is a stretch of the right form whose values
+`i2t.hardware.reskin.layouts` defines the frames. The binary format has no header, counter or checksum, and CR LF also
+occurs inside its numbers (34.513 degrees is 98 0d 0a 42). So a *candidate* is a stretch of the right form whose values
 are plausible, and a candidate is a *frame* if
 
     it adjoins the last frame, or has a checksum and is not the first, or
-    it begins a run of `RUN_LENGTH` adjoining candidates which no other candidate overlaps.
+    it begins a run of `RUN_LENGTH` adjoining candidates that no other candidate overlaps.
 
-Candidates are tried from the first byte after the last frame onwards, so a lost byte costs the frame it was in. What
-may pass unseen is a changed value that is plausible, in a format without a checksum (USB has its own), or with an
-exclusive or where two changes cancel. What is decided depends on the stream alone, not on how it was cut into chunks.
+Candidates are tried from the first byte after the last frame onwards, so a lost byte costs only the frame that it was
+in. Two kinds of damage can pass unnoticed: a changed but plausible value in a format without a checksum (USB has its
+own), and two changes that cancel in an exclusive or. The result depends on the stream only, not on its division into
+chunks.
 
 A chip that fails is missing (NaN). A frame in which every chip is missing is counted as empty and not delivered.
 """
@@ -20,7 +21,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t.hardware.reskin.layouts import (
-    COUNTS,
+    COUNTER_SIZE,
     DEFAULT_CHIPS,
     LINE_END,
     Format,
@@ -32,45 +33,44 @@ from i2t.hardware.reskin.layouts import (
 from i2t.skin import boards
 
 TEMPERATURE_RANGE_C = (-40.0, 85.0)
-FIELD_RANGE_UT = (1e-5, 50e3)  # firmware that averages sends less than a step, but nothing below; the chip's end
-RUN_LENGTH = 3  # candidates in a row that are believed without a frame before them
-MIN_TEMPERATURE_SIZE = 1e-3  # degrees; the step is 1/45 and does not begin at 0, so nothing but zero lies below
+FIELD_RANGE_UT = (1e-5, 50e3)  # of a non-zero value: firmware that averages sends less than a step; end of the chip
+RUN_LENGTH = 3  # candidates in a row that are accepted without a frame before them
 
 
 class Frame(NamedTuple):
-    """One sample of all chips; NaN for a chip that is missing."""
+    """One sample of all chips; NaN for a missing chip."""
 
-    end: int  # bytes of the stream up to and with this frame
+    end: int  # number of bytes of the stream up to the end of this frame
     reading: Float[np.ndarray, " c"]  # uT, in the board's order
-    temperature: Float[np.ndarray, " chips"]  # degrees Celsius; NaN where the board does not tell
+    temperature: Float[np.ndarray, " chips"]  # degrees Celsius; NaN if the board does not report it
 
 
 class Decoder(NamedTuple):
     """State of decoding. `bytes == taken + skipped + len(rest)` at all times."""
 
     layout: FrameLayout = FrameLayout()
-    rest: bytes = b""  # not decided yet
-    sequence: int | None = None  # of the last frame's counter
-    samples: int = 0  # frames that were delivered
-    empty: int = 0  # besides, those without any chip
-    missing: int = 0  # chips that were missing in the others
-    taken: int = 0  # bytes in frames and empty ones
-    skipped: int = 0  # bytes in none
-    gap: int = 0  # of those, since the last frame
-    gaps: int = 0  # places between frames where some are missing
-    lost: int = 0  # frames that were there, by the counter, or by the bytes that are left
+    rest: bytes = b""  # bytes that are not decided yet
+    sequence: int | None = None  # counter of the last frame
+    samples: int = 0  # delivered frames
+    empty: int = 0  # further frames, without any chip
+    missing: int = 0  # missing chips in the delivered frames
+    taken: int = 0  # bytes in frames, including empty ones
+    skipped: int = 0  # bytes outside frames
+    gap: int = 0  # skipped bytes since the last frame
+    gaps: int = 0  # places between frames where frames are missing
+    lost: int = 0  # missing frames, by the counter or by the bytes of their remains
 
     @property
     def bytes(self) -> int:
-        """Number of all bytes that came."""
+        """Number of all bytes that have arrived."""
         return self.taken + self.skipped + len(self.rest)
 
 
 def decoders(chips: int = DEFAULT_CHIPS) -> tuple[Decoder, ...]:
-    """One decoder for each format, for `decode_any`.
+    """Create one decoder for each format, for `decode_any`.
 
     Args:
-        chips: How many the board has.
+        chips: Number of chips of the board.
 
     Returns:
         Decoders at the beginning of a stream.
@@ -79,38 +79,38 @@ def decoders(chips: int = DEFAULT_CHIPS) -> tuple[Decoder, ...]:
 
 
 def decode_any(candidates: tuple[Decoder, ...], chunk: bytes) -> tuple[tuple[Decoder, ...], list[Frame]]:
-    """Take the next bytes of a stream whose format is not known.
+    """Decode the next bytes of a stream of unknown format.
 
     Args:
         candidates: Decoders that may fit.
-        chunk: The next bytes.
+        chunk: Next bytes of the stream.
 
     Returns:
-        The decoders that may still fit, only one from the first frame on, and its frames.
+        The decoders that may still fit (only one from the first frame on), and its frames.
     """
-    found = [decode(decoder, chunk) for decoder in candidates]
-    hits = [(frames[0].end, i) for i, (_, frames) in enumerate(found) if frames]
+    results = [decode(decoder, chunk) for decoder in candidates]
+    hits = [(frames[0].end, i) for i, (_, frames) in enumerate(results) if frames]
     if not hits:
-        return tuple(decoder for decoder, _ in found), []
-    decoder, frames = found[min(hits)[1]]
+        return tuple(decoder for decoder, _ in results), []
+    decoder, frames = results[min(hits)[1]]
     return (decoder,), frames
 
 
 def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
-    """Take the next bytes of the stream.
+    """Decode the next bytes of the stream.
 
     Args:
-        decoder: Where decoding stands.
-        chunk: The next bytes.
+        decoder: State of decoding before these bytes.
+        chunk: Next bytes of the stream.
 
     Returns:
-        Where it stands then, and the frames that are certain by now.
+        The state of decoding after them, and the frames that have become certain.
     """
     data = decoder.rest + chunk
-    data_start = decoder.taken + decoder.skipped  # of `data` in the stream
+    data_start = decoder.taken + decoder.skipped  # position of `data` in the stream
     frames: list[Frame] = []
-    search = 0  # candidates are looked for from here
-    done = 0  # bytes before are in frames or in none
+    search = 0  # the search for candidates starts here
+    done = 0  # earlier bytes are decided
     while True:
         begin, end = window(decoder.layout, data, search)
         decoder, done = decoder._replace(gap=decoder.gap + begin - done), begin
@@ -131,37 +131,37 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
     return decoder._replace(rest=data[done:], skipped=data_start + done - decoder.taken), frames
 
 
-def known_trouble(data: bytes, chips: int) -> str:
-    """Explain why these bytes gave no frame, if they say so themselves.
+def recognised_problem(data: bytes, chips: int) -> str:
+    """Explain why bytes gave no frame, if the bytes show a known problem.
 
     Args:
-        data: What a board has sent.
-        chips: How many the board is taken to have.
+        data: Bytes that a board has sent.
+        chips: Number of chips that the board should have.
 
     Returns:
-        Half a sentence with the remedy; empty for rubbish.
+        A clause with the remedy; empty for unrecognised bytes.
     """
     if not data:
         return "the board sends nothing; check its cable and that its sketch runs"
     if any(decode(decoder, data)[0].empty for decoder in decoders(chips)):
-        return "frames come, but no chip answers in any; check the cable between board and chips"
+        return "frames arrive, but no chip answers in any; check the cable between board and chips"
     others = [n for n in range(1, boards.MAX_CHIPS + 1) if n != chips and decode_any(decoders(n), data)[1]]
     if others:
-        return f"frames of {others[0]} chips come, not of {chips}; say which board it is"
+        return f"frames of {others[0]} chips arrive, not of {chips}; name the right board"
     layout = FrameLayout(Format.BINARY, chips)
     begin, end = window(layout, data, data.find(LINE_END) + len(LINE_END))
-    if end is None or data[begin - len(LINE_END) : begin] != LINE_END:  # no two line ends in the distance of a frame
+    if end is None or data[begin - len(LINE_END) : begin] != LINE_END:  # no two line ends at the distance of a frame
         return ""
-    found = parse(layout, data[begin:end])
-    for chip, values in enumerate([] if found is None else found.table):
+    frame = parse(layout, data[begin:end])
+    for chip, values in enumerate([] if frame is None else frame.table):
         if not _plausible(values[None]):
-            said = ", ".join(f"{value:.4g}" for value in values)
-            return f"frames come, but chip {chip} reads {said} (degrees, uT), which cannot be; check its soldering"
-    return "frames come, but never three in a row, or they fit two alignments; check its cable, and connect again"
+            numbers = ", ".join(f"{value:.4g}" for value in values)
+            return f"frames arrive, but chip {chip} reads {numbers} (degrees, uT): impossible; check its soldering"
+    return "frames arrive, but never three in a row, or in two alignments; check the board's cable, and connect again"
 
 
 def _begins_run(layout: FrameLayout, data: bytes, begin: int, end: int) -> bool | None:
-    """Test whether a run of candidates begins here that no other overlaps; None if more bytes must come."""
+    """Test whether an unambiguous run of candidates begins here; None if that takes more bytes."""
     stop = end
     for _ in range(RUN_LENGTH - 1):
         next_begin, next_end = window(layout, data, stop)
@@ -172,23 +172,23 @@ def _begins_run(layout: FrameLayout, data: bytes, begin: int, end: int) -> bool 
         if _values(layout, data[stop:next_end]) is None:
             return False
         stop = next_end
-    return layout.checked or not _has_rival(layout, data, begin, stop)  # those with a checksum cannot overlap
+    return layout.checked or not _has_rival(layout, data, begin, stop)  # candidates with a checksum cannot overlap
 
 
 def _has_rival(layout: FrameLayout, data: bytes, begin: int, stop: int) -> bool:
-    """Test whether a candidate in another alignment lies within a run, but for its first bytes."""
-    end: int | None
+    """Test whether a candidate in another alignment lies within a run, after its first byte."""
     search = begin + 1
-    while (found := window(layout, data[:stop], search))[1] is not None:
-        first, end = found
+    while True:
+        first, end = window(layout, data[:stop], search)
+        if end is None:
+            return False
         if (first - begin) % layout.size and _values(layout, data[first:end]) is not None:
             return True
         search = first + 1
-    return False
 
 
 def _with_frame(decoder: Decoder, values: FrameValues, size: int) -> tuple[Decoder, bool]:
-    """Decoder after a frame of `size` bytes, and whether it holds any chip."""
+    """Update a decoder by a frame of `size` bytes; return it, and whether the frame holds any chip."""
     gone = np.isnan(values.table[:, 1:]).all(1)
     empty = bool(gone.all())
     lost = _lost(decoder, values.sequence, size) if decoder.taken else 0
@@ -205,32 +205,33 @@ def _with_frame(decoder: Decoder, values: FrameValues, size: int) -> tuple[Decod
 
 
 def _lost(decoder: Decoder, count: int | None, size: int) -> int:
-    """Number of frames missing before one: by the bytes, or by the counter, whose full turns follow from the bytes."""
+    """Count the frames missing before a frame: by the bytes, or by the counter, whose overflows the bytes reveal."""
     by_bytes = max(1, round(decoder.gap / size)) if decoder.gap else 0
     if count is None or decoder.sequence is None or count == decoder.sequence:
         return by_bytes
-    counted = (count - decoder.sequence - 1) % COUNTS
-    return counted + COUNTS * max(0, round((by_bytes - counted) / COUNTS))
+    counted = (count - decoder.sequence - 1) % COUNTER_SIZE
+    return counted + COUNTER_SIZE * max(0, round((by_bytes - counted) / COUNTER_SIZE))
 
 
 def _values(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
-    """The values of a stretch, if they are plausible; NaN for what is missing."""
-    said = parse(layout, stretch)
-    if said is None or not _plausible(said.table):
+    """Parse a stretch; None if its values are implausible, NaN for missing values."""
+    values = parse(layout, stretch)
+    if values is None or not _plausible(values.table):
         return None
-    table = said.table
+    table = values.table
     table[:, 1:] = boards.without_silent_chips(table[:, 1:].reshape(1, -1)).reshape(-1, boards.AXES_OF_CHIP)
-    if not layout.warm:
+    if not layout.has_temperature:
         table[:, 0] = np.nan
-    return said
+    return values
 
 
 def _plausible(table: Float[np.ndarray, "chips 4"]) -> bool:
-    """Test whether temperatures and fields lie within the limits; NaN does not."""
+    """Test whether temperatures and fields are within their ranges; NaN is not."""
     celsius, field = table[:, 0], np.abs(table[:, 1:])
-    (coldest, warmest), (least, most) = TEMPERATURE_RANGE_C, FIELD_RANGE_UT
+    (coldest, warmest), (weakest, strongest) = TEMPERATURE_RANGE_C, FIELD_RANGE_UT
+    # The step of a temperature is 1/45 degrees and does not begin at 0, so only zero itself lies below 1e-3.
     return bool(
         np.all((celsius >= coldest) & (celsius <= warmest))
-        and np.all((celsius == 0) | (np.abs(celsius) >= MIN_TEMPERATURE_SIZE))
-        and np.all((field <= most) & ((field == 0) | (field >= least)))
+        and np.all((celsius == 0) | (np.abs(celsius) >= 1e-3))
+        and np.all((field <= strongest) & ((field == 0) | (field >= weakest)))
     )

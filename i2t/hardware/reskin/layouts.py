@@ -1,8 +1,9 @@
-"""Frame layouts of boards, byte by byte: three formats, read and written.
+"""Frame layouts of boards, byte by byte: three formats, for reading and writing.
 
 The public firmware of ReSkin and AnySkin sends temperature t (degrees Celsius) and field x, y, z (uT) of n chips, five
-by default, without header, counter or checksum; that of eFlesh boards (github Jnkdog-debug/eflesh-touch) sends the
-field alone, with them; our own sketch (examples/firmware/skin_crc) has all of it:
+by default, without header, counter or checksum. The firmware of eFlesh boards (github Jnkdog-debug/eflesh-touch) sends
+the field without the temperature, but with header, counter and checksum. Our own sketch (examples/firmware/skin_crc)
+sends everything:
 
     binary  n x little-endian float32 (t, x, y, z), then CR LF: 16 n + 2 bytes
     framed  AA 55, a counter (uint8), n x little-endian float32 (x, y, z), the exclusive or of all bytes after AA 55:
@@ -10,11 +11,11 @@ field alone, with them; our own sketch (examples/firmware/skin_crc) has all of i
     crc     A5 5A, a counter (uint8), n x little-endian float32 (t, x, y, z), the CRC-32 (zlib's, little-endian) of all
             bytes after A5 5A: 16 n + 7 bytes
 
-Two flipped bits of the same place in their bytes pass an exclusive or; a CRC-32 lets one damaged frame in 4e9 pass.
+Two flipped bits at the same place of their bytes pass an exclusive or; a CRC-32 passes one damaged frame in 4e9.
 
-Sketches that print lines of text for a terminal are not read; flash one of these.
+Sketches that print lines of text for a terminal are not supported; flash one of these.
 
-A chip that fails sends exact zeros. No field is exactly zero on three axes at once, so such a chip is *missing*, in
+A chip that fails sends exact zeros. No field is exactly zero on three axes at once, so such a chip is *missing* in
 every format: its values are NaN, never zero.
 """
 
@@ -33,8 +34,7 @@ from i2t.skin import boards
 
 DEFAULT_CHIPS = len(boards.reskin_board().chips)
 LINE_END = b"\r\n"
-COUNTS = 256  # of the counter of checked frames
-CONVERTER_COUNTS = 2**16  # of a chip's converter, which begins again at its other end
+COUNTER_SIZE = 256  # number of values of a frame's counter
 
 
 class Format(StrEnum):
@@ -46,25 +46,25 @@ class Format(StrEnum):
 
 
 class _Checked(NamedTuple):
-    """Look of the frames of a format that has a header, a counter and a check."""
+    """Layout of a format with a header, a counter and a checksum."""
 
     header: bytes
-    columns: int  # values of a chip, the last of t, x, y, z
-    check: Callable[[bytes], int]  # of all bytes between header and check
-    check_type: str  # as `struct` names it
+    columns: int  # number of values of a chip, the last ones of t, x, y, z
+    checksum: Callable[[bytes], int]  # of all bytes between header and checksum
+    checksum_type: str  # format character of `struct`
 
 
-_CHECKED = {
+CHECKED_FORMATS = {
     Format.FRAMED: _Checked(b"\xaa\x55", 3, lambda content: reduce(xor, content, 0), "B"),
     Format.CRC: _Checked(b"\xa5\x5a", 4, zlib.crc32, "I"),
 }
 
 
 class FrameValues(NamedTuple):
-    """Values of a stretch of bytes."""
+    """Values of the bytes of a frame."""
 
-    table: Float[np.ndarray, "chips 4"]  # t, x, y, z: degrees Celsius and uT; 0 where there is none
-    sequence: int | None = None  # of the frame's counter
+    table: Float[np.ndarray, "chips 4"]  # t, x, y, z in degrees Celsius and uT; 0 for a value that is not sent
+    sequence: int | None = None  # counter of the frame
 
 
 class FrameLayout(NamedTuple):
@@ -75,38 +75,39 @@ class FrameLayout(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Bytes of a frame."""
+        """Number of bytes of a frame."""
         return _packed(self.form, self.chips).size
 
     @property
     def checked(self) -> bool:
-        """Tell whether a frame has a counter and a checksum."""
-        return self.form in _CHECKED
+        """Whether a frame has a counter and a checksum."""
+        return self.form in CHECKED_FORMATS
 
     @property
-    def warm(self) -> bool:
-        """Tell whether a frame has temperatures."""
+    def has_temperature(self) -> bool:
+        """Whether a frame has temperatures."""
         return self.form != Format.FRAMED
 
 
 def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | None]:
-    """The next stretch that may be a frame.
+    """Find the next stretch of bytes that may be a frame.
 
     Args:
-        layout: How frames look.
+        layout: Layout of the frames.
         data: Bytes of the stream.
-        search: From where to look.
+        search: Position at which the search starts.
 
     Returns:
-        Its first byte and its end; or where to look again when more bytes have come, and None.
+        The begin and the end of the stretch; or the position from which to search when more bytes have arrived, and
+        None.
     """
     size = layout.size
     if layout.form == Format.BINARY:
-        found = data.find(LINE_END, search + size - len(LINE_END))
-        if found < 0:
+        line_end = data.find(LINE_END, search + size - len(LINE_END))
+        if line_end < 0:
             return max(search, len(data) - size + 1), None
-        return found + len(LINE_END) - size, found + len(LINE_END)
-    header = _CHECKED[layout.form].header
+        return line_end + len(LINE_END) - size, line_end + len(LINE_END)
+    header = CHECKED_FORMATS[layout.form].header
     begin = data.find(header, search)
     if begin < 0:
         return max(search, len(data) - data.endswith(header[:1])), None
@@ -114,22 +115,22 @@ def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | No
 
 
 def parse(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
-    """Parse a stretch, whether or not its values are plausible.
+    """Parse a stretch of bytes, whether or not its values are plausible.
 
     Args:
-        layout: How frames look.
-        stretch: As `window` found it.
+        layout: Layout of the frames.
+        stretch: Bytes as `window` delimits them.
 
     Returns:
-        Its values; None if it has not the form of a frame, or its checksum does not fit.
+        The values of the frame; None if the bytes do not have the form of a frame, or the checksum does not match.
     """
     form, chips = layout.form, layout.chips
     if form == Format.BINARY:
         *numbers, end = _packed(form, chips).unpack(stretch)
         return FrameValues(np.array(numbers).reshape(chips, 4)) if end == LINE_END else None
-    header, columns, check, check_type = _CHECKED[form]
-    begins, count, *numbers, said = _packed(form, chips).unpack(stretch)
-    if begins != header or said != check(stretch[len(header) : -struct.calcsize(check_type)]):
+    header, columns, checksum, checksum_type = CHECKED_FORMATS[form]
+    start, count, *numbers, sent_checksum = _packed(form, chips).unpack(stretch)
+    if start != header or sent_checksum != checksum(stretch[len(header) : -struct.calcsize(checksum_type)]):
         return None
     table = np.zeros((chips, 4))
     table[:, -columns:] = np.reshape(numbers, (chips, columns))
@@ -142,16 +143,16 @@ def encode(
     form: Format = Format.BINARY,
     count: int = 0,
 ) -> bytes:
-    """A frame as a board sends it.
+    """Encode a frame as a board sends it.
 
     Args:
-        reading: (3 chips,) uT, in the board's order; a chip that fails is NaN, or zero.
-        temperature: (chips,) degrees Celsius; a framed frame leaves it out.
-        form: Which firmware the board has.
-        count: Number of the frame, for a format that counts.
+        reading: (3 chips,) values in uT, in the board's order; a chip that fails is NaN, or zero.
+        temperature: (chips,) temperatures in degrees Celsius; the framed format leaves them out.
+        form: Format of the firmware.
+        count: Number of the frame, for a format with a counter.
 
     Returns:
-        The frame's bytes.
+        The bytes of the frame.
     """
     chips = len(temperature)
     field = reading.reshape(chips, 3)
@@ -159,14 +160,14 @@ def encode(
     table = np.column_stack([temperature, field])
     if form == Format.BINARY:
         return _packed(form, chips).pack(*table.ravel(), LINE_END)
-    header, columns, check, check_type = _CHECKED[form]
-    content = struct.pack(f"<B{columns * chips}f", count % COUNTS, *table[:, -columns:].ravel())
-    return header + content + struct.pack(f"<{check_type}", check(content))
+    header, columns, checksum, checksum_type = CHECKED_FORMATS[form]
+    content = struct.pack(f"<B{columns * chips}f", count % COUNTER_SIZE, *table[:, -columns:].ravel())
+    return header + content + struct.pack(f"<{checksum_type}", checksum(content))
 
 
 @lru_cache
 def _packed(form: Format, chips: int) -> struct.Struct:
     if form == Format.BINARY:
         return struct.Struct(f"<{4 * chips}f2s")
-    look = _CHECKED[form]
-    return struct.Struct(f"<2sB{look.columns * chips}f{look.check_type}")
+    layout = CHECKED_FORMATS[form]
+    return struct.Struct(f"<2sB{layout.columns * chips}f{layout.checksum_type}")

@@ -1,10 +1,10 @@
-"""The text tool of `python -m i2t.hardware.reskin`: ports, each chip's change, rate, losses, health; a table.
+"""The text tool `python -m i2t.hardware.reskin`: ports, each chip's change, rate, losses and health, and a table.
 
 `--record TABLE.csv` keeps every sample:
 
-    time_s        from the first sample
+    time_s        time since the first sample
     b0x_uT ...    three columns for each chip, in the board's order and the chips' own axes, nothing subtracted
-    t0_C ...      temperatures; both are empty for a chip that is missing
+    t0_C ...      temperatures; both are empty for a missing chip
 """
 
 import contextlib
@@ -26,117 +26,113 @@ from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.skin_health import check_skin
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board, mean_known
 
-TABLE_RATE_HZ, LINE_RATE_HZ = 10, 1  # of tables on a terminal; of lines elsewhere
-SHOWN_SAMPLES, REST_SAMPLES = 20, 100  # that a shown value, and the rest, is the mean of
-HEALTHY_TEXT = "healthy at rest"
-DECIMALS = 6  # of times and values in a file: more than the converter has
+SHOWN_SAMPLES, REST_SAMPLES = 20, 100  # number of samples in the mean that is shown, and in that at rest
 
 
 @dataclass(frozen=True)
 class Options:
-    """Show a ReSkin, AnySkin or eFlesh board live: readings less those at the start, rate, losses and health. Ctrl-C
-    ends it.
-    """
+    """Show a ReSkin, AnySkin or eFlesh board live: change of the readings, rate, losses and health. Ctrl-C ends it."""
 
     port: str | None = None
-    """Serial port; by default the one board that is plugged in."""
+    """Serial port; by default that of the only board that is plugged in."""
     baud: Count | None = None
     """Baud rate; by default the usual ones are tried."""
     board: str = DEFAULT_BOARD
-    """Which board it is: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a file (.toml)."""
+    """Type of the board: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a file (.toml)."""
     record: Path | None = None
     """Write every sample to this new table (.csv)."""
     seconds: Positive = float("inf")
-    """End after this long."""
+    """Duration in seconds."""
     list: bool = False
     """List the USB serial ports and end."""
 
 
 def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]:
-    """The lines that are shown.
+    """Format the lines that are shown.
 
     Args:
-        counters: Of the skin.
-        shown: Samples whose mean is shown; NaN for a chip that is missing.
-        rest: (c,) uT, subtracted from it.
+        counters: Counts of the skin.
+        shown: Samples whose mean is shown; NaN for a missing chip.
+        rest: (c,) reading at rest in uT, which is subtracted.
 
     Returns:
-        A line on the stream, a heading, one for each chip, and one on all of them.
+        A line about the stream, a heading, a line for each chip, and a line about all chips.
     """
     change = (mean_known(shown.reading, axis=0) - rest).reshape(-1, 3)
     chips = [
         f"{i:4d}  {'missing':>29}"
-        if np.isnan(each).all()
-        else f"{i:4d}  {each[0]:+9.1f} {each[1]:+9.1f} {each[2]:+9.1f}"
-        for i, each in enumerate(change)
+        if np.isnan(chip).all()
+        else f"{i:4d}  {chip[0]:+9.1f} {chip[1]:+9.1f} {chip[2]:+9.1f}"
+        for i, chip in enumerate(change)
     ]
-    warmth = [f"  {celsius:7.1f}" if np.isfinite(celsius) else "" for celsius in shown.temperature[-1]]
+    temperatures = [f"  {celsius:7.1f}" if np.isfinite(celsius) else "" for celsius in shown.temperature[-1]]
     return [
         f"{counters.rate:6.1f} Hz  {counters.samples} samples  lost {counters.lost} ({100 * counters.loss:.2f} %)"
         f" in {counters.gaps} gaps  {counters.skipped} stray bytes  {counters.empty} empty frames",
         "chip       x uT      y uT      z uT        C",
-        *map("".join, zip(chips, warmth, strict=True)),
+        *map("".join, zip(chips, temperatures, strict=True)),
         f"change of all: {np.linalg.norm(change[np.isfinite(change)]):.1f} uT",
     ]
 
 
-def _run(asked: Options) -> None:
-    if asked.list:
+def _run(args: Options) -> None:
+    if args.list:
         boards = ReSkin().ports()
         print("\n".join(f"{board.port}  {board.usb}  {board.description}" for board in boards) or "none")
         return
-    note, chips = board_note(asked.board), make_board(asked.board).num_chips
+    note, chips = board_note(args.board), make_board(args.board).num_chips
     if note:
         print(note, flush=True)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.suppress(KeyboardInterrupt))  # Ctrl-C is how it ends
-        skin = stack.enter_context(ReSkin(asked.port, asked.baud, chips=chips))
+        stack.enter_context(contextlib.suppress(KeyboardInterrupt))  # Ctrl-C ends the tool
+        skin = stack.enter_context(ReSkin(args.port, args.baud, chips=chips))
         info = skin.info
         print(f"{info.port}  {skin.features.source}  {info.form}  {info.baud} baud  {info.description}".rstrip())
-        keep = None
-        if asked.record is not None:
-            file = stack.enter_context(asked.record.open("x", newline="", buffering=1))
-            keep = stack.callback(_keeper(skin, csv.writer(file)))  # the rest, also of a board that is gone
-        _show(skin, asked.seconds, keep)
+        record = None
+        if args.record is not None:
+            file = stack.enter_context(args.record.open("x", newline="", buffering=1))
+            record = stack.callback(_recorder(skin, csv.writer(file)))  # also the last samples of a board that is gone
+        _show(skin, args.seconds, record)
 
 
-def _show(skin: ReSkin, seconds: float, keep: Callable[[], None] | None) -> None:
-    """Show and keep samples until the time is over; a board that is gone is an error."""
+def _show(skin: ReSkin, seconds: float, record: Callable[[], None] | None) -> None:
+    """Show and record samples until the time is over; raise DeviceError if the board is gone."""
     live, end, drawn = sys.stdout.isatty(), time.monotonic() + seconds, 0
-    first, health, rest = int(skin.latest().number[-1]), "the first samples are its zero", None
+    first, health, rest = int(skin.latest().number[-1]), "the first samples define zero", None
     while time.monotonic() < end:
         newest = int(skin.latest().number[-1])
         shown = skin.since(newest - SHOWN_SAMPLES)
-        if keep is not None:
-            keep()
+        if record is not None:
+            record()
         if rest is None and newest - first >= REST_SAMPLES:
             early = skin.since(first)
-            rest, found = mean_known(early.reading, axis=0), check_skin(early).defects
-            health = "; ".join(f"UNHEALTHY: {each.sentence}" for each in found) or HEALTHY_TEXT
+            rest, defects = mean_known(early.reading, axis=0), check_skin(early).defects
+            health = "; ".join(f"UNHEALTHY: {defect.sentence}" for defect in defects) or "healthy at rest"
         lines = [*table(skin.counters, shown, mean_known(shown.reading, axis=0) if rest is None else rest), health]
         if live:
             print(f"\x1b[{drawn}F\x1b[J" if drawn else "", "\n".join(lines), sep="")
             drawn = len(lines)
         else:
             print(lines[0], lines[-2], health, sep="  ", flush=True)
-        time.sleep(1 / (TABLE_RATE_HZ if live else LINE_RATE_HZ))
+        time.sleep(0.1 if live else 1.0)
 
 
-def _keeper(skin: ReSkin, file: Any) -> Callable[[], None]:
-    """Begin a table; what is returned writes the samples that have come since the last call, from the newest one on."""
-    begun = skin.latest()
-    kept, chips = int(begun.number[-1]) - 1, range(begun.temperature.shape[1])
+def _recorder(skin: ReSkin, file: Any) -> Callable[[], None]:
+    """Begin a table at the newest sample; the returned function writes the samples since its last call."""
+    first = skin.latest()
+    newest, chips = int(first.number[-1]) - 1, range(first.temperature.shape[1])
     file.writerow(["time_s", *(f"b{i}{axis}_uT" for i in chips for axis in "xyz"), *(f"t{i}_C" for i in chips)])
 
-    def keep() -> None:
-        nonlocal kept
-        with contextlib.suppress(DeviceError):  # which `latest` says, of a board that is gone
-            new = skin.since(kept)
-            columns = np.column_stack([new.time - begun.time[0], new.reading, new.temperature])
-            file.writerows([f"{x:.{DECIMALS}f}" if np.isfinite(x) else "" for x in row] for row in columns)
-            kept = max([kept, *new.number.tolist()])
+    def record() -> None:
+        nonlocal newest
+        with contextlib.suppress(DeviceError):  # `latest` reports a board that is gone
+            new = skin.since(newest)
+            columns = np.column_stack([new.time - first.time[0], new.reading, new.temperature])
+            # Six decimals exceed the resolution of the converter.
+            file.writerows([f"{x:.6f}" if np.isfinite(x) else "" for x in row] for row in columns)
+            newest = max([newest, *new.number.tolist()])
 
-    return keep
+    return record
 
 
 main = command(Options, _run, program="python -m i2t.hardware.reskin")

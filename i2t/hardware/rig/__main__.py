@@ -1,4 +1,4 @@
-"""Check a lab's calibration and say what it means: `python -m i2t.hardware.rig --help`."""
+"""Check a lab's calibration and explain what it means: `python -m i2t.hardware.rig --help`."""
 
 import sys
 from dataclasses import dataclass
@@ -14,18 +14,18 @@ from i2t.hardware.rig_checks import implausible
 
 @dataclass(frozen=True)
 class RigArgs:
-    """Check a lab's calibration and say what it means."""
+    """Check a lab's calibration and explain what it means."""
 
-    file: tyro.conf.Positional[Path]  # the lab's calibration
-    example: bool = False  # write that of the emulators, to start from
+    file: tyro.conf.Positional[Path]  # the lab's calibration file
+    example: bool = False  # write the emulated lab's file, to start from
 
 
-def _check(asked: RigArgs) -> int:
-    if asked.example:
-        if asked.file.exists():
-            raise FileExistsError(f"{asked.file}: exists already; give another name")
-        Rig().write(asked.file)
-    rig = Rig.read(asked.file)
+def _check(args: RigArgs) -> int:
+    if args.example:
+        if args.file.exists():
+            raise FileExistsError(f"{args.file}: exists already; give another name")
+        Rig().write(args.file)
+    rig = Rig.read(args.file)
     print(summary(rig))
     doubts = implausible(rig)
     for doubt in doubts:

@@ -1,7 +1,7 @@
 """Access to a UR arm: its dashboard, its lock, and the conditions under which the client library may connect.
 
-A second client replaces the first without a word. So it is asked before whether somebody has the arm: other programs of
-this user by a lock, anybody else by whether a program runs on the controller already.
+A second client replaces the first silently. So the driver first checks that the arm is free: a lock excludes other
+programs of this user, and a program that already runs on the controller reveals other clients.
 
 Source: Universal Robots' dashboard server manual.
 """
@@ -15,11 +15,10 @@ from typing import IO
 
 from i2t.errors import DeviceError
 from i2t.hardware.poses import pose_from_vector
-from i2t.hardware.ur.ports import DASHBOARD_PORT, PROBE_TIMEOUT_S, RTDE, SCRIPT, Answer, Port, probe, why_no_answer
+from i2t.hardware.ur.ports import DASHBOARD, RTDE, SCRIPT, Answer, Port, probe, why_no_answer
 from i2t.types import Array
 
-NO_LIBRARY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
-SAFE = ("NORMAL", "REDUCED")  # safety status in which an arm may be moved
+LIBRARY_REMEDY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
 
 
 def ask_dashboard(host: str, line: str) -> str:
@@ -27,16 +26,16 @@ def ask_dashboard(host: str, line: str) -> str:
 
     Args:
         host: Address of the controller.
-        line: The question or command.
+        line: Question or command.
 
     Returns:
-        The answer.
+        The answer of the dashboard, one line.
 
     Raises:
-        OSError: There is none in time.
+        OSError: No answer came in time.
     """
-    address = host, DASHBOARD_PORT
-    with socket.create_connection(address, PROBE_TIMEOUT_S) as connection, connection.makefile("rw") as lines:
+    address, timeout = (host, DASHBOARD.number), 1.0  # s
+    with socket.create_connection(address, timeout) as connection, connection.makefile("rw") as lines:
         lines.readline()
         lines.write(line + "\n")
         lines.flush()
@@ -47,22 +46,22 @@ def ask_dashboard(host: str, line: str) -> str:
 
 
 def lock_folder() -> Path:
-    """The folder of this user's locks: in `$XDG_RUNTIME_DIR`, or in `~/.cache`."""
+    """Return the folder of this user's locks: in `$XDG_RUNTIME_DIR`, or in `~/.cache`."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     return (Path(runtime) if runtime else Path.home() / ".cache") / "i2t"
 
 
 def take_lock(host: str) -> IO[str]:
-    """Keep other programs of this user from an arm.
+    """Exclude other programs of this user from an arm.
 
     Args:
         host: Address of the controller.
 
     Returns:
-        The lock, held until it is closed.
+        The lock file, held until it is closed.
 
     Raises:
-        DeviceError: Another program has it, or it cannot be made.
+        DeviceError: Another program holds the lock, or the file cannot be created.
     """
     try:
         import fcntl
@@ -71,7 +70,7 @@ def take_lock(host: str) -> IO[str]:
     path = lock_folder() / f"ur-{host}.lock"
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        # A symbolic link is not followed, and nothing is truncated before the lock is ours.
+        # Do not follow a symbolic link, and do not truncate the file before the lock is held.
         lock = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600), "r+")
     except (OSError, RuntimeError) as error:  # RuntimeError: there is no home directory
         reason = error.strerror if isinstance(error, OSError) else str(error)
@@ -89,14 +88,14 @@ def take_lock(host: str) -> IO[str]:
 
 
 def check_reachable(host: str, port: Port = RTDE) -> None:
-    """Ask a controller whether a port of it answers, by default that of RTDE.
+    """Check that a port of a controller answers.
 
     Args:
-        host: Its address.
-        port: Of `i2t.hardware.ur.ports`.
+        host: Address of the controller.
+        port: Port to check, by default that of RTDE.
 
     Raises:
-        DeviceError: It does not; the message says which ports do, and what to change.
+        DeviceError: The port does not answer; the message says which ports do, and what to change.
     """
     with _no_answer(host):
         if (answer := probe(host, port)) is not Answer.ANSWERS:
@@ -104,13 +103,13 @@ def check_reachable(host: str, port: Port = RTDE) -> None:
 
 
 def check_controller(host: str) -> None:
-    """Ask a controller whether it could be controlled now.
+    """Check that a controller can be controlled now.
 
     Args:
-        host: Its address.
+        host: Address of the controller.
 
     Raises:
-        DeviceError: It is in local mode or stopped for safety, has another client, or does not answer.
+        DeviceError: The controller is in local mode or stopped for safety, has another client, or does not answer.
     """
     check_reachable(host)
     with _no_answer(host):
@@ -124,9 +123,8 @@ def check_controller(host: str) -> None:
             raise DeviceError(
                 f"The robot at {host} is in a protective stop: clear its cause, and release it on the pendant."
             )
-        if (
-            safety.isupper() and safety not in SAFE
-        ):  # words in small letters: an old dashboard does not know the question
+        # An answer in small letters comes from an old dashboard that does not know the question.
+        if safety.isupper() and safety not in ("NORMAL", "REDUCED"):
             raise DeviceError(f"The robot at {host} is stopped for safety ({safety}): release it on the pendant.")
         if ask_dashboard(host, "running") == "Program running: true":
             raise DeviceError(f"A program runs on the controller at {host}, perhaps for another client: end it first.")
@@ -134,13 +132,13 @@ def check_controller(host: str) -> None:
 
 
 def controller_serial(host: str) -> str:
-    """The serial number of a controller, as its dashboard tells it.
+    """Ask a controller's dashboard for its serial number.
 
     Args:
-        host: Its address.
+        host: Address of the controller.
 
     Returns:
-        The number; empty where the dashboard does not tell (controllers before e-Series).
+        The serial number; empty if the dashboard does not report it (controllers before the e-Series).
     """
     try:
         answer = ask_dashboard(host, "get serial number")
@@ -151,7 +149,7 @@ def controller_serial(host: str) -> str:
 
 @contextlib.contextmanager
 def _no_answer(host: str) -> Iterator[None]:
-    """Turn a failed connection into an error of one sentence, which says which ports answer."""
+    """Turn a failed connection into a DeviceError that says which ports answer."""
     try:
         yield
     except OSError as error:
@@ -160,13 +158,13 @@ def _no_answer(host: str) -> Iterator[None]:
 
 
 def tool_pose(host: str) -> Array:
-    """Pose of a UR arm's tool now, without controlling it.
+    """Read the pose of a UR arm's tool without controlling the arm.
 
     Args:
         host: Address of the controller.
 
     Returns:
-        (4, 4) T_b_t.
+        (4, 4) T_b_t, m.
 
     Raises:
         DeviceError: The controller does not answer, or ur_rtde is missing.
@@ -175,12 +173,12 @@ def tool_pose(host: str) -> Array:
     try:
         import rtde_receive
 
-        listening = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
+        receiver = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
     except ImportError as error:
-        raise DeviceError(NO_LIBRARY) from error
+        raise DeviceError(LIBRARY_REMEDY) from error
     except RuntimeError as error:
-        raise DeviceError(f"The controller at {host} gives no states: {error}.") from error
+        raise DeviceError(f"The controller at {host} sends no states: {error}.") from error
     try:
-        return pose_from_vector(listening.getActualTCPPose())
+        return pose_from_vector(receiver.getActualTCPPose())
     finally:
-        listening.disconnect()
+        receiver.disconnect()

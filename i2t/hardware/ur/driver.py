@@ -1,27 +1,29 @@
 """A Universal Robots arm over ur_rtde, moved only in ways that can be watched and stopped.
 
-A motion is refused before anything is sent if its goal is outside the box or it is too fast. The
-client library runs in a process of its own (`i2t.hardware.ur.rtde_worker`), where it can neither crash this one nor
-connect again without a watchdog. Motions are asynchronous straight lines, so no call into the library hides what the
-robot does, and `stop` works from any thread.
+A motion is refused before anything is sent if its goal is outside the box or it is too fast. The client library runs in
+a process of its own (`i2t.hardware.ur.rtde_worker`), where it can neither crash this process nor reconnect without a
+watchdog. Motions are asynchronous straight lines, so no call into the library hides the robot's state, and `stop` works
+from any thread.
 
-What stops the arm, besides `stop` and the limits of a motion:
+Besides `stop` and the limits of a motion, these events stop the arm:
 
-- No news: during a motion the controller's clock must advance within `state_timeout` seconds. Otherwise the watchdog is
-  no longer fed, so that the controller ends the program by itself, and "stop" goes to the dashboard, another
+- No states: during a motion the controller's clock must advance within `state_timeout` seconds. Otherwise the watchdog
+  is no longer fed, so that the controller ends the program by itself, and "stop" goes to the dashboard over another
   connection.
 - A lost connection: one of the library's connections breaks, or its process dies. The arm is given up in the same way;
-  nothing connects again before `connect` is called.
-- Nobody watches: an approach whose caller has not looked for `state_timeout` seconds, as when its stop condition hangs.
-  What else every state of a motion must be is judged in `i2t.hardware.guarded`; force and torque are judged in the
-  library's process, too, as soon as it knows them.
-- This process dies or hangs, even by kill -9: the watchdog runs dry (`watchdog_rate` Hz; 0.1 s by default) and the
-  controller ends the program. Ctrl-C, SIGTERM and SIGHUP (a terminal that is closed) brake at once, inside a `with`
-  block on the main thread.
+  nothing reconnects before `connect` is called.
+- An unwatched approach: the caller has not polled for `state_timeout` seconds, for example because its stop condition
+  hangs. `i2t.hardware.guarded` lists the other checks of every state. The library's process checks force and torque
+  too, as soon as it reads them.
+- The death or hang of this process, even by kill -9: the watchdog runs out (`watchdog_rate` Hz; 0.1 s by default) and
+  the controller ends the program. Ctrl-C, SIGTERM and SIGHUP (a closed terminal) brake at once, inside a `with` block
+  on the main thread.
 
-Poses are (4, 4) T_b_t in metres, tool in robot base; forces act on the tool, in the tool's axes. The box holds the
-tool's origin: flange, elbow and cable are not watched here, so set the robot's own safety limits on the pendant too.
-The speed slider is left to people and respected. Linux and macOS, ur_rtde 1.6 (Python 3.11 and 3.12).
+Poses are (4, 4) T_b_t in metres, tool in robot base; forces act on the tool, in the tool's axes. The driver respects
+the pendant's speed slider and never sets it. Linux and macOS, ur_rtde 1.6 (Python 3.11 and 3.12).
+
+WARNING: The box holds the tool's origin only. Flange, elbow and cable are not watched: set the robot's own safety
+limits on the pendant too.
 """
 
 import contextlib
@@ -36,16 +38,10 @@ import numpy as np
 
 from i2t.errors import DeviceError
 from i2t.hardware.guarded import BRAKING_SIGNALS, GuardedByPolling
-from i2t.hardware.limits import MotionLimits
+from i2t.hardware.limits import SAFETY, range_of
+from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState
-from i2t.hardware.ur.access import (
-    NO_LIBRARY,
-    check_controller,
-    controller_serial,
-    take_lock,
-    tool_pose,
-)
-from i2t.hardware.ur.config import STATE_TIMEOUT_S, WATCHDOG_RATE_HZ, check_watch
+from i2t.hardware.ur.access import LIBRARY_REMEDY, check_controller, controller_serial, take_lock, tool_pose
 from i2t.hardware.ur.rtde_link import RtdeConnection
 from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
@@ -57,19 +53,19 @@ class UrArm(GuardedByPolling):
     Args:
         host: Address of the controller.
         limits: Box, speed, acceleration, force and torque that nothing exceeds.
-        tool: (4, 4) pose of the tool in the flange, m, sent to the controller; None keeps what is set on the pendant.
-        payload: Mass in kg and its centre (3,) in m in the flange, sent to the controller; None keeps what is set.
-        state_timeout: s without news in a motion after which the arm is taken for lost.
-        watchdog_rate: Hz, how often the controller must hear from us.
-        source: Real or emulated; by default an address of this machine itself is emulated.
+        tool: (4, 4) pose of the tool in the flange, m, sent to the controller; None keeps the pendant's setting.
+        payload: Mass in kg and its centre (3,) in the flange, m, sent to the controller; None keeps the pendant's.
+        state_timeout: Time in s without a new state in a motion, after which the arm is given up.
+        watchdog_rate: Minimum rate of the heartbeats in Hz, below which the controller ends the program.
+        source: "real" or "emulated"; by default an address of this machine is emulated.
 
     Raises:
-        ValueError: `state_timeout` or `watchdog_rate` protects nobody, or no controller can keep to it.
+        ValueError: `state_timeout` or `watchdog_rate` is outside the range of `i2t.hardware.limits`.
         DeviceError: ur_rtde is not installed.
     """
 
     rate, poll_s, start_s = STATE_RATE_HZ, POLL_S / 2, 0.0
-    can_be_paused = True  # by the pendant's speed slider
+    can_be_paused = True  # with the pendant's speed slider
 
     def __init__(
         self,
@@ -78,13 +74,18 @@ class UrArm(GuardedByPolling):
         tool: Array | None = None,
         payload: tuple[float, tuple[float, float, float]] | None = None,
         *,
-        state_timeout: float = STATE_TIMEOUT_S,
-        watchdog_rate: float = WATCHDOG_RATE_HZ,
+        state_timeout: float = SAFETY.state_timeout_s,
+        watchdog_rate: float = SAFETY.watchdog_rate_hz,
         source: Literal["real", "emulated"] | None = None,
     ) -> None:
-        check_watch(state_timeout, watchdog_rate)
+        for name, value in (("state_timeout", state_timeout), ("watchdog_rate", watchdog_rate)):
+            low, high, unit = range_of(name)
+            if not low <= value <= high:
+                raise ValueError(
+                    f"The {name.replace('_', ' ')} {value:g} {unit} is outside {low:g} to {high:g} {unit}."
+                )
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
-            raise DeviceError(NO_LIBRARY)
+            raise DeviceError(LIBRARY_REMEDY)
         super().__init__(limits)
         self.connection, self.state_timeout = RtdeConnection(host, state_timeout, watchdog_rate), state_timeout
         self.name, self.host, self.tool, self.payload = f"UR at {host}", host, tool, payload
@@ -117,7 +118,7 @@ class UrArm(GuardedByPolling):
         sys.exit(128 + number)
 
     def open_link(self) -> None:
-        """Take control; raises DeviceError where somebody else has it, or the robot refuses or does not answer."""
+        """Take control; raise DeviceError if another client has it, or the robot refuses or does not answer."""
         try:
             self._lock = take_lock(self.host)
             check_controller(self.host)
@@ -128,7 +129,7 @@ class UrArm(GuardedByPolling):
             raise
 
     def close_link(self) -> None:
-        """End the program and let go, from any thread."""
+        """End the program and disconnect, from any thread."""
         with self._closing:
             try:
                 with contextlib.suppress(DeviceError):
@@ -141,11 +142,11 @@ class UrArm(GuardedByPolling):
                     lock.close()
 
     def read_state(self) -> ArmState:
-        """The newest state; raises DeviceError where the arm is lost, or its program has ended."""
+        """Return the newest state; raise DeviceError if the arm is lost, or its program has ended."""
         return self.connection.running(np.inf)
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion, as in `GuardedByPolling.begin_line`; the library's process keeps its bounds, too."""
+        """Start a straight motion, as in `GuardedByPolling.begin_line`; the library's process keeps its bounds too."""
         self.connection.start_motion(T_b_t, speed=speed, acceleration=acceleration, bounds=self.bounds)
 
     def brake(self) -> None:
@@ -153,29 +154,29 @@ class UrArm(GuardedByPolling):
         self.connection.request_stop()
 
     def zero_sensor(self) -> None:
-        """Take the wrench felt now for zero."""
+        """Zero the wrench at its present value."""
         self.connection.zero_wrench(1.0)
 
     def speed_share(self) -> float:
-        """Share of the asked speed that the pendant's slider leaves now."""
+        """Return the share of the requested speed that the pendant's slider leaves."""
         return self.connection.speed_share
 
-    def stop(self, timeout: float = 1.0) -> None:
-        """Brake and return when the arm stands, as in `Arm.stop`; one that is not seen to is given up."""
-        # No lock, as a motion that is being begun holds it: that one asks for the number of stops again.
-        self._stops, self._free = self._stops + 1, None
+    def stop(self, timeout: float = SAFETY.stop_timeout_s) -> None:
+        """Brake and return when the arm stands, as in `Arm.stop`; give up an arm that is not seen to stand."""
+        # No lock, because a motion that is being started holds it; that motion checks the number of stops again.
+        self._stops, self._free_watch = self._stops + 1, None
         self.connection.stop(timeout)
 
     def _halt(self, ended: threading.Event | None = None) -> None:
-        """Stop, once: the connection does not give up before the arm stands, or is lost."""
+        """Stop once: the connection keeps braking until the arm stands or is given up."""
         with contextlib.suppress(DeviceError):
             self.stop()
 
     def tool_pose(self) -> Array:
-        """Pose of the tool now, by listening alone: the arm need not be connected, and is not controlled.
+        """Read the pose of the tool without controlling the arm, which need not be connected.
 
         Returns:
-            (4, 4) T_b_t.
+            (4, 4) T_b_t, m.
 
         Raises:
             DeviceError: The controller does not answer.
@@ -184,5 +185,5 @@ class UrArm(GuardedByPolling):
 
     @property
     def stall_s(self) -> float:
-        """Time (s) after which it stops by itself where this computer stalls."""
+        """Time (s) after which the arm stops by itself if this computer stalls."""
         return 1 / self.connection.watchdog_rate

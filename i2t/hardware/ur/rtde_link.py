@@ -1,10 +1,10 @@
-"""The connection with a UR controller: what is known of the arm, the way to command it, and what happens if it is lost.
+"""The connection with a UR controller: state of the arm, commands, and what happens when the connection is lost.
 
-`RtdeConnection` starts the process that holds the client library (`i2t.hardware.ur.rtde_worker`, which says why) and
-keeps one thread. The thread takes the states that come, passes on a request to stop, and sends a heartbeat every 20 ms
-as long as states come; heartbeats are what feeds the controller's watchdog. When states no longer come, or the process
-ends, no heartbeat is sent, "stop" goes to the dashboard, another connection, and the process is ended. A connection
-that was lost is never made again by itself.
+`RtdeConnection` starts the process that holds the client library (`i2t.hardware.ur.rtde_worker` explains why) and keeps
+one thread. The thread receives the states, passes on a request to stop, and sends a heartbeat every 20 ms as long as
+states arrive; the heartbeats feed the controller's watchdog. When states no longer arrive, or the process ends, the
+heartbeats stop, "stop" goes to the dashboard over another connection, and the process is ended. A lost connection is
+never restored automatically.
 """
 
 import contextlib
@@ -23,36 +23,34 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
+from i2t.hardware.limits import SAFETY
 from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ArmState
 from i2t.hardware.rig_checks import other_tool
 from i2t.hardware.ur import rtde_worker
 from i2t.hardware.ur.access import ask_dashboard
-from i2t.hardware.ur.rtde_worker import POLL_S, Channel, Message
+from i2t.hardware.ur.rtde_worker import POLL_S, Channel, Message, WorkerLimits
 from i2t.types import Array
-
-HEARTBEAT_S = 0.02  # between two heartbeats
-CONNECT_S = 20.0  # in which the client library must have connected
-ANSWER_S = 2.0  # in which a command must have been carried out
-GOODBYE_S = 1.0  # in which the process must have ended by itself
 
 
 class ControllerState(NamedTuple):
-    """Last state that the controller sent."""
+    """Newest state that the controller sent."""
 
     arm: ArmState
-    speed_share: float  # of the asked speed that the slider on the pendant leaves
-    program: bool  # whether the program that obeys us runs
+    speed_share: float  # share of the requested speed that the pendant's slider leaves
+    program: bool  # whether our program runs on the controller
 
 
 class RtdeConnection:
-    """A connection that can be opened, lost, closed and opened anew; every method may be called from any thread.
+    """A connection that can be opened, lost, closed and reopened; every method may be called from any thread.
 
     Args:
         host: Address of the controller.
-        state_timeout: s without a new state in a motion after which the controller is taken for lost.
-        watchdog_rate: Hz, how often the controller must hear from us.
+        state_timeout: Time in s without a new state in a motion, after which the controller is given up.
+        watchdog_rate: Minimum rate of the heartbeats in Hz, below which the controller ends the program.
     """
+
+    exit_timeout = 1.0  # s, in which the process must have ended by itself
 
     def __init__(self, host: str, state_timeout: float, watchdog_rate: float) -> None:
         self.host, self.state_timeout, self.watchdog_rate = host, state_timeout, watchdog_rate
@@ -60,7 +58,7 @@ class RtdeConnection:
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
         self._ending: threading.Thread | None = None
-        self._ordering = threading.Lock()  # a motion is sent before a brake or not at all
+        self._command_lock = threading.Lock()  # a motion is sent before a brake or not at all
         self._reset()
 
     def _reset(self) -> None:
@@ -71,30 +69,37 @@ class RtdeConnection:
         self._heartbeat_time = -np.inf
         self._stop_requested = False
         self._brake: Future[None] | None = None
-        self._trip: ArmState | None = None  # that was above a motion's limits, until a brake or the next motion
+        self._trip: ArmState | None = None  # state above a motion's bounds, until a brake or the next motion
 
     @property
     def speed_share(self) -> float:
-        """Share of the asked speed that the slider on the pendant leaves; NaN before the first state."""
+        """Share of the requested speed that the pendant's slider leaves; NaN before the first state."""
         return np.nan if self._state is None else self._state.speed_share
 
     def open(self, tool: Array | None, payload: tuple[float, tuple[float, float, float]] | None) -> None:
         """Connect, set tool, payload and watchdog, and wait for the first state.
 
         Args:
-            tool: (4, 4) pose of the tool in the flange, m; None keeps what is set on the pendant.
-            payload: kg and centre (3,) in m in the flange; None keeps what is set.
+            tool: (4, 4) pose of the tool in the flange, m; None keeps the pendant's setting.
+            payload: Mass in kg and its centre (3,) in the flange, m; None keeps the pendant's setting.
 
         Raises:
-            DeviceError: The controller cannot be controlled, or was told another TCP on its pendant.
+            DeviceError: The controller cannot be controlled, or its pendant has another TCP.
         """
         self._reset()
         request = {
             "host": self.host,
             "tool": None if tool is None else pose_to_vector(tool),
             "payload": None if payload is None else [payload[0], list(payload[1])],
-            "watchdog_rate": self.watchdog_rate,
-            "state_timeout": self.state_timeout,
+            "limits": WorkerLimits(
+                watchdog_rate=self.watchdog_rate,
+                state_timeout=self.state_timeout,
+                braking=SAFETY.braking_m_s2,
+                standing_speed=SAFETY.standing_speed,
+                brake_settling=SAFETY.brake_settling_s,
+                start_timeout=SAFETY.start_timeout_s,
+                exit_timeout=SAFETY.worker_exit_timeout_s,
+            )._asdict(),
         }
         self._channel = self._start_worker(request)
         reply = self._first_message(self._channel)
@@ -106,28 +111,28 @@ class RtdeConnection:
         self._thread = threading.Thread(target=self._read_loop, args=(self._channel,), name=f"UR {self.host}")
         self._thread.daemon = True
         self._thread.start()
-        deadline = time.monotonic() + ANSWER_S  # the first states may be older than the program
+        deadline = time.monotonic() + SAFETY.command_timeout_s  # the first states may be older than the program
         while self._heartbeat_time < 0 and self._failure is None and time.monotonic() < deadline:
             time.sleep(POLL_S / 2)
-        self._wait(self._send("set_watchdog"), ANSWER_S)  # now that it is fed
-        self.running(ANSWER_S)
+        self._wait(self._send("set_watchdog"), SAFETY.command_timeout_s)  # now that it is fed
+        self.running(SAFETY.command_timeout_s)
 
     def close(self) -> None:
-        """End the process and with it the connection; on a controller that still listens the program ends."""
+        """End the process and thus the connection; the program on a controller that still listens ends too."""
         if self._ending is not None:
             self._ending.join(5.0)
         self._end()
 
-    # What is known
+    # State
 
     def newest(self, timeout: float) -> ControllerState:
-        """The newest state, whatever its content.
+        """Return the newest state, whatever it contains.
 
         Args:
-            timeout: s that the state may be old, and that the first one is waited for.
+            timeout: Maximum age of the state, and maximum wait for the first state, in s.
 
         Returns:
-            The state.
+            The newest state of the controller.
 
         Raises:
             NotConnectedError: There is no connection.
@@ -143,20 +148,20 @@ class RtdeConnection:
             raise NotConnectedError(f"The arm at {self.host} is not connected.")
         age = np.inf if state is None else time.monotonic() - state.arm.time
         if state is None or not age <= timeout:
-            raise self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
+            raise self.give_up(f"No state arrived from {self.host} for {age:.2f} s: the arm was told to stop.")
         return state
 
     def running(self, timeout: float) -> ArmState:
-        """The newest state of an arm whose program runs.
+        """Return the newest state of an arm whose program runs.
 
         Args:
-            timeout: s, as in `newest`.
+            timeout: Maximum age in s, as in `newest`.
 
         Returns:
-            The state; pose and wrench that were above a motion's limits until the arm is told to brake, or to move.
+            The newest state. After a trip it keeps the pose and wrench that tripped, until the next brake or motion.
 
         Raises:
-            DeviceError: The program has ended; and as in `newest`.
+            DeviceError: The program has ended, or an error of `newest`.
         """
         state, trip = self.newest(timeout), self._trip
         if not state.program and state.arm.safe:
@@ -169,17 +174,17 @@ class RtdeConnection:
     # Commands
 
     def request_stop(self) -> None:
-        """Have the thread brake; a plain assignment, for a signal handler, which must not wait for a lock."""
+        """Have the thread brake; a plain assignment, because a signal handler must not wait for a lock."""
         self._stop_requested = True
 
     def stop(self, timeout: float = 1.0) -> None:
         """Brake and return when the arm stands.
 
         Args:
-            timeout: s.
+            timeout: Time in s until the arm must stand.
 
         Raises:
-            DeviceError: It was not seen to stand in time; the arm has been given up.
+            DeviceError: The arm was not seen to stand in time, and has been given up.
         """
         if self._thread is None:
             return
@@ -197,39 +202,39 @@ class RtdeConnection:
 
         Args:
             goal: (4, 4) pose of the tool in the base, m.
-            speed: m/s.
-            acceleration: m/s^2.
-            bounds: N and Nm that end it early.
+            speed: Speed in m/s.
+            acceleration: Acceleration in m/s^2.
+            bounds: Force in N and torque in Nm that end the motion early.
 
         Raises:
-            MotionStoppedError: A stop was asked for meanwhile.
-            DeviceError: As in `running`, or the controller did not take it.
+            MotionStoppedError: A stop was requested meanwhile.
+            DeviceError: The controller refused the motion, or an error of `running`.
         """
         motion = {"pose": pose_to_vector(goal), "speed": speed, "acceleration": acceleration}
-        with self._ordering:
+        with self._command_lock:
             self.running(self.state_timeout)
             if self._stop_requested:
                 raise MotionStoppedError(f"The arm at {self.host} was stopped by request.")
             self._trip = None
             answer = self._send("move", {**motion, "force": bounds[0], "torque": bounds[1]})
-        self._wait(answer, ANSWER_S)
+        self._wait(answer, SAFETY.command_timeout_s)
 
     def zero_wrench(self, timeout: float) -> None:
-        """Take the wrench felt now for zero, as in `Arm.zero_wrench`."""
+        """Zero the wrench at its present value, as in `Arm.zero_wrench`."""
         self._wait(self._send("zero_wrench"), timeout)
 
     def end_program(self) -> None:
-        """End the program that obeys us; raises DeviceError."""
-        self._wait(self._send("end_program"), ANSWER_S)
+        """End our program on the controller; raise DeviceError if that fails."""
+        self._wait(self._send("end_program"), SAFETY.command_timeout_s)
 
     def give_up(self, sentence: str) -> DeviceTimeoutError:
-        """Take the arm for lost: no heartbeat any more, "stop" to the dashboard, and the process is ended.
+        """Give up the arm: end the heartbeats, send "stop" to the dashboard, and end the process.
 
         Args:
-            sentence: What happened.
+            sentence: Message that says what happened.
 
         Returns:
-            The error to raise; the first one if the arm was lost already.
+            The error to raise; the first one if the arm had been given up already.
         """
         if self._failure is not None:
             return self._failure
@@ -256,7 +261,7 @@ class RtdeConnection:
             channel.send({"command": command, "id": number, "arguments": arguments or {}})
         except OSError as error:
             ended = isinstance(error, BrokenPipeError | ConnectionResetError)
-            why = self._last_words() if ended else error
+            why = self._exit_reason() if ended else error
             raise self.give_up(f"The connection to the controller at {self.host} broke: {why}.") from error
         return answer
 
@@ -277,8 +282,8 @@ class RtdeConnection:
                     self._take(message)
                 self._react()
                 self._send_heartbeat(channel)
-        except (EOFError, BrokenPipeError, ConnectionResetError):  # whichever is met first once the process has ended
-            self.give_up(f"The connection to the controller at {self.host} broke: {self._last_words()}.")
+        except (EOFError, BrokenPipeError, ConnectionResetError):  # whichever comes first when the process has ended
+            self.give_up(f"The connection to the controller at {self.host} broke: {self._exit_reason()}.")
         except Exception as error:
             self.give_up(f"The connection to the controller at {self.host} broke: {error}.")
 
@@ -305,18 +310,18 @@ class RtdeConnection:
         self._state = ControllerState(arm, raw["speed_share"], raw["program"])
 
     def _react(self) -> None:
-        """Give up a controller that fell silent in a motion; brake by request."""
+        """Give up a controller that falls silent in a motion; brake on request."""
         state, now = self._state, time.monotonic()
         if state is not None and state.arm.moving:
             age = now - state.arm.time
             if not age <= self.state_timeout:
-                self.give_up(f"No news from the controller at {self.host} for {age:.2f} s: it was told to stop.")
+                self.give_up(f"No state arrived from {self.host} for {age:.2f} s: the arm was told to stop.")
                 return
         if self._stop_requested and self._brake is None:
-            if state is not None and not now - state.arm.time <= self.state_timeout:  # it would not answer
+            if state is not None and not now - state.arm.time <= self.state_timeout:  # it would not answer a command
                 self.give_up(f"The controller at {self.host} fell silent: it was told to stop.")
                 return
-            with self._ordering:
+            with self._command_lock:
                 self._brake = self._send("brake")
         elif self._brake is not None and self._brake.done():
             self._brake, self._stop_requested, self._trip = None, False, None
@@ -324,7 +329,7 @@ class RtdeConnection:
     def _send_heartbeat(self, channel: Channel) -> None:
         state, now = self._state, time.monotonic()
         fresh = state is not None and state.program and now - state.arm.time <= self.state_timeout
-        if fresh and now - self._heartbeat_time >= HEARTBEAT_S:
+        if fresh and now - self._heartbeat_time >= SAFETY.heartbeat_period_s:
             self._heartbeat_time = now
             channel.send({"heartbeat": True})
 
@@ -338,27 +343,28 @@ class RtdeConnection:
                 stdin=theirs.fileno(),
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C in the terminal is for us alone
+                start_new_session=True,  # Ctrl-C in the terminal must not reach it
             )
         return Channel(ours)
 
     def _first_message(self, channel: Channel) -> dict[str, Any]:
-        deadline = time.monotonic() + CONNECT_S
+        timeout = 20.0  # s, for the client library to connect
+        deadline = time.monotonic() + timeout
         try:
             while time.monotonic() < deadline:
                 for message in channel.receive(POLL_S):
                     return message
         except EOFError:
-            return {"error": self._last_words()}
-        return {"error": f"it did not answer within {CONNECT_S:g} s"}
+            return {"error": self._exit_reason()}
+        return {"error": f"it did not answer within {timeout:g} s"}
 
-    def _last_words(self) -> str:
-        """Reason for the end of the process."""
+    def _exit_reason(self) -> str:
+        """Explain why the process ended."""
         process = self._process
         code = None
         if process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                code = process.wait(GOODBYE_S)
+                code = process.wait(self.exit_timeout)
         if code is not None and code < 0:
             return f"the client library was ended by {signal.Signals(-code).name}"
         return "the client library ended"
@@ -374,7 +380,7 @@ class RtdeConnection:
         process, self._process = self._process, None
         if process is not None:
             try:
-                process.wait(GOODBYE_S)
+                process.wait(self.exit_timeout)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
