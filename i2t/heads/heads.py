@@ -52,7 +52,7 @@ from i2t.heads.regression import (
     predict_regression,
 )
 from i2t.leave_one_out import STDS_WITHIN_90
-from i2t.recordings.diagnose.smooth import thinned
+from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.read import (
     MIN_CHANGE,
     TARGETS,
@@ -250,7 +250,7 @@ def fit_head(
     """
     budget = HeadBudget() if budget is None else budget
     rows = target_rows(recording, target)
-    rows = rows[thinned(len(rows), budget.rows)]
+    rows = rows[subsample(len(rows), budget.rows)]
     channels = np.flatnonzero(np.ptp(recording.readings[rows], axis=0) > 0)
     if not len(channels):
         raise ValueError(f"{recording.name}: no channel changes, so that {target} cannot be predicted from them")
@@ -528,7 +528,7 @@ def _fit_spread(readings: np.ndarray, errors: np.ndarray, groups: np.ndarray, di
     middle, width = raw.mean(0), np.maximum(raw.std(0), 1e-6)
     record = SpreadRecord(
         features=features,
-        known=x[thinned(len(x), HeadBudget().known_rows)],
+        known=x[subsample(len(x), HeadBudget().known_rows)],
         likeness=(raw - middle) / width,
         middle=middle,
         width=width,

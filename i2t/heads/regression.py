@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve
 
 from i2t.leave_one_out import leave_out_blocks
-from i2t.recordings.diagnose.smooth import thinned
+from i2t.recordings.diagnose.smooth import subsample
 
 MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS = "mean", "linear", "k nearest readings"
 READINGS_GP = "Gaussian process"
@@ -126,7 +126,7 @@ def choose_settings(
     Returns:
         The settings: index of the features first, then those of the method.
     """
-    rows = thinned(len(readings), budget.selection_rows)
+    rows = subsample(len(readings), budget.selection_rows)
     readings, targets, folds = readings[rows], targets[rows], folds[:, rows]
     if method == READINGS_GP:
         return _choose_gp(readings, targets, folds)
@@ -157,7 +157,7 @@ def fit_regression(
     """
     budget = HeadBudget() if budget is None else budget
     if method == READINGS_GP:
-        rows = thinned(len(readings), budget.known_rows)
+        rows = subsample(len(readings), budget.known_rows)
         readings, targets = readings[rows], targets[rows]
     centre, scale = targets.mean(0), np.maximum(targets.std(0), 1e-12)
     bare = Regression(

@@ -28,7 +28,7 @@ def test_forces_are_turned_from_four_in_five_on(pulling, turned):
     dataset, _ = touches_of(force=force)
     corrected, notes = corrected_dataset(dataset)
     np.testing.assert_allclose(corrected.touches.force, -force if turned else force)
-    assert [("they are turned" in note) for note in notes] == [True] * turned
+    assert [("their sign is reversed" in note) for note in notes] == [True] * turned
     again, nothing = corrected_dataset(corrected)
     assert again is corrected
     assert nothing == ()
@@ -40,13 +40,13 @@ def test_a_few_presses_turn_no_force_that_chance_may_have_turned(presses, turned
     for pulling in (47, 48):
         assert find_force_sign(np.where(np.arange(60) < pulling, -2.0, 2.0)).wrong == (pulling == 48)
     assert not find_force_sign(np.r_[np.full(4, -2.0), 2.0]).wrong
-    assert "too few to tell" in find_force_sign(np.full(4, -2.0)).sentence
+    assert "too few presses" in find_force_sign(np.full(4, -2.0)).sentence
 
 
 def test_forces_of_either_sign_turn_nothing_and_are_told():
     noisy = find_force_sign(np.random.default_rng(0).normal(size=200))
     assert (noisy.wrong, noisy.identifiable) == (False, False)
-    assert "hardly along tool z" in noisy.sentence
+    assert "hardly act along tool z" in noisy.sentence
 
 
 def test_negative_depths_are_turned_and_a_sound_set_stays_as_it_is():
@@ -69,7 +69,7 @@ def test_depths_from_too_low_a_height_count_from_the_highest_press_that_reads():
     np.testing.assert_allclose(corrected.touches.depth, height.max() - height, atol=1e-7)
     np.testing.assert_allclose(corrected.touches.nearest, height - height.max(), atol=1e-7)
     assert not (corrected.touches.code == ReturnCode.FREE).any()
-    assert "read all the same" in notes[0]
+    assert "but still read" in notes[0]
     again, nothing = corrected_dataset(corrected)
     assert again is corrected
     assert nothing == ()

@@ -5,10 +5,8 @@ import pytest
 from helpers.damage import VARIANTS, Recorded, press
 
 from i2t.recordings import diagnose as unknowns
-from i2t.recordings.diagnose import Finding
+from i2t.recordings.diagnose import Finding, FindingName
 from i2t.recordings.diagnose.board import STAGES
-from i2t.recordings.diagnose.height import HEIGHT_ZERO
-from i2t.recordings.diagnose.lag import LAG
 from i2t.recordings.presses import Presses
 from i2t.skin.boards import eflesh_board, reskin_board
 
@@ -156,7 +154,7 @@ def test_a_mirrored_stage_never_passes_for_right():
     ("name", "expected"),
     [
         ("sound", set()),
-        ("labels a row late", {LAG}),
+        ("labels a row late", {FindingName.LAG}),
         ("five heights", set()),
     ],
 )
@@ -164,7 +162,7 @@ def test_a_damaged_recording_is_judged_without_falling_over(name, expected):
     findings = unknowns.diagnose(damaged(name, n=200), anyskin_like())
     wrong = {finding.name for finding in findings if finding.wrong}
     assert expected <= wrong
-    assert expected or wrong <= {HEIGHT_ZERO}
+    assert expected or wrong <= {FindingName.HEIGHT_ZERO}
     assert len(unknowns.metrics_of(findings)) == len(findings)
 
 
