@@ -75,7 +75,7 @@ def find_force_sign(
     )
     if _is_reversed(pressing < 0, config):
         return Finding(
-            FindingName.FORCE_SIGN, f"{negative}, as if the tip pulled: their sign is reversed.", identifiable=True,
+            FindingName.FORCE_SIGN, f"{negative}, as if they pulled: their sign is reversed.", identifiable=True,
             wrong=True, estimate=-1.0, evidence=evidence, correction={"force_sign": -1.0},
         )  # fmt: skip
     if negative_share > 1 - config.min_negative_share:
