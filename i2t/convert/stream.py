@@ -315,8 +315,8 @@ class _Searches:
         if self.moved:
             notes.info(
                 f"left out: {len(self.moved)} presses that had begun before their part of the log, or lasted over "
-                f"{SegmentationConfig().max_press_s:g} s; the first was released at line {min(self.moved)} (or the skin "
-                "rests elsewhere from there on)"
+                f"{SegmentationConfig().max_press_s:g} s; the first was released at line {min(self.moved)} (or the "
+                "skin rests elsewhere from there on)"
             )
         if self.unsteady:
             notes.info(f"left out: {self.unsteady} presses that were not steady before their part of the log ended")

@@ -30,7 +30,7 @@ from i2t.recordings.cells import (
     kind_of_number,
     parse_number,
 )
-from i2t.recordings.clocks import DAY_S, STEPS_S, stamp_in_seconds, states_zone, unix_unit
+from i2t.recordings.clocks import CLOCK, stamp_in_seconds, states_zone, unix_unit
 from i2t.recordings.columns import (
     MICRO_SIGNS,
     STAMPS,
@@ -492,9 +492,9 @@ def _form_of_times(cells: list[str], *, has_unit: bool) -> tuple[bool, float | N
     unit, count = next(iter(units.most_common(1)), (None, 0))
     if 2 * count > len(numbers):
         return False, unit
-    step = DAY_S * np.median(np.abs(np.diff(numbers))) if len(numbers) > 1 else 0.0  # s, if they count days
+    step = 86400 * np.median(np.abs(np.diff(numbers))) if len(numbers) > 1 else 0.0  # s, if they count days
     are_days = all(EXCEL_DAYS[0] <= number < EXCEL_DAYS[1] for number in numbers)
-    return bool(0 < step < STEPS_S[1]) and are_days, None
+    return bool(0 < step < CLOCK.max_step_s) and are_days, None
 
 
 def _are_units(cells: list[str]) -> bool:

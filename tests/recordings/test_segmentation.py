@@ -102,7 +102,7 @@ def test_what_is_no_recording_is_refused():
     for times, rows, word in (
         (time[:-1], readings, "do not form a recording"),
         (back, readings, "at row 5"),
-        (time, damaged, "not finite"),
+        (time, damaged, "non-finite"),
     ):
         with pytest.raises(ValueError, match=word):
             segment_presses(times, rows)
