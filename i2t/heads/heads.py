@@ -54,7 +54,6 @@ from i2t.heads.regression import (
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.read import (
-    MIN_CHANGE,
     TARGETS,
     SkinRecording,
     is_stream,
@@ -334,7 +333,9 @@ def hold_out_groups(recording: SkinRecording) -> np.ndarray:
     position = recording.targets["position"] if known.all() else np.zeros((len(recording), 2))
     ranges = np.ptp(position, axis=0)
     # Strokes along a line come back to the same places: there the stroke is what rows share.
-    if ranges.min() > MIN_CHANGE["position"] or (ranges.max() > MIN_CHANGE["position"] and not recording.session.any()):
+    if ranges.min() > TARGETS["position"].min_range or (
+        ranges.max() > TARGETS["position"].min_range and not recording.session.any()
+    ):
         edge = min(BLOCK_M, float(ranges.max()) / BLOCKS_ACROSS)
         return square_blocks(position, edge)
     if len(np.unique(recording.session)) >= MIN_BLOCKS:

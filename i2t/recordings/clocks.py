@@ -191,7 +191,7 @@ def row_clock(
 
 
 def _batches(time: np.ndarray, within: float) -> tuple[np.ndarray, np.ndarray]:
-    """Measure the time in s from each batch after the first, which may be incomplete, to the next, and count its rows."""
+    """Measure the time in s from each complete batch to the next, and count its rows; the first may be incomplete."""
     begins = np.flatnonzero(np.diff(time) > within) + 1
     return time[begins[1:]] - time[begins[:-1]], np.diff(begins)
 

@@ -20,9 +20,9 @@ from i2t.errors import DataError
 from i2t.files.kinds import UTF_8, WINDOWS_1252
 from i2t.files.reading import encoding_of_file, read_lines, require_unpackable
 from i2t.recordings.cells import (
+    AMBIGUOUS,
     DECIMAL,
     GROUPED_MARK,
-    MAYBE,
     NO_TIME_MARK,
     DecimalSigns,
     as_written,
@@ -36,7 +36,7 @@ from i2t.recordings.columns import (
     STAMPS,
     TEXT_COLUMNS,
     TIME,
-    UNIT_WORDS,
+    UNITS,
     is_field_or_ours,
     is_number,
     is_ours,
@@ -351,7 +351,7 @@ def _stamp(text: str) -> str:
 def _is_decimal_time(cells: list[str]) -> bool:
     """Test whether all times have three decimals: no program writes whole seconds with grouped thousands."""
     kinds = set(map(kind_of_number, cells))
-    return len(cells) > 1 and len(kinds) == 1 and kinds.pop().startswith(MAYBE)
+    return len(cells) > 1 and len(kinds) == 1 and kinds.pop().startswith(AMBIGUOUS)
 
 
 def _is_empty(cells: list[str]) -> bool:
@@ -500,7 +500,8 @@ def _form_of_times(cells: list[str], *, has_unit: bool) -> tuple[bool, float | N
 def _are_units(cells: list[str]) -> bool:
     """Test for a line of units below the names."""
     words = [UNIT_BRACKETS.sub("", cell).lower().translate(MICRO_SIGNS) for cell in cells]
-    return any(words) and all(word in UNIT_WORDS or not word for word in words) and not any(map(is_number, words))
+    known = {"", "-", "1", "#"} | {word for ours, others in UNITS.values() for word in (ours.lower(), *others)}
+    return any(words) and known.issuperset(words) and not any(map(is_number, words))
 
 
 def _with_unit(path: Path, name: str, unit: str = "") -> str:

@@ -203,7 +203,7 @@ def test_what_was_undone_and_what_is_left_out_is_said(tmp_path):
     assert "x_m, Time (ms) are in other units" in table.notes[0]
     both = np.column_stack([VALUES, VALUES[:, 0] + 5, VALUES[:, 0]])
     (recording,) = read_recordings(write_table(tmp_path / "c.csv", [*NAMES, "x_mm", "humidity"], both))
-    assert any("x_mm stand twice: the first" in note for note in recording.notes)
+    assert any("x_mm appear twice: the first" in note for note in recording.notes)
     assert any("humidity, which have no meaning" in note for note in recording.notes)
     np.testing.assert_allclose(recording.targets["position"], SKIN.targets["position"])
 
