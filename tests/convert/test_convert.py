@@ -350,7 +350,7 @@ DAMAGE = [
     ("presses", TABLE, edit(b"x_mm,y_mm", b"x_mm,y_mm,x_mm"), "appears twice"),
     ("presses", TABLE, edit(b"b4z_uT", b"b4z_uT,a0x_uT"), "give all or none"),
     ("presses", TABLE, edit(b"b4z_uT", b"b4z_uT,b5x_uT,b5y_uT,b5z_uT"), "belongs to no chip of the board, which has 5"),
-    ("presses", TABLE, lambda path: path.write_text(path.read_text() + "1,2\n"), "line 8 has not 18 fields"),
+    ("presses", TABLE, lambda path: path.write_text(path.read_text() + "1,2\n"), "line 8 has 2 fields instead of 18"),
     ("presses", TABLE, holds(b"\xff\xfe\x00"), "is not text"),
 ]
 LEFT = {"imagine2touch": (3, 3 + 11), "eflesh": (20, 20 + 19)}  # another run, and what is good of the damaged one

@@ -179,7 +179,7 @@ def test_decimal_commas_between_commas_are_named_as_such(tmp_path, capsys):
     names, *lines = path.read_text().splitlines()
     path.write_text("\n".join([names, *(line.replace(".", ",") for line in lines)]))
     sentence = refused(capsys, "presses", path, tmp_path / "out", *OPTIONS)
-    assert "line 2 has not 18 fields but 36; if its numbers have decimal commas" in sentence
+    assert "line 2 has 36 fields instead of 18; if its numbers have decimal commas" in sentence
 
 
 @pytest.mark.parametrize("way", WAYS)
@@ -200,7 +200,7 @@ def test_what_was_undone_and_what_is_left_out_is_said(tmp_path):
     assert table.header == ["x_mm", "time_s", "humidity", "x_mm"]
     assert table.rows[0][0] == 2
     assert [float(cell) for cell in table.rows[0][1]] == [1000.0, 0.002, 3.0, 4.0]
-    assert "x_m, Time (ms) are in other units" in table.notes[0]
+    assert "x_m, Time (ms) are in units other than" in table.notes[0]
     both = np.column_stack([VALUES, VALUES[:, 0] + 5, VALUES[:, 0]])
     (recording,) = read_recordings(write_table(tmp_path / "c.csv", [*NAMES, "x_mm", "humidity"], both))
     assert any("x_mm appear twice: the first" in note for note in recording.notes)
@@ -440,6 +440,6 @@ def test_a_stamp_that_is_not_understood_is_named_and_what_is_understood(tmp_path
     rows = "".join(f"{stamp.format(i)},{','.join('1' * 15)}\n" for i in range(20))
     (path := tmp_path / "a.csv").write_text(f"timestamp,{','.join(READING_NAMES)}\n{rows}")
     sentence = refused(capsys, "stream", path, tmp_path / "out.csv")
-    assert f"line 2 has {stamp.format(0)!r} in column time_s, which is no time in ISO 8601" in sentence
+    assert f"line 2 has {stamp.format(0)!r} in column time_s, which is not a time in ISO 8601" in sentence
     assert "write it as 2025-10-20 12:00:00.010, or in seconds" in sentence
     assert ("may count days" in sentence) == ("{" in stamp)
