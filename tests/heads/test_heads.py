@@ -164,11 +164,11 @@ def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
     ("target", "change", "message"),
     [
         ("depth", {"readings": np.ones((300, 15))}, "no channel changes"),
-        ("colour", {}, "no target"),
-        ("force", {}, "does not know force"),
-        ("depth", {"depth": np.full((300, 1), 2e-3)}, "one depth only"),
+        ("colour", {}, "not a target of a head"),
+        ("force", {}, "has no known force"),
+        ("depth", {"depth": np.full((300, 1), 2e-3)}, "has only one depth"),
         ("depth", {"depth": np.r_[np.arange(10.0), np.full(290, np.nan)][:, None]}, "20 are needed"),
-        ("contact", {"contact": np.ones((300, 1))}, "no target of a head"),
+        ("contact", {"contact": np.ones((300, 1))}, "not a target of a head"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused_in_a_sentence(recording, target, change, message):

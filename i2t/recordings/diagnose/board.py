@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import LinAlgError, cholesky, solve_triangular
 
-from i2t.recordings.diagnose.findings import Finding, FindingName
+from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
 from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.presses import Presses
 from i2t.types import Board
@@ -102,8 +102,7 @@ def find_board(
             else f"a board of {chips} chips has too few ({config.min_chips} are enough)" if chips < config.min_chips
             else "all presses are at one place"
         )  # fmt: skip
-        name = FindingName.STAGE
-        return Finding(name, f"{name.capitalize()}: the rotation is not identifiable because {reason}.", False)
+        return not_identifiable(FindingName.STAGE, reason)
     sample = _sample(presses, growth, chips, config.max_presses)
     model, values = _fit_model(sample, board, config.grid_cells), sample.readings.size
     evidence = {
@@ -158,11 +157,7 @@ def _fit_model(sample: _Sample, board: Board, grid_cells: int) -> _SkinModel:
 
 
 def _log_evidence(
-    sample: _Sample,
-    board: Board,
-    model: _SkinModel,
-    grid_cells: int,
-    matrix: np.ndarray = STAGES[AS_RECORDED],
+    sample: _Sample, board: Board, model: _SkinModel, grid_cells: int, matrix: np.ndarray = STAGES[AS_RECORDED]
 ) -> float:
     """Compute the log evidence of the readings at the most likely scale; -inf if K is not positive definite."""
     features = _features(sample.position @ matrix.T, board, model, grid_cells) * sample.growth[:, None, None, None]
@@ -236,16 +231,9 @@ def _stage_finding(gains: dict[str, float], evidence_per_value: float, config: S
             "per value): the board is corrected accordingly."
         )
         correction = {"board_from_stage": STAGES[best].tolist()}
-        return Finding(
-            FindingName.STAGE, sentence, identifiable=True, wrong=True, evidence=evidence, correction=correction
-        )
+        return Finding(FindingName.STAGE, sentence, True, wrong=True, evidence=evidence, correction=correction)
     if best == AS_RECORDED and lead >= config.min_lead:
-        sentence = (
-            f"The board lies as described: any rotation or mirror loses at least {lead:.2f} of log evidence per value."
-        )
+        sentence = f"The board lies as described: any rotation or mirror loses {lead:.2f} of log evidence per value."
         return Finding(FindingName.STAGE, sentence, identifiable=True, evidence=evidence)
-    sentence = (
-        f"The rotation of the board under the stage is not identifiable: {best} and {second} explain the readings "
-        f"about equally well ({lead:+.3f} of log evidence per value)."
-    )
-    return Finding(FindingName.STAGE, sentence, identifiable=False, evidence=evidence)
+    reason = f"{best} and {second} explain the readings about equally well ({lead:+.3f} of log evidence per value)"
+    return not_identifiable(FindingName.STAGE, reason, **evidence)

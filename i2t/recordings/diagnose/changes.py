@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import cKDTree
 
-from i2t.recordings.diagnose.findings import Finding, FindingName
+from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
 from i2t.skin.boards import AXES_OF_CHIP
 
 
@@ -103,9 +103,8 @@ def _find_change(positions: np.ndarray, loads: np.ndarray, readings: np.ndarray,
     in the same half. Nothing is identifiable if the halves do not overlap.
     """
     if len(readings) < config.min_presses:
-        enough = config.min_presses
-        sentence = f"No change is identifiable: {len(readings)} presses are too few ({enough} are enough)"
-        return Finding(FindingName.CHANGED_SKIN, sentence, False)
+        reason = f"{len(readings)} presses are too few ({config.min_presses} are enough)"
+        return not_identifiable(FindingName.CHANGED_SKIN, reason)
     labels = np.column_stack([positions / np.maximum(positions.std(0), 1e-9), loads / max(loads.std(), 1e-9)])
     ratio, changed = _compare_halves(labels, readings, config)
     by_chip = np.split(readings, readings.shape[1] // AXES_OF_CHIP, axis=1)

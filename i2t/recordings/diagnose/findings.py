@@ -65,6 +65,20 @@ class Finding:
         return {name: _to_json(value) for name, value in asdict(self).items()}
 
 
+def not_identifiable(name: FindingName, reason: str, **evidence: float | int) -> Finding:
+    """Create the finding of a test that the recording cannot answer.
+
+    Args:
+        name: Name of the hypothesis.
+        reason: Clause that completes "not identifiable, because".
+        **evidence: Numbers behind the reason.
+
+    Returns:
+        The finding without an estimate.
+    """
+    return Finding(name, f"{name.capitalize()}: not identifiable, because {reason}.", False, evidence=evidence)
+
+
 def find(findings: Iterable[Finding], name: str) -> Finding | None:
     """Look a finding up by its name.
 

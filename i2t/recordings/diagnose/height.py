@@ -28,7 +28,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from i2t.recordings.diagnose.findings import Finding, FindingName
+from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
 from i2t.recordings.diagnose.smooth import left_out, subsample
 from i2t.recordings.presses import Presses
 
@@ -142,8 +142,7 @@ def find_height_zero(
         it where the presses allow, and else there is none.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
-        sentence = "Height zero is not identifiable: no height of the tip was recorded."
-        return Finding(FindingName.HEIGHT_ZERO, sentence, False)
+        return not_identifiable(FindingName.HEIGHT_ZERO, "no height of the tip was recorded")
     if np.isfinite(presses.height).all():
         zeros = find_approaches(np.asarray(presses.height, np.float64), presses.readings, config=config.approach)
         if len(zeros):
@@ -152,16 +151,10 @@ def find_height_zero(
     height = np.asarray(presses.height, np.float64)
     span = float(np.subtract(*np.quantile(height, [0.95, 0.05])))
     if len(height) < config.min_presses or span < config.min_range_m:
-        reason = (
-            f"{len(height)} presses are too few ({config.min_presses} are enough)"
-            if len(height) < config.min_presses
-            else f"all presses go to one height (within {1e3 * span:.2g} mm)"
-        )
-        sentence = f"Height zero is not identifiable: {reason}, so the depth of the presses is unknown."
-        return Finding(
-            FindingName.HEIGHT_ZERO, sentence, False,
-            evidence={"presses": len(height), "height_range_mm": 1e3 * span},
-        )  # fmt: skip
+        reason = f"all presses go to one height (within {1e3 * span:.2g} mm)"
+        if len(height) < config.min_presses:
+            reason = f"{len(height)} presses are too few ({config.min_presses} are enough)"
+        return not_identifiable(FindingName.HEIGHT_ZERO, reason, presses=len(height), height_range_mm=1e3 * span)
     order = np.random.default_rng(0).permutation(len(height))
     count = min(config.max_subsets, max(len(height) // config.subset_presses, 1))
     subsets = [presses.rows(np.sort(order[i::count][: config.subset_presses])) for i in range(count)]

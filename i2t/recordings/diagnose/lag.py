@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from i2t.recordings.diagnose.findings import Finding, FindingName
+from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
 from i2t.recordings.diagnose.smooth import smooth_r2, subsample
 from i2t.recordings.presses import Presses
 
@@ -67,22 +67,18 @@ def lag_between(
     n, max_lag = len(labels), config.max_lag
     rows = subsample(n - 2 * max_lag, config.max_rows) + max_lag
     if len(rows) < config.min_rows:
-        enough = config.min_rows + 2 * max_lag
-        sentence = f"A lag of the labels is not identifiable: {n} presses are too few ({enough} are enough)."
-        return Finding(FindingName.LAG, sentence, False)
+        reason = f"{n} presses are too few ({config.min_rows + 2 * max_lag} are enough)"
+        return not_identifiable(FindingName.LAG, reason)
     r2 = {lag: smooth_r2(labels[rows + lag], readings[rows]) for lag in range(-max_lag, max_lag + 1)}
     best = max(r2, key=lambda lag: r2[lag])
     neighbours = [lag for lag in r2 if 0 < abs(lag - best) <= 3]
     contrast = r2[best] - min(r2[lag] for lag in neighbours)
     evidence = {"r2_as_recorded": r2[0], "r2_best": r2[best], "best_lag": float(best), "r2_contrast": contrast}
     if contrast < config.min_gain or r2[best] < config.min_r2:
-        reason = (
-            "the readings hardly depend on the labels" if r2[best] < config.min_r2
-            else "neighbouring rows are nearly alike"
-        )  # fmt: skip
+        is_weak = r2[best] < config.min_r2
+        reason = "the readings hardly depend on the labels" if is_weak else "neighbouring rows are nearly alike"
         numbers = f"R2 is {r2[0]:.3f} as recorded and {r2[best]:.3f} at {best:+d} rows"
-        sentence = f"A lag of the labels is not identifiable: {reason} ({numbers})."
-        return Finding(FindingName.LAG, sentence, False, evidence=evidence)
+        return not_identifiable(FindingName.LAG, f"{reason} ({numbers})", **evidence)
     unexplained_ratio = (1 - r2[0]) / max(1 - r2[best], 1e-6)
     evidence["unexplained_ratio"] = unexplained_ratio
     gain = r2[best] - r2[0]

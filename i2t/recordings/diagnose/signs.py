@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import binom, rankdata
 
-from i2t.recordings.diagnose.findings import Finding, FindingName
+from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
 from i2t.recordings.presses import Presses
 
 
@@ -66,8 +66,7 @@ def find_force_sign(
         is_press &= norm >= config.min_reading_share * np.median(norm[is_press])
     pressing = force[is_press]
     if not len(pressing):
-        sentence = "The sign of the force is not identifiable: hardly any force was recorded."
-        return Finding(FindingName.FORCE_SIGN, sentence, False)
+        return not_identifiable(FindingName.FORCE_SIGN, "hardly any force was recorded")
     negative_share, median = float(np.mean(pressing < 0)), float(np.median(pressing))
     evidence = {"share_negative": negative_share, "median_force_N": median, "presses": len(pressing)}
     negative = (
@@ -79,11 +78,8 @@ def find_force_sign(
             wrong=True, estimate=-1.0, evidence=evidence, correction={"force_sign": -1.0},
         )  # fmt: skip
     if negative_share > 1 - config.min_negative_share:
-        mostly_negative = negative_share >= config.min_negative_share
-        reason = (
-            "too few presses to distinguish a reversed axis from chance" if mostly_negative
-            else "they hardly act along tool z"
-        )  # fmt: skip
+        is_mostly_negative = negative_share >= config.min_negative_share
+        reason = "too few presses to exclude chance" if is_mostly_negative else "they hardly act along tool z"
         sentence = f"{negative}: {reason}; check the axes in which they were recorded."
         return Finding(FindingName.FORCE_SIGN, sentence, False, evidence=evidence)
     sentence = f"The presses push: the median force along tool z is {median:.2f} N."
@@ -125,30 +121,25 @@ def find_height_axis(presses: Presses, *, config: SignConfig = SignConfig()) -> 
         The finding. Its estimate is 1 if heights point out of the skin and -1 if they point into it.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
-        sentence = "The direction of the height is not identifiable: no height was recorded."
-        return Finding(FindingName.HEIGHT_AXIS, sentence, False)
+        return not_identifiable(FindingName.HEIGHT_AXIS, "no height was recorded")
     has_height = np.isfinite(presses.height)
     depth, norm = -presses.height[has_height], np.linalg.norm(presses.readings[has_height], axis=1)
-    if len(norm) < config.min_rows or np.ptp(depth) == 0 or np.ptp(norm) == 0:
-        reason = (
-            f"{len(norm)} presses are too few ({config.min_rows} are enough)"
-            if len(norm) < config.min_rows
-            else "all heights, or all readings, are equal"
-        )
-        sentence = f"The direction of the height is not identifiable: {reason}."
-        return Finding(FindingName.HEIGHT_AXIS, sentence, False)
+    if len(norm) < config.min_rows:
+        reason = f"{len(norm)} presses are too few ({config.min_rows} are enough)"
+        return not_identifiable(FindingName.HEIGHT_AXIS, reason)
+    if np.ptp(depth) == 0 or np.ptp(norm) == 0:
+        return not_identifiable(FindingName.HEIGHT_AXIS, "all heights, or all readings, are equal")
     correlation = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
     evidence = {"rank_correlation": correlation, "presses": len(norm)}
     number = f"(rank correlation with depth {correlation:+.2f})"
     if abs(correlation) < max(config.min_standard_errors / np.sqrt(len(norm) - 1), config.min_correlation):
-        sentence = f"The direction of the height is not identifiable: readings hardly change with height {number}."
-        return Finding(FindingName.HEIGHT_AXIS, sentence, False, evidence=evidence)
+        return not_identifiable(FindingName.HEIGHT_AXIS, f"readings hardly change with height {number}", **evidence)
     if correlation < 0:
         sentence = f"Readings grow with height, so the height points into the skin: its sign is reversed {number}."
+        correction = {"height_sign": -1.0}
         return Finding(
-            FindingName.HEIGHT_AXIS, sentence, identifiable=True, wrong=True, estimate=-1.0, evidence=evidence,
-            correction={"height_sign": -1.0},
-        )  # fmt: skip
+            FindingName.HEIGHT_AXIS, sentence, True, wrong=True, estimate=-1.0, evidence=evidence, correction=correction
+        )
     sentence = f"Readings grow as the height falls, so the height points out of the skin {number}."
     return Finding(FindingName.HEIGHT_AXIS, sentence, identifiable=True, estimate=1.0, evidence=evidence)
 

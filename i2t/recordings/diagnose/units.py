@@ -68,39 +68,24 @@ def find_units(
     largest_depth, largest_force = _largest(depth), _largest(force)
     too_narrow = 1e-6 < extent < ranges.min_extent_m and _depends_on_position(position, readings, ranges)
     positions = f"the positions range over {extent:.3g}"
-    depths, fields = f"the depths reach {largest_depth:.3g}", f"strong readings have a norm of {strong:.2g}"
+    depths, forces = f"the depths reach {largest_depth:.3g}", f"the forces reach {largest_force:.3g}"
+    fields = f"strong readings have a norm of {strong:.2g}"
     unit, to_microtesla = ("tesla", 1e6) if strong < ranges.max_norm_in_tesla else ("millitesla", 1e3)
     # Quantity, whether its size is implausible, the factor that corrects it, and the reason.
     tests = (
+        ("length", extent > ranges.max_extent_m, 1e-3, f"{positions}, which cannot be metres but millimetres"),
+        ("length", too_narrow, 1e3, f"{positions} m, although readings depend on them: they are multiplied by 1000"),
+        ("depth", 0 < largest_depth < ranges.min_depth_m, 1e3, f"{depths} m: they are multiplied by 1000"),
+        ("depth", largest_depth > ranges.max_depth_m, 1e-3, f"{depths}, which cannot be metres but millimetres"),
+        ("field", 0 < strong < ranges.min_norm_ut, to_microtesla, f"{fields}, too small for uT: they are in {unit}"),
+        ("field", strong > ranges.max_norm_ut, 1e-3, f"{fields}, too large for uT: they are in nanotesla"),
         (
-            "length", extent > ranges.max_extent_m, 1e-3,
-            f"{positions}, which cannot be metres: they are read as millimetres",
+            "force",
+            largest_force > ranges.max_force_n,
+            NEWTONS_PER_GRAM,
+            f"{forces}, too large for N: they are in grams",
         ),
-        (
-            "length", too_narrow, 1e3,
-            f"{positions} m only, although the readings depend on them: they are multiplied by 1000",
-        ),
-        (
-            "depth", 0 < largest_depth < ranges.min_depth_m, 1e3,
-            f"{depths} m, which is too little for a press: they are multiplied by 1000",
-        ),
-        (
-            "depth", largest_depth > ranges.max_depth_m, 1e-3,
-            f"{depths}, which cannot be metres: they are read as millimetres",
-        ),
-        (
-            "field", 0 < strong < ranges.min_norm_ut, to_microtesla,
-            f"{fields}, which in uT is less than the noise of a chip: they are read as {unit}",
-        ),
-        (
-            "field", strong > ranges.max_norm_ut, 1e-3,
-            f"{fields}, which in uT is beyond the range of any chip: they are read as nanotesla",
-        ),
-        (
-            "force", largest_force > ranges.max_force_n, NEWTONS_PER_GRAM,
-            f"the forces reach {largest_force:.3g}, which in newtons would destroy a skin: they are read as grams",
-        ),
-    )  # fmt: skip
+    )
     implausible = [(quantity, factor, reason) for quantity, failed, factor, reason in tests if failed]
     sentence = (
         f"The units are not those stated: {'; '.join(reason for *_, reason in implausible)}."
