@@ -232,7 +232,7 @@ def load_head(path: Path | str) -> Head:
         path: Path of a file that `Head.save` wrote.
 
     Returns:
-        The head.
+        The head as it was saved.
 
     Raises:
         SerializationError: The file is missing, damaged or of another kind.
@@ -324,9 +324,7 @@ def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
         raise ValueError(f"{target!r} is not a target of a head; choose one of {', '.join(HEAD_TARGETS)}")
     usable = recording.known(target)
     if target == "position" and recording.labels is not None and len(np.unique(recording.labels)) > 1:
-        raise ValueError(
-            f"several objects touched the skin in {recording.name}, whose origins are not where they touch"
-        )
+        raise ValueError(f"several objects touched the skin in {recording.name}: the place of contact is unknown")
     if target in ("position", "depth") and recording.known("contact").any():
         usable &= ~(recording.targets["contact"][:, 0] == 0)
     if target in ("position", "depth") and not recording.known("depth").any() and recording.known("shear").any():
@@ -468,9 +466,8 @@ def _weighted(methods: dict[str, _Trial], trials: _Trials, ways: slice) -> _Cand
         shares, centre = _stack_weights(chosen[:, :, ~held_out], values[~held_out])
         summed[:, held_out] = centre + np.tensordot(shares, predicted[:, :, held_out] - centre, 1)
     shares = _stack_weights(chosen, values)[0]
-    weights = {
-        name: float(share) for name, share in zip(methods, shares, strict=True) if share > HEAD_CONFIG.min_weight
-    }
+    min_weight = HEAD_CONFIG.min_weight
+    weights = {name: float(share) for name, share in zip(methods, shares, strict=True) if share > min_weight}
     if len(weights) < 2:
         name = min(methods, key=lambda name: methods[name].error)
         return _single(name, methods[name])
@@ -513,10 +510,9 @@ def _fit_stack(candidate: _Candidate, trials: _Trials) -> StackRecord:
     """Fit each method that has a weight to all rows."""
     fields = dict(zip(HEAD_METHODS, StackRecord._fields[-len(HEAD_METHODS) :], strict=True))
     methods = {name: candidate.methods[name] for name in candidate.weights}
+    inputs, values, budget = trials.inputs, trials.values, trials.budget
     parts = {
-        fields[name]: fit_regression(
-            name, trial.settings, trials.inputs[trial.history], trials.values, budget=trials.budget
-        )
+        fields[name]: fit_regression(name, trial.settings, inputs[trial.history], values, budget=budget)
         for name, trial in methods.items()
     }
     return StackRecord(

@@ -112,7 +112,7 @@ def make_feature_map(kind: int, readings: Float[np.ndarray, "n c"]) -> FeatureMa
         readings: `(n, c)` readings in uT.
 
     Returns:
-        The feature map.
+        The feature map, scaled to these readings.
     """
     channel = np.sqrt(np.mean(readings**2, axis=0))
     overall = np.sqrt(np.mean(readings**2)) + 1e-9
@@ -177,7 +177,7 @@ def fit_regression(
         budget: Number of rows to keep, at most; None for the default.
 
     Returns:
-        The fitted method.
+        The fitted method, for `predict_regression`.
     """
     budget = HeadBudget() if budget is None else budget
     if method == READINGS_GP:
@@ -254,24 +254,24 @@ def cross_predict(
 
 
 def nearest_known(
-    known: Float[np.ndarray, "m k"], x: Float[np.ndarray, "n k"], count: int
+    reference: Float[np.ndarray, "m k"], x: Float[np.ndarray, "n k"], count: int
 ) -> tuple[Float[np.ndarray, "n j"], Int[np.ndarray, "n j"]]:
     """Find the nearest known rows of each row by matrix products.
 
     No tree is faster in as many dimensions as a skin has channels.
 
     Args:
-        known: `(m, k)` features of the known rows.
+        reference: `(m, k)` features of the known rows.
         x: `(n, k)` features of the rows to look up.
         count: Number of neighbours to find; all m if there are fewer.
 
     Returns:
         `(n, j)` distances in no particular order, and the row numbers of these neighbours.
     """
-    count = min(count, len(known))
-    squared_length, distances, rows = np.sum(known**2, axis=1), [], []
+    count = min(count, len(reference))
+    squared_length, distances, rows = np.sum(reference**2, axis=1), [], []
     for batch in _batches(x):
-        square = np.sum(batch**2, axis=1)[:, None] + squared_length[None] - 2 * batch @ known.T
+        square = np.sum(batch**2, axis=1)[:, None] + squared_length[None] - 2 * batch @ reference.T
         nearest = np.argpartition(square, count - 1, axis=1)[:, :count]
         distances.append(np.sqrt(np.maximum(np.take_along_axis(square, nearest, axis=1), 0)))
         rows.append(nearest)

@@ -34,13 +34,9 @@ TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
 UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
 FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # column of a chip's value under our name
-QUANTITY_OF_STEM = {
-    stem: quantity
-    for name in (*sum(TARGET_COLUMNS.values(), ()), *HEIGHT_COLUMNS, TIME)
-    for quantity, (our_unit, _) in UNITS.items()
-    for stem, _, unit in (name.rpartition("_"),)
-    if unit == our_unit
-}
+QUANTITY_OF_STEM = {"time": "time"}
+QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "depth", "height"), "length")
+QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
 STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
 MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # the last is that of cp850, read as cp1252
 

@@ -46,10 +46,7 @@ def join_presses(parts: Sequence[Presses]) -> Presses:
         The presses of all parts, in their order.
     """
     columns: dict[str, Any] = {name: [getattr(part, name) for part in parts] for name in Presses._fields}
-    joined: dict[str, Any] = {
-        name: None if parts[0] is None else np.concatenate(parts) for name, parts in columns.items()
-    }
-    return Presses(**joined)
+    return Presses(**{name: None if values[0] is None else np.concatenate(values) for name, values in columns.items()})
 
 
 def dataset_presses(dataset: Dataset) -> Presses:

@@ -290,10 +290,8 @@ def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -
     if not any(finding.correction for finding in findings):
         return recording
     correction = correction_of(findings)
-    factors = {
-        "position": correction.length, "depth": correction.height, "force": correction.force,
-        "shear": abs(correction.force),
-    }  # fmt: skip
+    factors = {"position": correction.length, "depth": correction.height, "force": correction.force}
+    factors["shear"] = abs(correction.force)
     targets = {name: factors.get(name, 1.0) * values for name, values in recording.targets.items()}
     if correction.height < 0 and "depth" in targets:
         targets["depth"] = targets["depth"] - min(np.nanmin(targets["depth"]), 0.0)
@@ -441,9 +439,8 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
     rows, partner = rows_together(states[:, 0], values[:, 0])
     if not len(rows):
         raise DataError(f"{folder}: no state was recorded within {1e3 * MAX_ROW_OFFSET_S:g} ms of a sensor row")
-    notes = (
-        [f"left out: {len(values) - len(rows)} rows without a state at their time"] if len(rows) < len(values) else []
-    )
+    unmatched = len(values) - len(rows)
+    notes = [f"left out: {unmatched} rows without a state at their time"] if unmatched else []
     states, values = states[partner], values[rows]
     silent = np.repeat(silent_chips_of(folder, values), AXES_OF_CHIP, axis=1)
     readings, place = np.where(silent, np.nan, values[:, 1:]), 1e-3 * states[:, 1:4]
@@ -481,26 +478,23 @@ def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
     if not good.all():
         notes = (*notes, f"left out: {np.sum(~good)} rows whose reading is not finite, first row {np.argmin(good) + 1}")
     finite = replace(recording, readings=readings, notes=notes).rows(good)
-    return replace(
-        finite, targets={name: values for name, values in finite.targets.items() if finite.known(name).any()}
-    )
+    targets = {name: values for name, values in finite.targets.items() if finite.known(name).any()}
+    return replace(finite, targets=targets)
 
 
-def _cleaned(
-    recording: SkinRecording, *, min_contact_force_n: float = 0.1, max_air_force_n: float = 0.02
-) -> SkinRecording:
-    """Remove implausible values and unknown targets, and infer contact from the force; between the two forces contact
-    is unknown.
+def _cleaned(recording: SkinRecording, *, min_contact_n: float = 0.1, max_air_n: float = 0.02) -> SkinRecording:
+    """Remove implausible values and unknown targets, and infer contact from the force.
+
+    Contact is unknown if the force is between the two limits.
     """
-    clean = {
-        name: np.where(np.abs(values) < MAX_TABLE_VALUE, values, np.nan) for name, values in recording.targets.items()
-    }
+    bound = MAX_TABLE_VALUE
+    clean = {name: np.where(np.abs(values) < bound, values, np.nan) for name, values in recording.targets.items()}
     if "contact" not in clean or not np.isfinite(clean["contact"]).any():
         loads = [np.abs(clean[name]).max(1) for name in ("force", "shear") if name in clean]
         if loads:
             load = np.fmax.reduce(loads)
-            in_contact = np.where(load >= min_contact_force_n, 1.0, np.nan)
-            clean["contact"] = np.where(load <= max_air_force_n, 0.0, in_contact)[:, None]
+            in_contact = np.where(load >= min_contact_n, 1.0, np.nan)
+            clean["contact"] = np.where(load <= max_air_n, 0.0, in_contact)[:, None]
     targets = {name: values for name, values in clean.items() if np.isfinite(values).all(1).any()}
     return replace(recording, targets=targets)
 

@@ -197,18 +197,14 @@ def segmentation_rules(
     _check(time, readings, config.min_rows)
     step = float(np.median(np.diff(time)))
     width = min(max(1, round(config.smooth_s / step)), max(len(time) // config.min_rows, 1))
-    rest, gap, longest = (
-        max(1, max(1, round(duration / step)) // width)
-        for duration in (config.baseline_s, config.min_gap_s, config.max_press_s)
-    )
+    durations = (config.baseline_s, config.min_gap_s, config.max_press_s)
+    rest, gap, longest = (max(1, max(1, round(duration / step)) // width) for duration in durations)
     fresh = _fresh_share(readings, config)
     new = readings[np.append(True, np.diff(readings, axis=0).any(1))] if fresh < 1 else readings
     has_spikes = 2 * step < config.min_press_s and fresh == 1
     spike = _spike_size(new, config) if has_spikes else np.full(readings.shape[1], np.inf)
-    noise = _noise(_without_spikes(new, spike, config)[0], config)
-    return SegmentationRules(
-        noise, step, width, rest=rest, gap=gap, longest=longest, spike=spike, fresh=fresh, config=config
-    )
+    noise = _noise(_mend_spikes(new, spike, config.min_spike_spread)[0], config)
+    return SegmentationRules(noise, step, width, rest, gap, longest, spike, fresh, config)
 
 
 def open_recording(
@@ -266,19 +262,19 @@ def find_last(recording: OpenRecording) -> tuple[OpenRecording, list[FoundPress]
     return _advance(recording, last=True)
 
 
-def true_presses(found: Sequence[FoundPress], rules: SegmentationRules) -> list[FoundPress]:
+def true_presses(presses: Sequence[FoundPress], rules: SegmentationRules) -> list[FoundPress]:
     """Remove presses that are too short, and those that are only a skin recovering from a press.
 
     Args:
-        found: All presses of a recording.
+        presses: All presses of a recording.
         rules: Definition of a press in rows of the recording.
 
     Returns:
         The remaining presses in the same order.
     """
-    min_peak = rules.config.min_peak_share * float(np.median([press.peak for press in found])) if found else 0.0
+    min_peak = rules.config.min_peak_share * float(np.median([press.peak for press in presses])) if presses else 0.0
     min_duration = rules.config.min_press_s - 1.5 * rules.step
-    return [press for press in found if press.end_time - press.start_time >= min_duration and press.peak >= min_peak]
+    return [press for press in presses if press.end_time - press.start_time >= min_duration and press.peak >= min_peak]
 
 
 def _check(time: np.ndarray, readings: np.ndarray, min_rows: int) -> None:
@@ -312,9 +308,7 @@ def _spike_size(readings: np.ndarray, config: SegmentationConfig) -> np.ndarray:
     return config.min_spike_stds * np.maximum(noise, np.where(np.isfinite(resolution), resolution, 0.0))
 
 
-def _without_spikes(
-    readings: np.ndarray, spike: np.ndarray, config: SegmentationConfig
-) -> tuple[np.ndarray, np.ndarray]:
+def _mend_spikes(readings: np.ndarray, spike: np.ndarray, min_spread: float) -> tuple[np.ndarray, np.ndarray]:
     """Replace spikes by the median of the two rows on either side; also return the mask of rows with a spike."""
     spiked = np.zeros(len(readings), bool)
     if len(readings) < 5 or not np.isfinite(spike).any():
@@ -325,7 +319,7 @@ def _without_spikes(
         return readings, spiked
     around = np.sort(readings[rows[:, None] + np.array([-2, -1, 1, 2])], axis=1)
     middle, spread = around[:, 1:3].mean(1), around[:, 2] - around[:, 1]  # one of the four may be a spike too
-    stands_out = np.abs(readings[rows] - middle) > np.maximum(spike, config.min_spike_spread * spread)
+    stands_out = np.abs(readings[rows] - middle) > np.maximum(spike, min_spread * spread)
     mended = readings.copy()
     mended[rows] = np.where(stands_out, middle, readings[rows])
     spiked[rows[stands_out.any(1)]] = True
@@ -360,7 +354,7 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
     rules, unit, config = recording.rules, recording.rules.unit, recording.rules.config
     count = len(recording.readings) // rules.width
     shape = (count, rules.width, recording.readings.shape[1])
-    mended, spiked = _without_spikes(recording.readings, rules.spike, config)
+    mended, spiked = _mend_spikes(recording.readings, rules.spike, config.min_spike_spread)
     blocks = mended[: count * rules.width].reshape(shape).mean(1)
     at, rest_from, baseline = recording.at, recording.rest_from, recording.baseline
     earlier, sure, moved = recording.earlier, recording.sure, list(recording.moved)
@@ -412,12 +406,7 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
 
 
 def _has_moved(
-    blocks: np.ndarray,
-    baseline: np.ndarray,
-    earlier: np.ndarray | None,
-    rules: SegmentationRules,
-    *,
-    came_back: bool,
+    blocks: np.ndarray, baseline: np.ndarray, earlier: np.ndarray | None, rules: SegmentationRules, *, came_back: bool
 ) -> bool:
     """Test whether a skin that leaves a level with these blocks was pressed there, or rests elsewhere from now on.
 
@@ -437,9 +426,9 @@ def _has_moved(
     if level is None:
         return False
     min_distance = config.min_move_share * float(_distance(level[None] - baseline, rules.unit)[0])
-    beyond = _distance(blocks[still:] - level, rules.unit) > max(config.begin_distance, min_distance)
-    first = np.flatnonzero(beyond)
-    return len(first) > 0 and all(_end(blocks[still:], int(first[0]), level, rules)[1:])
+    min_distance = max(config.begin_distance, min_distance)
+    beyond = np.flatnonzero(_distance(blocks[still:] - level, rules.unit) > min_distance)
+    return len(beyond) > 0 and all(_end(blocks[still:], int(beyond[0]), level, rules)[1:])
 
 
 def _press(
@@ -449,18 +438,15 @@ def _press(
     rules, width = recording.rules, recording.rules.width
     change = blocks[span[0] : span[1]] - baseline
     start, end = (width * block for block in span)
-    steady_start, steady_end = (
-        start + width * block for block in _steady(change, rules.unit, rules.config.min_steady_share)
-    )
+    steady = slice(*(start + width * i for i in _steady(change, rules.unit, rules.config.min_steady_share)))
     onset = slice(max(start - 1, 0), start + width + 1)
     steps = np.diff(recording.time[onset])
     gap = onset.start + int(np.argmax(steps)) if len(steps) else start
-    steady = slice(steady_start, steady_end)
     return FoundPress(
         start=recording.first + start,
         end=recording.first + end,
-        steady_start=recording.first + steady_start,
-        steady_end=recording.first + steady_end,
+        steady_start=recording.first + steady.start,
+        steady_end=recording.first + steady.stop,
         reading=np.median(recording.readings[steady], axis=0) - baseline,
         baseline=baseline,
         at_start=recording.others[start].copy(),  # a view would keep all rows
@@ -488,17 +474,15 @@ def _end(blocks: np.ndarray, first: int, baseline: np.ndarray, rules: Segmentati
 
 def _release(distance: np.ndarray, rules: SegmentationRules) -> tuple[int, bool, bool]:
     """Find where a press ends, as `_end` does, from the distances of the blocks that follow its beginning."""
-    config = rules.config
+    config, begin, released = rules.config, rules.config.begin_distance, rules.config.released_share
     peak, lowest, lowest_at, is_final = 0.0, np.inf, 0, False
     for i, d in enumerate(distance.tolist()):
         peak = max(peak, d)
-        if d < max(config.end_distance, config.released_share * peak) and d < lowest:
+        if d < max(config.end_distance, released * peak) and d < lowest:
             lowest, lowest_at = d, i
-        elif lowest < np.inf:
-            rise = max(config.begin_distance, config.released_share / 2 * peak)
-            if i - lowest_at >= rules.gap or d > lowest + rise:
-                is_final = True
-                break
+        elif lowest < np.inf and (i - lowest_at >= rules.gap or d > lowest + max(begin, released / 2 * peak)):
+            is_final = True
+            break
         if i > rules.longest and lowest == np.inf:
             return i, False, True
     if lowest == np.inf:

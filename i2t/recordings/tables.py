@@ -500,8 +500,8 @@ def _form_of_times(cells: list[str], *, has_unit: bool) -> tuple[bool, float | N
 def _are_units(cells: list[str]) -> bool:
     """Test whether a line below the names holds units."""
     words = [_without_brackets(cell).lower().translate(MICRO_SIGNS) for cell in cells]
-    known = {"", "-", "1", "#"} | {word for ours, others in UNITS.values() for word in (ours.lower(), *others)}
-    return any(words) and known.issuperset(words) and not any(map(is_number, words))
+    unit_words = {"", "-", "1", "#"} | {word for ours, others in UNITS.values() for word in (ours.lower(), *others)}
+    return any(words) and unit_words.issuperset(words) and not any(map(is_number, words))
 
 
 def _with_unit(path: Path, name: str, unit: str = "") -> str:

@@ -45,12 +45,12 @@ def test_a_skin_that_is_not_touched_tells_no_place(recording):
     place = {"position": recording.targets["position"]}
     shear = np.where(touched[:, None], [[0.1, -0.2]], 0.0)
     shear[-1] = np.nan
-    for known, rows in (
+    for targets, rows in (
         ({"contact": touched[:, None] * 1.0}, np.flatnonzero(touched)),
         ({"shear": shear}, np.flatnonzero(touched)[:-1]),
         ({"shear": shear, "depth": recording.targets["depth"]}, np.arange(len(recording))),
     ):
-        np.testing.assert_array_equal(target_rows(replace(recording, targets=place | known), "position"), rows)
+        np.testing.assert_array_equal(target_rows(replace(recording, targets=place | targets), "position"), rows)
 
 
 def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_is_not_told(recording, position_head):
@@ -94,15 +94,15 @@ def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, n
 
 @pytest.mark.parametrize("sites_repeat", [True, False])
 def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(sites_repeat, tmp_path):
-    made, site = presses_at_sites()
+    recording, site = presses_at_sites()
     rng = np.random.default_rng(1)
     held = np.isin(site, rng.permutation(144)[:28])
     if sites_repeat:
         held = rng.permutation(held)
-    known, asked, truth = made.rows(~held), made.readings[held], made.targets["position"][held]
-    head = fit_head(known, "position", budget=SMALL)
-    neighbours = fit_head(known, "position", budget=SMALL, methods=(methods.NEAREST_READINGS,))
-    missed = [np.sum((one.predict(asked).mean - truth) ** 2) for one in (head, neighbours)]
+    train, asked, truth = recording.rows(~held), recording.readings[held], recording.targets["position"][held]
+    head = fit_head(train, "position", budget=SMALL)
+    neighbours = fit_head(train, "position", budget=SMALL, methods=(methods.NEAREST_READINGS,))
+    missed = [np.sum((fitted.predict(asked).mean - truth) ** 2) for fitted in (head, neighbours)]
     assert missed[0] < missed[1]
     assert " near, " in head.method
     assert head.method.endswith(" far")
@@ -123,15 +123,17 @@ def test_ranges_hold_on_strokes_that_err_alike():
     """Strokes have a gain of their own: rows of one stroke err alike, and there are few strokes."""
     inside = []
     stroke, depth = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
-    known, time = stroke < 8, 0.1 * np.arange(300) + 5.0 * stroke
+    train, time = stroke < 8, 0.1 * np.arange(300) + 5.0 * stroke
     for seed in range(6):
         rng = np.random.default_rng(seed)
         gain = np.exp(0.15 * rng.normal(size=12))[stroke]
         readings = 40 * (gain * depth)[:, None] * np.linspace(-1, 1, 15) + rng.normal(size=(300, 15))
-        made = SkinRecording("strokes", readings, {"force": depth[:, None]}, stroke, time)
-        head = fit_head(made.rows(known), "force", methods=("linear", "k nearest readings"), budget=SMALL, history=0)
-        predicted = head.predict(readings[~known], stroke[~known])
-        inside.append(np.mean(np.abs(predicted.mean - depth[~known, None]) <= 1.645 * predicted.std))
+        recording = SkinRecording("strokes", readings, {"force": depth[:, None]}, stroke, time)
+        head = fit_head(
+            recording.rows(train), "force", methods=("linear", "k nearest readings"), budget=SMALL, history=0
+        )
+        predicted = head.predict(readings[~train], stroke[~train])
+        inside.append(np.mean(np.abs(predicted.mean - depth[~train, None]) <= 1.645 * predicted.std))
     assert np.mean(inside) > 0.88
 
 
@@ -144,8 +146,8 @@ def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
     fitted = methods.fit_regression(methods.READINGS_GP, (1.0, 0.7, 1e-2, np.inf, 1.0), x, y)
     kernel = RBF(0.7) + DotProduct(1e-6, "fixed") + WhiteKernel(1e-2)
     judge = GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True).fit(fitted.features(x), y)
-    found = methods.predict_regression(fitted, at)
-    np.testing.assert_allclose(found, judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8)
+    predicted = methods.predict_regression(fitted, at)
+    np.testing.assert_allclose(predicted, judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8)
 
 
 def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
@@ -194,14 +196,14 @@ def _session(folder, rows=60):
 
 def test_sessions_of_eflesh_are_read_as_recorded(tmp_path):
     states, values = _session(tmp_path / "one")
-    (found,) = read_recordings(tmp_path)
-    np.testing.assert_allclose(found.readings, values[:, 1:])
-    np.testing.assert_allclose(found.targets["depth"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12)
-    assert found.known("force").sum() == 30
-    np.testing.assert_allclose(np.nanmax(found.targets["force"]), 9.80665e-3 * states[::2, 4].max(), rtol=1e-12)
-    assert len(np.unique(found.session)) == 3
-    assert is_stream(found)
-    assert {0.0, 1.0} <= set(found.targets["contact"][:, 0])
+    (recording,) = read_recordings(tmp_path)
+    np.testing.assert_allclose(recording.readings, values[:, 1:])
+    np.testing.assert_allclose(recording.targets["depth"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12)
+    assert recording.known("force").sum() == 30
+    np.testing.assert_allclose(np.nanmax(recording.targets["force"]), 9.80665e-3 * states[::2, 4].max(), rtol=1e-12)
+    assert len(np.unique(recording.session)) == 3
+    assert is_stream(recording)
+    assert {0.0, 1.0} <= set(recording.targets["contact"][:, 0])
 
 
 def test_a_damaged_session_gives_what_is_left_and_an_empty_one_is_refused(tmp_path):
@@ -214,11 +216,11 @@ def test_a_damaged_session_gives_what_is_left_and_an_empty_one_is_refused(tmp_pa
     with gzip.open(tmp_path / "one" / "states.csv.gz", "wt") as file:
         file.write(states.read_text())
     states.unlink()
-    (found,) = read_recordings(tmp_path)
-    assert 50 <= len(found) <= 53
-    assert any("not finite" in note for note in found.notes)
-    known = {round(row, 9) for row in values[:, 1]}
-    assert all(round(row, 9) in known for row in found.readings[:, 0][:2])
+    (recording,) = read_recordings(tmp_path)
+    assert 50 <= len(recording) <= 53
+    assert any("not finite" in note for note in recording.notes)
+    first_values = {round(row, 9) for row in values[:, 1]}
+    assert all(round(row, 9) in first_values for row in recording.readings[:, 0][:2])
     path.write_text("")
     with pytest.raises(DataError, match="holds no row"):
         read_recordings(tmp_path)
@@ -230,13 +232,13 @@ def test_a_table_of_any_board_is_read(tmp_path):
         "time_s,x_mm,y_mm,force_N,slip,session,b0x_uT,b0y_uT,b0z_uT,b1x_uT,b1y_uT,b1z_uT\n"
         "0,1,2,0.5,0,a,1,2,3,4,5,6\n0.1,1,2,,1,a,2,3,4,5,6,x\n0.2,-1,2,0.7,1,b,3,4,5,6,7,8\n"
     )
-    (found,) = read_recordings(path)
-    np.testing.assert_array_equal(found.readings, [[1, 2, 3, 4, 5, 6], [3, 4, 5, 6, 7, 8]])
-    np.testing.assert_allclose(found.targets["position"], [[1e-3, 2e-3], [-1e-3, 2e-3]])
-    np.testing.assert_allclose(found.targets["force"][:, 0], [0.5, 0.7])
-    np.testing.assert_array_equal(found.targets["slip"][:, 0], [0, 1])
-    np.testing.assert_array_equal(found.session, [0, 1])
-    assert any("row" in note for note in found.notes)
+    (recording,) = read_recordings(path)
+    np.testing.assert_array_equal(recording.readings, [[1, 2, 3, 4, 5, 6], [3, 4, 5, 6, 7, 8]])
+    np.testing.assert_allclose(recording.targets["position"], [[1e-3, 2e-3], [-1e-3, 2e-3]])
+    np.testing.assert_allclose(recording.targets["force"][:, 0], [0.5, 0.7])
+    np.testing.assert_array_equal(recording.targets["slip"][:, 0], [0, 1])
+    np.testing.assert_array_equal(recording.session, [0, 1])
+    assert any("row" in note for note in recording.notes)
     path.write_text("x_mm,y_mm\n1,2\n")
     with pytest.raises(DataError, match="b0x_uT"):
         read_recordings(path)

@@ -14,9 +14,9 @@ from i2t.types import ReturnCode
 
 def touches_of(n=60, depth=None, force=None, seed=0):
     """Presses of a lattice skin as a data set."""
-    one = press(seed, n, free=0.0)
-    given = {"depth": -one.height if depth is None else depth, "force": one.force if force is None else force}
-    return placed_dataset(one.position, round_tip(one.position, 24), one.readings, **given), one
+    recorded = press(seed, n, free=0.0)
+    given = {"depth": -recorded.height if depth is None else depth, "force": recorded.force if force is None else force}
+    return placed_dataset(recorded.position, round_tip(recorded.position, 24), recorded.readings, **given), recorded
 
 
 @pytest.mark.parametrize(
@@ -50,9 +50,9 @@ def test_forces_of_either_sign_turn_nothing_and_are_told():
 
 
 def test_negative_depths_are_turned_and_a_sound_set_stays_as_it_is():
-    sound, one = touches_of()
+    sound, recorded = touches_of()
     assert corrected_dataset(sound) == (sound, ())
-    turned, notes = corrected_dataset(touches_of(depth=one.height)[0])
+    turned, notes = corrected_dataset(touches_of(depth=recorded.height)[0])
     np.testing.assert_allclose(turned.touches.depth, sound.touches.depth)
     assert "Depths are negative in 100 %" in notes[0]
 
@@ -60,8 +60,8 @@ def test_negative_depths_are_turned_and_a_sound_set_stays_as_it_is():
 def test_depths_from_too_low_a_height_count_from_the_highest_press_that_reads():
     """The tip stands above the height that was given and reads all the same."""
     lowered = 1.5e-3
-    _, one = touches_of(150)
-    height = one.height + lowered
+    _, recorded = touches_of(150)
+    height = recorded.height + lowered
     dataset, _ = touches_of(150, depth=np.maximum(-height, 0), force=np.full(150, np.nan))
     code = np.where(height > 0, int(ReturnCode.FREE), int(ReturnCode.UNDEFINED)).astype(dataset.touches.code.dtype)
     touches = dataset.touches._replace(nearest=height.astype(np.float32), code=code)

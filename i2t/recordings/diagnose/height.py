@@ -200,8 +200,8 @@ def find_approaches(
         rest_rows = int(np.argmax(height[start:stop] < height[start] - 2 * config.jitter_m))
         rows = slice(start + max(rest_rows - config.max_rest_rows, 0), stop)
         descent = height[rows.start] - height[stop - 1]
-        is_long = stop - rows.start >= config.min_rows
-        if is_long and descent >= max(config.min_range_share * np.ptp(height), 1e-4):
+        min_descent = max(config.min_range_share * np.ptp(height), 1e-4)
+        if stop - rows.start >= config.min_rows and descent >= min_descent:
             zeros.append(_onset(height[rows], readings[rows], config))
     return np.array([zero for zero in zeros if zero is not None])
 
@@ -260,9 +260,8 @@ def _combine_fits(fits: list[_Fit], height: np.ndarray, stated: float | None, co
     """Combine the fits to several subsets of presses."""
     zeros, r2 = np.array([fit.zero for fit in fits]), float(np.median([fit.r2 for fit in fits]))
     zero = float(np.median(zeros))
-    statistical_std = max(float(np.mean([fit.statistical_std for fit in fits])), float(np.std(zeros)))
-    statistical_std /= np.sqrt(len(fits))
-    power_std = float(np.mean([fit.power_std for fit in fits]))
+    statistical_std, power_std = np.mean([(fit.statistical_std, fit.power_std) for fit in fits], axis=0)
+    statistical_std = max(statistical_std, np.std(zeros)) / np.sqrt(len(fits))
     half = 1.645 * float(np.sqrt(statistical_std**2 + power_std**2 + config.shape_std_m**2))
     above = int((height > zero + half).sum())
     evidence = {
@@ -276,14 +275,12 @@ def _combine_fits(fits: list[_Fit], height: np.ndarray, stated: float | None, co
             FindingName.HEIGHT_ZERO,
             f"First contact is at {1e3 * zero:.3f} mm (90 % interval {1e3 * (zero - half):.3f} to "
             f"{1e3 * (zero + half):.3f} mm), where readings begin ({above} presses are above it)"
-            f"{f'; the stated height is {1e3 * abs(shift):.3f} mm too {_too(shift)}' if wrong else ''}.",
+            f"{f'; {1e3 * shift:+.3f} mm from the stated height' if wrong else ''}.",
             identifiable=True, wrong=wrong, estimate=zero, low=zero - half, high=zero + half, unit="m",
             evidence=evidence, correction={"height_zero_m": zero} if wrong else {},
         )  # fmt: skip
-    low, high = (
-        pick((zero + sign * half, *(end for fit in fits for end in fit.range_zeros)))
-        for pick, sign in ((min, -1), (max, 1))
-    )
+    ends = [end for fit in fits for end in fit.range_zeros]
+    low, high = min(zero - half, *ends), max(zero + half, *ends)
     if stated is not None and r2 > config.min_r2:
         reading_share = float(np.mean((height > stated) & (height < low)))
         if reading_share > config.max_reading_above_share:
@@ -309,10 +306,6 @@ def _combine_fits(fits: list[_Fit], height: np.ndarray, stated: float | None, co
     )  # fmt: skip
 
 
-def _too(shift: float) -> str:
-    return "low" if shift > 0 else "high"
-
-
 def _fit(presses: Presses, config: HeightZeroConfig) -> _Fit:
     """Find the zero of the growth, first coarsely with few presses, then finely with all."""
     assert presses.height is not None
@@ -322,10 +315,8 @@ def _fit(presses: Presses, config: HeightZeroConfig) -> _Fit:
     few = presses.rows(subsample(len(presses.height), config.coarse_presses))
     coarse = product(grid, (_GrowthModel(6e-3, 0.1, noise, 0.05) for noise in config.noises))
     zero = max(coarse, key=lambda candidate: _score(few, candidate[0], power, candidate[1])[0])[0]
-    models = [
-        _GrowthModel(*values)
-        for values in product(config.lengths_m, config.free_shares, config.noises, config.relative_noises)
-    ]
+    axes = (config.lengths_m, config.free_shares, config.noises, config.relative_noises)
+    models = [_GrowthModel(*values) for values in product(*axes)]
     for step in (0.12 * span, 0.03 * span):
         model = max(models, key=lambda candidate: _score(presses, zero, power, candidate)[0])
         zero = _best_zero(presses, zero, power, model, step, config)
@@ -361,14 +352,13 @@ def _score(presses: Presses, zero: float, power: float, model: _GrowthModel) -> 
     depth = depth / max(float(np.quantile(depth, 0.9)), 1e-6)
     power_law = depth**power
     square = ((presses.position[:, None] - presses.position[None]) ** 2).sum(-1)
-    growth = (1 - model.free_share) * power_law[:, None] * power_law[None]
-    growth = growth + model.free_share * _integrated_wiener(depth)
+    free = model.free_share
+    growth = (1 - free) * power_law[:, None] * power_law[None] + free * _integrated_wiener(depth)
     covariance = np.exp(-square / (2 * model.length**2)) * growth
     covariance[np.diag_indices_from(covariance)] += model.noise + (model.relative_noise * power_law) ** 2
     values = presses.readings / max(np.sqrt(np.mean(presses.readings**2)), 1e-30)
     prediction = left_out(covariance, values)
-    r2 = 1 - float((prediction.error**2).sum() / max((values**2).sum(), 1e-30))
-    return prediction.log_density, r2
+    return prediction.log_density, 1 - float((prediction.error**2).sum() / max((values**2).sum(), 1e-30))
 
 
 def _integrated_wiener(depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:

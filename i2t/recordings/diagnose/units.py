@@ -73,10 +73,10 @@ def find_units(
     unit, to_microtesla = ("tesla", 1e6) if strong < ranges.max_norm_in_tesla else ("millitesla", 1e3)
     # Quantity, whether its size is implausible, the factor that corrects it, and the reason.
     tests = (
-        ("length", extent > ranges.max_extent_m, 1e-3, f"{positions}, which cannot be metres but millimetres"),
+        ("length", extent > ranges.max_extent_m, 1e-3, f"{positions}, too large for m: they are in millimetres"),
         ("length", too_narrow, 1e3, f"{positions} m, although readings depend on them: they are multiplied by 1000"),
         ("depth", 0 < largest_depth < ranges.min_depth_m, 1e3, f"{depths} m: they are multiplied by 1000"),
-        ("depth", largest_depth > ranges.max_depth_m, 1e-3, f"{depths}, which cannot be metres but millimetres"),
+        ("depth", largest_depth > ranges.max_depth_m, 1e-3, f"{depths}, too large for m: they are in millimetres"),
         ("field", 0 < strong < ranges.min_norm_ut, to_microtesla, f"{fields}, too small for uT: they are in {unit}"),
         ("field", strong > ranges.max_norm_ut, 1e-3, f"{fields}, too large for uT: they are in nanotesla"),
         (

@@ -49,24 +49,24 @@ def test_each_fault_of_a_recording_is_named():
 
     changed = readings.copy()
     changed[300:, 6:9] += 35  # as much as one chip of a real board remembered of the press before
-    found = check_presses(position, load, changed)[1]
-    assert found.wrong
-    assert found.evidence["changed_chips"] == [2]
-    assert "Chip 2" in found.sentence
+    finding = check_presses(position, load, changed)[1]
+    assert finding.wrong
+    assert finding.evidence["changed_chips"] == [2]
+    assert "Chip 2" in finding.sentence
 
     moved = position + np.where(np.arange(600)[:, None] < 300, 0, 0.1)  # halves at different places tell nothing
-    found = check_presses(moved, load, readings)[1]
-    assert not found.wrong
-    assert not found.identifiable
-    assert np.isnan(found.estimate)
+    finding = check_presses(moved, load, readings)[1]
+    assert not finding.wrong
+    assert not finding.identifiable
+    assert np.isnan(finding.estimate)
 
 
 def test_a_skin_that_slips_is_found():
     rng = np.random.default_rng(12)
     position, depth = presses(rng, 600)
     slipped = position + np.where(np.arange(600)[:, None] < 300, 0.0, 4e-3)
-    (said,) = wrong_in(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
-    assert "the skin slipped or changed" in said
+    (sentence,) = wrong_in(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
+    assert "the skin slipped or changed" in sentence
 
 
 def test_a_tip_of_steel_is_found_by_its_strength():
