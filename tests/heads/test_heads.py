@@ -1,4 +1,4 @@
-"""Heads: what they tell, how sure they are, what they refuse, and recordings in every form and state."""
+"""Heads: predictions, their uncertainty, refusals, and recordings in all formats and states."""
 
 import gzip
 from dataclasses import replace
@@ -30,7 +30,7 @@ def position_head(recording):
     return fit_head(recording.rows(slice(0, 200)), "position", budget=SMALL)
 
 
-def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording, position_head):
+def test_a_head_predicts_new_positions_better_than_the_baselines(recording, position_head):
     predicted, truth = position_head.predict(recording.readings[200:]), recording.targets["position"][200:]
     assert np.median(np.linalg.norm(predicted.mean - truth, axis=1)) < 0.4e-3  # the range is 20 mm
     assert 0.8 < np.mean(np.abs(predicted.mean - truth) < 1.645 * predicted.std) <= 1.0
@@ -39,8 +39,8 @@ def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording
     assert validation[position_head.method] < 0.5 * min(validation[name] for name in BASELINE_HEADS)
 
 
-def test_a_skin_that_is_not_touched_tells_no_place(recording):
-    """Where depth or contact is not recorded, by the shear force: it is nil in air."""
+def test_untouched_rows_are_not_used_for_positions(recording):
+    """Without depth and contact, a shear force of zero shows that the skin is not touched."""
     touched = np.arange(len(recording)) % 3 > 0
     place = {"position": recording.targets["position"]}
     shear = np.where(touched[:, None], [[0.1, -0.2]], 0.0)
@@ -53,7 +53,7 @@ def test_a_skin_that_is_not_touched_tells_no_place(recording):
         np.testing.assert_array_equal(target_rows(replace(recording, targets=place | targets), "position"), rows)
 
 
-def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_is_not_told(recording, position_head):
+def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_gives_nan(recording, position_head):
     readings = recording.readings[200:].copy()
     assert not position_head.predict(readings).unfamiliar.any()
     assert position_head.predict(readings + 500).unfamiliar.mean() > 0.95
@@ -64,7 +64,7 @@ def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_is_not_told(recording, p
     assert predicted.unfamiliar[1]
 
 
-def test_where_nothing_can_be_told_the_mean_is_kept(recording):
+def test_the_mean_is_predicted_if_readings_hold_no_information(recording):
     rng = np.random.default_rng(1)
     deaf = replace(recording, readings=rng.normal(size=recording.readings.shape))
     head = fit_head(deaf, "depth", budget=SMALL)
@@ -77,8 +77,9 @@ def test_where_nothing_can_be_told_the_mean_is_kept(recording):
 
 
 def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, np.ndarray]:
-    """Each site of a grid is touched several times to one depth and reads an offset of its own, which repeats; and the
-    number of each press's site.
+    """Touch each site of a grid several times to one depth; return the recording and the number of each press's site.
+
+    Readings have an offset that is the same for all presses of a site.
     """
     rng = np.random.default_rng(0)
     along = np.linspace(-9e-3, 9e-3, side)
@@ -93,7 +94,7 @@ def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, n
 
 
 @pytest.mark.parametrize("sites_repeat", [True, False])
-def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(sites_repeat, tmp_path):
+def test_a_head_beats_nearest_readings_whether_or_not_sites_repeat(sites_repeat, tmp_path):
     recording, site = presses_at_sites()
     rng = np.random.default_rng(1)
     held = np.isin(site, rng.permutation(144)[:28])
@@ -137,7 +138,7 @@ def test_ranges_hold_on_strokes_that_err_alike():
     assert np.mean(inside) > 0.88
 
 
-def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
+def test_neighbours_and_gp_match_scikit_learn(recording):
     x, y = recording.readings[:120], recording.targets["position"][:120]
     at = recording.readings[200:220]
     near = methods.fit_regression(methods.NEAREST_READINGS, (0.0, 4.0), x, y)
@@ -150,7 +151,7 @@ def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
     np.testing.assert_allclose(predicted, judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8)
 
 
-def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
+def test_blocks_are_held_out_of_presses_and_strokes_of_a_stream():
     flat = presses_of_a_skin(80)
     assert 9 <= hold_out_groups(flat).max() + 1 <= 25
     large = replace(flat, targets={"position": 6 * flat.targets["position"]})  # of 6 mm there too
@@ -173,7 +174,7 @@ def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
         ("contact", {"contact": np.ones((300, 1))}, "not a target of a head"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused_in_a_sentence(recording, target, change, message):
+def test_unusable_recordings_are_refused_in_a_sentence(recording, target, change, message):
     readings = change.get("readings", recording.readings)
     with pytest.raises(ValueError, match=message):
         fit_head(replace(recording, readings=readings, targets=recording.targets | change), target, budget=SMALL)
@@ -206,7 +207,7 @@ def test_sessions_of_eflesh_are_read_as_recorded(tmp_path):
     assert {0.0, 1.0} <= set(recording.targets["contact"][:, 0])
 
 
-def test_a_damaged_session_gives_what_is_left_and_an_empty_one_is_refused(tmp_path):
+def test_sound_rows_of_a_damaged_session_are_kept_and_an_empty_one_is_refused(tmp_path):
     _, values = _session(tmp_path / "one")
     path, states = (tmp_path / "one" / f"{name}.csv" for name in ("sensor_post_baselines", "states"))
     lines = path.read_text().splitlines()

@@ -1,4 +1,4 @@
-"""What is found wrong in a recording is put right before anything is fitted to it."""
+"""Findings correct a recording before anything is fitted to it."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def put_right(variant):
 @pytest.mark.parametrize(
     "mistake", ["force that pulls", "height into the skin", "positions in millimetres", "readings in millitesla"]
 )
-def test_a_mistaken_column_is_put_right(mistake):
+def test_a_wrong_column_is_corrected(mistake):
     corrected = put_right(mistake)[1]
     np.testing.assert_allclose(corrected.readings, EXPECTED.readings)
     for name in ("position", "force"):
@@ -42,7 +42,7 @@ def test_a_mistaken_column_is_put_right(mistake):
 
 
 @pytest.mark.parametrize("mistake", ["labels a row late", "labels two rows early"])
-def test_labels_of_another_row_come_back_to_their_readings(mistake):
+def test_shifted_labels_return_to_their_readings(mistake):
     recording, corrected = put_right(mistake)
     assert len(recording) > len(corrected) >= len(recording) - 2
     at = np.abs(corrected.readings[:, None] - SOUND.readings[None]).sum(-1).argmin(1)
@@ -51,7 +51,7 @@ def test_labels_of_another_row_come_back_to_their_readings(mistake):
     np.testing.assert_array_equal(np.diff(corrected.time), 1)
 
 
-def test_a_sound_recording_stays_as_it_is_and_what_was_subtracted_has_the_unit_of_the_readings():
+def test_a_sound_recording_is_unchanged_and_baselines_are_scaled_with_readings():
     recording, same = put_right("sound")
     assert same is recording
     finding = Finding("units", "", True, wrong=True, correction={"field_factor": 1e3})

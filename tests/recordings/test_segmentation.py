@@ -1,4 +1,4 @@
-"""Presses are cut out of streams at any rate, simulated and real."""
+"""Presses are segmented from streams at any rate, simulated and real."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_presses_of_a_stream_are_found_with_their_ends_and_levels(amplitude):
     np.testing.assert_allclose(presses.start_time, time[presses.start])
 
 
-def test_rest_noise_and_drift_are_no_presses():
+def test_noise_and_drift_at_rest_are_not_presses():
     for seed in range(5):
         time, readings, *_ = stream(seed, 0.0, drift=10.0)
         assert len(segment_presses(time, readings).start) == 0
@@ -55,14 +55,14 @@ def test_a_skin_that_stays_displaced_has_a_new_rest():
     np.testing.assert_allclose(presses.baseline[3] - presses.baseline[2], 0.08 * levels[2], atol=2.0)
 
 
-def test_a_recording_that_begins_pressed_loses_that_press_alone():
+def test_a_recording_that_begins_pressed_loses_only_that_press():
     time, readings, spans, levels = stream(4, 60.0)
     begin = (spans[0][0] + spans[0][1]) // 2
     presses = segment_presses(time[begin:], readings[begin:])
     np.testing.assert_allclose(presses.reading, levels[1:], atol=2.0)
 
 
-def test_a_press_that_is_held_too_long_costs_no_other():
+def test_a_press_held_too_long_hides_no_other():
     time, readings, spans, levels = stream(5, 60.0)
     middle = (spans[3][0] + spans[3][1]) // 2
     rows = readings[np.r_[:middle, np.full(int(70 * RATE), middle), middle : len(time)]]
@@ -71,7 +71,7 @@ def test_a_press_that_is_held_too_long_costs_no_other():
     np.testing.assert_allclose(presses.reading, np.delete(levels, 3, axis=0), atol=2.0)
 
 
-def test_spikes_change_no_press_and_a_press_of_three_rows_is_none():
+def test_spikes_change_no_press_and_three_rows_are_too_short_for_one():
     time, readings, _, levels = stream(6, 60.0)
     rng = np.random.default_rng(0)
     spiked = rng.uniform(size=len(time)) < 0.005
@@ -83,7 +83,7 @@ def test_spikes_change_no_press_and_a_press_of_three_rows_is_none():
     assert len(segment_presses(np.arange(200) / 25, short).start) == 9
 
 
-def test_one_weak_chip_is_enough_and_the_rate_may_be_any():
+def test_one_weak_chip_is_enough_at_any_rate():
     time, readings, spans, _ = stream(2, 0.0, channels=48)
     rows = np.zeros(len(time))
     for start, end in spans:
@@ -95,7 +95,7 @@ def test_one_weak_chip_is_enough_and_the_rate_may_be_any():
     assert len(segment_presses(jitter, readings[some]).start) == len(spans)
 
 
-def test_what_is_no_recording_is_refused():
+def test_invalid_recordings_are_refused():
     time, readings, *_ = stream(0, 10.0, presses=1)
     back, damaged = time.copy(), np.where(readings > 500, np.nan, readings)
     back[4] = 0.0

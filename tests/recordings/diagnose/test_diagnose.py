@@ -1,4 +1,4 @@
-"""What is wrong with a recording is found, what it cannot tell is said, and sound recordings raise no alarm."""
+"""Faults are found, unanswerable questions are not identifiable, and sound recordings raise no alarm."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from i2t.skin.boards import eflesh_board, reskin_board
         (lambda few: diagnose.find_board(few, reskin_board()), 25),
     ],
 )
-def test_too_few_presses_say_how_many_are_enough(find, enough):
+def test_a_finding_on_too_few_presses_states_how_many_are_enough(find, enough):
     rng = np.random.default_rng(0)
     place, depth, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
     recorded = {n: Presses(place[:n], readings[:n], height=-depth[:n]) for n in (enough - 1, enough)}
@@ -37,7 +37,7 @@ def damaged(name: str, seed: int = 0, n: int = 140) -> Presses:
     return presses(VARIANTS[name](press(seed, n)))
 
 
-def test_a_lag_of_a_few_rows_is_found_and_put_right():
+def test_a_lag_of_a_few_rows_is_found_and_corrected():
     recording = presses(press(1, 90))
     for rows in (-3, 0, 1):
         late = Presses(np.roll(recording.position, rows, 0), recording.readings, height=np.roll(recording.height, rows))
@@ -50,7 +50,7 @@ def test_a_lag_of_a_few_rows_is_found_and_put_right():
         np.testing.assert_array_equal(put_right.readings[inner], recording.readings[at])
 
 
-def test_signs_and_units_are_found_and_put_right():
+def test_wrong_signs_and_units_are_found_and_corrected():
     sound = damaged("sound")
 
     def findings_in(recording: Presses) -> dict[str, Finding]:
@@ -74,8 +74,8 @@ def test_signs_and_units_are_found_and_put_right():
         np.testing.assert_allclose(getattr(put_right, field), getattr(sound, field), rtol=1e-12)
 
 
-def test_what_a_recording_cannot_tell_is_said():
-    """Rows that are alike tell no lag, forces that push and pull no sign, and presses to one height no height zero."""
+def test_what_a_recording_cannot_answer_is_not_identifiable():
+    """Similar rows show no lag, forces of both signs no sign, and presses to one height no height zero."""
     height = 1e-3 * np.cos(np.linspace(0, 6 * np.pi, 600))
     readings = np.outer(np.maximum(-height, 0) ** 1.5, np.linspace(-3e6, 3e6, 15))
     alike = diagnose.find_lag(Presses(np.zeros((600, 2)), readings, height=height))
@@ -91,13 +91,13 @@ def test_what_a_recording_cannot_tell_is_said():
     assert one_height.estimate is None
 
 
-def test_too_few_rows_that_are_whole_tell_nothing():
+def test_too_few_complete_rows_give_no_findings():
     recording = damaged("sound")
     lost = np.where(np.arange(140)[:, None] < 3, recording.position, np.nan)
     assert diagnose.diagnose(Presses(lost, recording.readings, height=recording.height), None) == []
 
 
-def test_an_approach_tells_where_the_readings_begin():
+def test_approaches_show_first_contact():
     rng = np.random.default_rng(2)
     down = np.concatenate([np.full(20, 2e-3), np.linspace(2e-3, -3e-3, 120)])
     height = np.concatenate([down, down[::-1]] * 3) + 0.25
@@ -117,7 +117,7 @@ def test_an_approach_tells_where_the_readings_begin():
     assert not len(diagnose.find_approaches(rng.permutation(height), readings))
 
 
-def test_a_turned_board_keeps_what_its_chips_read_of_one_field():
+def test_a_rotated_board_measures_the_same_field():
     board = reskin_board()
     for matrix in STAGES.values():
         turned = diagnose.turn_board(board, matrix.astype(float))
@@ -128,13 +128,13 @@ def test_a_turned_board_keeps_what_its_chips_read_of_one_field():
 
 
 def anyskin_like():
-    """The board of the helper's skin: ReSkin's places, axes as the tool's."""
+    """Describe the board of the helper's skin: positions of ReSkin's chips, with the axes of the tool."""
     board = reskin_board()
     return board._replace(rotations=np.tile(np.eye(3, dtype=np.float32), (5, 1, 1)))
 
 
 @pytest.mark.full
-def test_height_zero_is_found_where_presses_lie_on_both_sides_of_it():
+def test_height_zero_is_found_if_presses_lie_on_both_sides():
     recording = damaged("another height zero", 0, 320)
     finding = diagnose.find_height_zero(recording, stated=0.1430)
     assert finding.identifiable
@@ -145,7 +145,7 @@ def test_height_zero_is_found_where_presses_lie_on_both_sides_of_it():
 
 
 @pytest.mark.full
-def test_a_mirrored_stage_never_passes_for_right():
+def test_a_mirrored_stage_is_never_called_correct():
     finding = diagnose.find_board(damaged("x mirrored"), reskin_board(), growth=None)
     assert finding.wrong or not finding.identifiable
     if finding.wrong:
@@ -161,7 +161,7 @@ def test_a_mirrored_stage_never_passes_for_right():
         ("five heights", set()),
     ],
 )
-def test_a_damaged_recording_is_judged_without_falling_over(name, expected):
+def test_a_damaged_recording_is_diagnosed(name, expected):
     findings = diagnose.diagnose(damaged(name, n=200), anyskin_like())
     wrong = {finding.name for finding in findings if finding.wrong}
     assert expected <= wrong

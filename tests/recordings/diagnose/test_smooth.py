@@ -25,13 +25,13 @@ def refitted(K: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.array(errors)
 
 
-def test_errors_left_out_are_those_of_fits_without_the_row():
+def test_leave_one_out_errors_match_refits():
     labels, values = drawn()
     K = covariance(labels, 0.7, 0.03)
     np.testing.assert_allclose(left_out(K, values).error, refitted(K, values), rtol=1e-8, atol=1e-10)
 
 
-def test_r2_is_that_of_the_best_of_all_refits():
+def test_r2_is_that_of_the_best_refit():
     labels, values = drawn()
     lengths, noises = (0.5, 2.0), (0.01, 0.3)
     missed = [
