@@ -337,8 +337,7 @@ def _covariance(settings: Settings, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _noisy_covariance(settings: Settings, x: np.ndarray) -> np.ndarray:
-    jitter = 1e-9
-    return _covariance(settings, x, x) + (settings[2] + jitter) * np.eye(len(x))
+    return _covariance(settings, x, x) + (settings[2] + 1e-9) * np.eye(len(x))  # jitter of 1e-9
 
 
 def _nearest(fitted: Regression, x: np.ndarray, k: int) -> np.ndarray:

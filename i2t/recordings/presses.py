@@ -46,7 +46,8 @@ def join_presses(parts: Sequence[Presses]) -> Presses:
         The presses of all parts, in their order.
     """
     columns: dict[str, Any] = {name: [getattr(part, name) for part in parts] for name in Presses._fields}
-    return Presses(**{name: None if values[0] is None else np.concatenate(values) for name, values in columns.items()})
+    columns = {name: None if values[0] is None else np.concatenate(values) for name, values in columns.items()}
+    return Presses(**columns)
 
 
 def dataset_presses(dataset: Dataset) -> Presses:
