@@ -13,7 +13,7 @@ from experiments.calibrate.arguments import Preset
 from i2t.dataset import same_places, square_blocks
 from i2t.dataset.splits import PLACE_M
 from i2t.intervals import MIN_CLUSTERS
-from i2t.recordings.presses import MM_PER_M, LoadedPresses
+from i2t.recordings.presses import LoadedPresses
 
 RANDOM = "random presses"
 EACH_PRESS = "each press left out"
@@ -85,7 +85,7 @@ def hold_out(recording: LoadedPresses, cfg: Preset, seed: int, usable: np.ndarra
             f"{source} has {len(rows)} usable presses, too few to predict each from the others; {MIN_PRESSES} are "
             f"enough for that, and some {ADVISED_PRESSES} all over the skin to learn it"
         )
-    position_mm = MM_PER_M * recording.position[rows]
+    position_mm = 1e3 * recording.position[rows]
     clusters = _clusters_of(position_mm, cfg.block_mm)
     if clusters.number == 1 and not np.ptp(recording.load[rows]) and not np.ptp(position_mm, axis=0).any():
         raise ValueError(
@@ -109,14 +109,14 @@ def _clusters_of(position_mm: np.ndarray, block_mm: float) -> Clusters:
     blocks = square_blocks(position_mm, block_mm)
     if np.bincount(blocks).max() <= most:
         return Clusters(f"block of {block_mm:g} mm", blocks)
-    places = same_places(position_mm / MM_PER_M)
+    places = same_places(position_mm / 1e3)
     return Clusters(PLACE, places if np.bincount(places).max() <= most else np.zeros_like(places))
 
 
 def _about_one_place(position_mm: np.ndarray, load_kind: str) -> str:
     """What presses at positions (n, 2) cannot show where more than half of them lie at one place."""
     n = len(position_mm)
-    close = np.linalg.norm(position_mm - np.median(position_mm, axis=0), axis=1) <= MM_PER_M * PLACE_M
+    close = np.linalg.norm(position_mm - np.median(position_mm, axis=0), axis=1) <= 1e3 * PLACE_M
     share = f"all {n} presses" if close.all() else f"more than half of the {n} presses"
     return (
         f"{share} lie at one place, so leaving places out is impossible: the figures say how well other {load_kind}s "

@@ -11,8 +11,7 @@ from experiments.calibrate.methods import CALIBRATED, MEAN, NEIGHBOURS, PLAIN
 from experiments.common.runs import write_json
 from experiments.common.tables import cell, text_table
 from i2t.intervals import MIN_CLUSTERS
-from i2t.recordings.diagnose import Finding
-from i2t.recordings.diagnose.changes import CHANGED_SKIN, REPEATED_ROWS
+from i2t.recordings.diagnose import Finding, FindingName
 from i2t.viz import style
 
 COLOURS = {
@@ -86,6 +85,6 @@ def warning_metrics(findings: Sequence[Finding]) -> dict[str, Any]:
     values = {finding.name: finding.estimate for finding in findings}
     return {
         "warnings": [finding.sentence for finding in findings if finding.wrong],
-        "repeated_rows": int(values[REPEATED_ROWS] or 0),
-        "change_ratio": values[CHANGED_SKIN],
+        "repeated_rows": int(values[FindingName.REPEATED_ROWS] or 0),
+        "change_ratio": values[FindingName.CHANGED_SKIN],
     }

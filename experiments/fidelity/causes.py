@@ -25,15 +25,14 @@ from i2t.dataset import Dataset, load_dataset
 from i2t.errors import DataError
 from i2t.geometry import inverse
 from i2t.prediction.baselines import features_of, image_components, touch_features
-from i2t.recordings.diagnose import Finding
-from i2t.recordings.diagnose.height import HEIGHT_ZERO
-from i2t.recordings.diagnose.lag import LAG, lag_between
-from i2t.recordings.diagnose.signs import FORCE_SIGN
-from i2t.recordings.diagnose.units import UNITS
+from i2t.recordings.diagnose import Finding, FindingName
+from i2t.recordings.diagnose.lag import lag_between
 
 TIP, VIEW = "tip radius", "view"
 SOFTNESS = "softness"
-CAUSES = (HEIGHT_ZERO, FORCE_SIGN, TIP, VIEW, UNITS, LAG, SOFTNESS)
+CAUSES = (
+    FindingName.HEIGHT_ZERO, FindingName.FORCE_SIGN, TIP, VIEW, FindingName.UNITS, FindingName.LAG, SOFTNESS,
+)  # fmt: skip
 
 LAG_TOUCHES = 1500  # in the order of their rows
 LAG_FEATURES = 4  # of the views, that vary most
@@ -127,16 +126,17 @@ def _changes(
     upside_down = np.asarray(dataset.reach - known, np.float32)
     yield VIEW, "the view upside down (near for far)", seen._replace(views=upside_down)
     if cfg.control == "force":
-        yield FORCE_SIGN, "forces of the other sign", seen._replace(force=-seen.force)
+        yield FindingName.FORCE_SIGN, "forces of the other sign", seen._replace(force=-seen.force)
         for softness in SOFTNESSES:  # pressures of a softer layer are in proportion to those of a larger force
             said = f"a layer {softness:g} times as soft (--softness {softness * cfg.softness:g})"
             yield SOFTNESS, said, seen._replace(force=np.float32(softness) * seen.force)
     else:
         for height in HEIGHTS_M:
-            yield HEIGHT_ZERO, f"depths {1e3 * height:+g} mm", seen._replace(depth=seen.depth + np.float32(height))
+            lifted = seen._replace(depth=seen.depth + np.float32(height))
+            yield FindingName.HEIGHT_ZERO, f"depths {1e3 * height:+g} mm", lifted
     for scale in SCALES:
         changed = seen._replace(**{cfg.control: np.float32(scale) * load})
-        yield UNITS, f"{cfg.control}s {scale:g} times as large", changed
+        yield FindingName.UNITS, f"{cfg.control}s {scale:g} times as large", changed
     radius = tip_radius(dataset)
     if radius is not None and seen.views.shape[-1] == dataset.touches.patch.shape[-1]:
         T_t_o = inverse(dataset.touches.T_w_t[which].astype(np.float64)) @ dataset.touches.T_w_o[which]

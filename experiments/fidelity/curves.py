@@ -25,7 +25,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.dataset import square_blocks
-from i2t.recordings.loads import DEPTH_OF_UNKNOWN_M
+from i2t.recordings.loads import ASSUMED_DEPTH_M
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import SkinRecording
 from i2t.types import Board
@@ -98,7 +98,7 @@ def pushing_presses(presses: LoadedPresses, board: Board | None) -> LoadedPresse
     at = presses.position - ((presses.position.min(0) + presses.position.max(0)) / 2 if own is None else 0)
     load, kind = np.maximum(presses.load, 0), presses.load_kind
     if kind == "none":
-        load, kind = np.full(len(load), DEPTH_OF_UNKNOWN_M), "depth"
+        load, kind = np.full(len(load), ASSUMED_DEPTH_M), "depth"
     return presses._replace(position=at, load=load, load_kind=kind, own_board=own)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 from experiments.fidelity.forward import load_of, one_tip
 from experiments.fidelity.sections import CannotTellError, Section, join
 from i2t.recordings.diagnose import Finding, check_presses, diagnose, find_force_sign, metrics_of
-from i2t.recordings.read import STREAM_GAP_S, TARGETS, SkinRecording
+from i2t.recordings.read import MAX_STREAM_STEP_S, TARGETS, SkinRecording
 from i2t.recordings.segmentation import MAD_TO_STD
 from i2t.skin.boards import AXES_OF_CHIP
 
@@ -165,7 +165,7 @@ def changes_in_air(recording: SkinRecording) -> np.ndarray:
     if contact is None:
         return np.zeros((0, recording.readings.shape[1]))
     air = contact[:, 0] == 0
-    follows = (np.diff(recording.session) == 0) & (np.diff(recording.time) <= STREAM_GAP_S)
+    follows = (np.diff(recording.session) == 0) & (np.diff(recording.time) <= MAX_STREAM_STEP_S)
     return np.diff(recording.readings, axis=0)[air[1:] & air[:-1] & follows]
 
 

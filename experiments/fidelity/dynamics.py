@@ -22,7 +22,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.recordings.presses import LoadedPresses
-from i2t.recordings.read import STREAM_GAP_S, SkinRecording
+from i2t.recordings.read import MAX_STREAM_STEP_S, SkinRecording
 from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin.faults import LAYER_SHARE, Faults
 from i2t.skin.noise import Noise
@@ -250,7 +250,7 @@ def _press_hysteresis(
 ) -> None:
     """Share of the press before that each chip keeps: its residual against the reading before."""
     presses, gap = press_set(recording, at_least=60), np.diff(recording.time)
-    if np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S:
+    if np.isfinite(gap).any() and np.nanmedian(gap) < MAX_STREAM_STEP_S:
         raise CannotTellError("Rows follow each other in strokes: what a press leaves in the next one is unknown.")
     chosen, predicted = predicted_from_others(presses, preset.forward_rows)
     assert presses.row is not None

@@ -11,8 +11,8 @@ from experiments.common.tables import cell
 from experiments.fidelity.forward import loses_beyond_chance
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.heads.heads import (
+    HEAD_CONFIG,
     HEAD_TARGETS,
-    MIN_HEAD_ROWS,
     Head,
     HeadPrediction,
     fit_head,
@@ -113,7 +113,7 @@ def test_heads(
 
 def rows_enough(share: float) -> int:
     """Rows of which a share is enough to test a head and the rest to fit it."""
-    return max(math.ceil(MIN_HEAD_TEST / share), math.ceil(MIN_HEAD_ROWS / (1 - share)))
+    return max(math.ceil(MIN_HEAD_TEST / share), math.ceil(HEAD_CONFIG.min_rows / (1 - share)))
 
 
 test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever its name

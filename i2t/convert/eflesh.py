@@ -33,7 +33,7 @@ from i2t.recordings.clocks import judge_stamps, require_order
 from i2t.recordings.diagnose import corrected_presses, find_units, findings_to_meta, first_contact, turn_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
-    SAME_ROW,
+    MAX_ROW_OFFSET_S,
     load_of_states,
     rows_together,
     silent_chips_of,
@@ -251,7 +251,7 @@ def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Readin
     rows, partner = rows_together(states[:, 0], values[:, 0])
     if not len(rows):
         raise DataError(
-            f"{folder}: no state was recorded within {1e3 * SAME_ROW:g} ms of a sensor row; check both tables"
+            f"{folder}: no state was recorded within {1e3 * MAX_ROW_OFFSET_S:g} ms of a sensor row; check both tables"
         )
     if not len(states) == len(values) == len(rows):
         lost = max(len(states), len(values)) - len(rows)

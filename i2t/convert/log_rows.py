@@ -14,8 +14,8 @@ import numpy as np
 
 from i2t.errors import DataError
 from i2t.recordings.clocks import (
-    COUNTERS_S,
-    PAUSE_S,
+    CLOCK,
+    COUNTER_PERIODS_S,
     ClockVerdict,
     RowClock,
     even_times,
@@ -220,10 +220,10 @@ class _Stamps:
         line, back = f"{part.labels[0, LINE]:.0f}", self.last - float(part.time[0])
         other_session = part.labels[0, NAMES] != self.names
         if counter := rolls_over(self.last, float(part.time[0])):
-            self.offset += COUNTERS_S[counter]
+            self.offset += COUNTER_PERIODS_S[counter]
             notes.info(f"time begins again at line {line}, where {counter} is full: it was counted on")
             return False
-        if back <= PAUSE_S and not other_session:
+        if back <= CLOCK.pause_s and not other_session:
             self.offset += back + clock.step
             notes.info(f"time goes back by {back:.3g} s at line {line}: it was taken as running on")
             return False

@@ -19,13 +19,13 @@ from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.recordings.diagnose import (
     Correction,
     Finding,
+    FindingName,
     correction_of,
     diagnose,
     find,
     findings_to_meta,
     turn_board,
 )
-from i2t.recordings.diagnose.height import HEIGHT_ZERO
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.presses import Presses
 from i2t.types import Board, ReturnCode, Touches
@@ -47,7 +47,7 @@ class SessionCheck(NamedTuple):
     @property
     def zero(self) -> Finding | None:
         """Finding on the height of first contact."""
-        return find(self.findings, HEIGHT_ZERO)
+        return find(self.findings, FindingName.HEIGHT_ZERO)
 
     @property
     def correction(self) -> Correction:
@@ -79,7 +79,7 @@ def check_session(
     """
     findings = diagnose(presses, board, stated_zero=stated_zero)
     for finding in sorted(findings, key=lambda finding: not finding.wrong):
-        kept = keep_zero and finding.name == HEIGHT_ZERO
+        kept = keep_zero and finding.name == FindingName.HEIGHT_ZERO
         verdict = "found" if not finding.wrong else "contradicted" if kept else "corrected"
         notes.info(f"{verdict} in {name}: {finding.sentence}")
     turn = correction_of(findings).board_from_stage

@@ -33,11 +33,9 @@ from i2t.recordings.clocks import pause_of
 from i2t.recordings.columns import FORCE, HEIGHT_COLUMNS, PLACES, TEXT_COLUMNS, TIME, field_columns
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
-    LONGEST_S,
-    MIN_NOISE_UT,
-    MIN_ROWS,
     FoundPress,
     OpenRecording,
+    SegmentationConfig,
     find_last,
     find_more,
     open_recording,
@@ -103,14 +101,14 @@ class _Search:
 
     def goes_on_pressed(self, rows: LogRows) -> bool:
         """Test whether the skin was pressed last, and these rows go on from there."""
-        if self.head is None or self.tail is None or not len(rows.time) or self.rows < MIN_ROWS:
+        if self.head is None or self.tail is None or not len(rows.time) or self.rows < SegmentationConfig().min_rows:
             return False
         tail = self.tail.readings
         last, following = tail[-LEVEL_ROWS:].mean(0), rows.readings[:LEVEL_ROWS].mean(0)
 
         def distance(difference: np.ndarray, rows: np.ndarray) -> float:
             between_rows = np.diff(rows, axis=0).std(0) if len(rows) > 1 else np.zeros(rows.shape[1])
-            return float((np.abs(difference) / np.maximum(between_rows, MIN_NOISE_UT)).max())
+            return float((np.abs(difference) / np.maximum(between_rows, SegmentationConfig().min_noise_ut)).max())
 
         pressed = distance(last - np.median(self.head, axis=0), self.head) > IS_PRESSED
         elsewhere = np.abs(rows.labels[0, LABELS:] - self.tail.labels[-1, LABELS:]) > SAME_LABEL
@@ -118,7 +116,7 @@ class _Search:
 
     def finish(self) -> None:
         """Take no more rows: find the last presses, if there were enough rows."""
-        if self.recording is None and self.rows < MIN_ROWS:
+        if self.recording is None and self.rows < SegmentationConfig().min_rows:
             return
         self.recording, more = find_last(self.recording or self._begin())
         self.found = true_presses([*self.found, *more], self.recording.rules)
@@ -317,8 +315,8 @@ class _Searches:
         if self.moved:
             notes.info(
                 f"left out: {len(self.moved)} presses that had begun before their part of the log, or lasted over "
-                f"{LONGEST_S:g} s; the first was released at line {min(self.moved)} (or the skin rests elsewhere from "
-                "there on)"
+                f"{SegmentationConfig().max_press_s:g} s; the first was released at line {min(self.moved)} (or the "
+                "skin rests elsewhere from there on)"
             )
         if self.unsteady:
             notes.info(f"left out: {self.unsteady} presses that were not steady before their part of the log ended")

@@ -1,4 +1,4 @@
-"""Heads: contact estimates from a skin's readings, position, depth, normal force and shear, with their spread.
+"""Heads: estimates of position, depth, normal force and shear from a skin's readings, with their uncertainty.
 
     from i2t.heads.heads import fit_head
     from i2t.recordings.read import read_recordings
@@ -10,23 +10,23 @@
     head.save("position.npz")
 
 A head is one of the methods of `regression`, or a weighted sum of them (stacked regression; Breiman, Machine Learning
-24, 1996): what has the least error on whole blocks of the skin and on single presses that it was not fitted to; in a
-stream, or where one position is known only, on whole strokes or stretches of time. The mean, a linear map and the k
-nearest readings are among the methods, so that nothing is kept that loses to them there. What is best where presses
-come back to known places (single presses left out) need not be best elsewhere (blocks left out). Where two methods are
-better than one, a head keeps both, and goes from one to the other with a reading's distance from the known ones.
+24, 1996). It has the smallest error on held-out blocks of the skin and held-out single presses; in a stream, or if the
+position is constant or unknown, on held-out strokes or stretches of time. The mean, a linear map and the k nearest
+readings are among the methods, so a head never loses to them there. The method that is best where presses return to
+known places (single presses held out) may not be best elsewhere (blocks held out). If two methods are better than one,
+a head keeps both, and changes from one to the other with a reading's distance from the known ones.
 
-Spread: the errors on the same blocks say how far off the head is for a reading of this length, this near to what it
-knows. A factor brings nine in ten readings of nine in ten blocks or strokes into the 90 % range: rows of one stroke err
-alike, so strokes are what is exchangeable, not rows (cross-conformal prediction; Vovk, Annals of Mathematics and
-Artificial Intelligence 74, 2015; of groups, Dunn, Wasserman and Ramdas, J. Am. Stat. Assoc. 118, 2023). Of fewer than
-nine strokes it is that of the worst. A reading that lies farther from all known ones than these do from each other is
-`unfamiliar`: a skin that changed, another tip, or a magnet near by.
+The standard deviation of a prediction comes from the errors on the same blocks, at readings of similar length and
+distance from the known ones. A factor brings nine in ten readings of nine in ten blocks or strokes into the 90 % range:
+rows of one stroke err alike, so strokes are exchangeable and rows are not (cross-conformal prediction; Vovk, Annals of
+Mathematics and Artificial Intelligence 74, 2015; for groups, Dunn, Wasserman and Ramdas, J. Am. Stat. Assoc. 118,
+2023). With fewer than nine strokes the worst one sets the factor. A reading that is farther from all known ones than
+they are from each other is `unfamiliar`: the skin changed, the tip is another, or a magnet is near.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import chain, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -40,6 +40,7 @@ from i2t.files import serialization
 from i2t.heads.regression import (
     HEAD_METHODS,
     MEAN_TARGET,
+    FeatureKind,
     FeatureMap,
     HeadBudget,
     Regression,
@@ -52,41 +53,60 @@ from i2t.heads.regression import (
     predict_regression,
 )
 from i2t.leave_one_out import STDS_WITHIN_90
-from i2t.recordings.diagnose.smooth import thinned
-from i2t.recordings.read import (
-    MIN_CHANGE,
-    TARGETS,
-    SkinRecording,
-    is_stream,
-)
+from i2t.recordings.diagnose.smooth import subsample
+from i2t.recordings.read import TARGETS, SkinRecording, is_stream
 
 FILE_KIND_OF_HEAD = "i2t head"
 HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.yes_no)
-STACKED_METHODS = "weighted methods"
-MIN_WEIGHT = 0.02  # of a method in a sum
-FOLD_COUNT = 5
-MIN_HEAD_ROWS = 20  # of a head: fewer leave nothing to choose and to test on
-MIN_BLOCKS = 5  # of the skin, that blocks are held out of
-BLOCK_M = 6e-3
-BLOCKS_ACROSS = 4  # of a range too small for blocks of BLOCK_M
-TIME_STRETCHES = 10  # of a recording of one position
-RANGE_SHARE = 0.9  # of rows in a stated range, and of groups that hold as many
-ALIKE_SHARE = 0.05  # of the rows, whose errors say how far off the head is for a reading like them
-ALIKE_ROWS = 30  # at least
-UNFAMILIAR_QUANTILE = 0.999  # of distances between known readings
-UNFAMILIAR_FACTOR = 2.0
-# Shares of single presses, and of blocks, whose distances from known readings end what is near and begin what is far.
-GATES = ((0.5, 0.5), (0.9, 0.5), (0.9, 0.1))
-FEATURES_OF_SPREAD = 0  # index into FEATURE_KINDS
-STREAM_HISTORY = 3  # rows before a reading that a head of a stream may look at: what a skin remembers, how it moves
+
+
+@dataclass(frozen=True)
+class HeadConfig:
+    """Validation of heads, and the uncertainty of their predictions.
+
+    Attributes:
+        min_rows: Number of rows that a head needs; fewer leave nothing to choose and to test on.
+        fold_count: Number of folds, at most.
+        block_m: Edge of the blocks of the skin that are held out.
+        blocks_across: Number of blocks across a range of positions that is too small for `block_m`.
+        min_strokes: Number of strokes from which strokes are held out.
+        time_stretches: Number of stretches of time that are held out if there are neither blocks nor strokes.
+        stream_history: Number of earlier rows that a head of a stream may use, because a skin has a memory and moves.
+        min_weight: Weight from which a method belongs to a weighted sum.
+        gates: Shares of single presses, and of blocks, whose distances from known readings end the near region and
+            begin the far one.
+        range_share: Share of the rows in a stated range, and of the groups that hold as many.
+        similar_share: Share of the rows whose errors determine the uncertainty of a similar reading.
+        min_similar_rows: Number of these rows, at least.
+        unfamiliar_quantile: Quantile of the distances between known readings.
+        unfamiliar_factor: Factor on that quantile from which a reading is unfamiliar.
+    """
+
+    min_rows: int = 20
+    fold_count: int = 5
+    block_m: float = 6e-3
+    blocks_across: int = 4
+    min_strokes: int = 5
+    time_stretches: int = 10
+    stream_history: int = 3
+    min_weight: float = 0.02
+    gates: tuple[tuple[float, float], ...] = ((0.5, 0.5), (0.9, 0.5), (0.9, 0.1))
+    range_share: float = 0.9
+    similar_share: float = 0.05
+    min_similar_rows: int = 30
+    unfamiliar_quantile: float = 0.999
+    unfamiliar_factor: float = 2.0
+
+
+HEAD_CONFIG = HeadConfig()
 
 
 class HeadPrediction(NamedTuple):
-    """Predictions of a head."""
+    """Predictions of a head for n readings."""
 
-    mean: Float[np.ndarray, "n d"]  # in the library's unit; NaN where a reading is not finite
-    std: Float[np.ndarray, "n d"]  # likewise
-    unfamiliar: Bool[np.ndarray, " n"]  # far from every reading that the head knows
+    mean: Float[np.ndarray, "n d"]  # in the library's unit; NaN if a reading is not finite
+    std: Float[np.ndarray, "n d"]  # in the same unit; NaN if a reading is not finite
+    unfamiliar: Bool[np.ndarray, " n"]  # whether the reading is far from all known ones
 
 
 class SpreadRecord(NamedTuple):
@@ -94,20 +114,20 @@ class SpreadRecord(NamedTuple):
 
     features: FeatureMap
     known: Float[np.ndarray, "m k"]  # features of known readings
-    likeness: Float[np.ndarray, "m 2"]  # log length and log distance from the others, standardised
-    middle: Float[np.ndarray, " 2"]
-    width: Float[np.ndarray, " 2"]
-    square: Float[np.ndarray, "m d"]  # errors
-    factor: Float[np.ndarray, " d"]  # on the standard deviation
+    likeness: Float[np.ndarray, "m 2"]  # log length and log distance from other folds, standardised
+    middle: Float[np.ndarray, " 2"]  # mean of these before standardisation
+    width: Float[np.ndarray, " 2"]  # standard deviation of these
+    square: Float[np.ndarray, "m d"]  # squared errors
+    factor: Float[np.ndarray, " d"]  # factor on the standard deviation
     far: Float[np.ndarray, ""]  # distance from which a reading is unfamiliar
 
 
 class StackRecord(NamedTuple):
-    """A weighted sum of methods about the mean, m + sum w_i (f_i - m); None for a method without weight."""
+    """A weighted sum of methods about the mean, m + sum w_i (f_i - m); methods without weight are None."""
 
-    centre: Float[np.ndarray, " d"]  # m, of the targets
+    centre: Float[np.ndarray, " d"]  # m, mean of the targets
     weights: Float[np.ndarray, " methods"]  # in the order of HEAD_METHODS
-    histories: Int[np.ndarray, " methods"]  # rows before a reading that each looks at
+    histories: Int[np.ndarray, " methods"]  # number of earlier rows that each method uses
     mean: Regression | None = None
     linear: Regression | None = None
     nearest: Regression | None = None
@@ -115,33 +135,33 @@ class StackRecord(NamedTuple):
 
     @property
     def parts(self) -> dict[str, Regression]:
-        """Methods that have a weight."""
-        every = (self.mean, self.linear, self.nearest, self.gaussian_process)
-        return {name: part for name, part in zip(HEAD_METHODS, every, strict=True) if part is not None}
+        """Methods that have a weight, by name."""
+        parts = (self.mean, self.linear, self.nearest, self.gaussian_process)
+        return {name: part for name, part in zip(HEAD_METHODS, parts, strict=True) if part is not None}
 
 
 class HeadRecord(NamedTuple):
-    """Head on disk."""
+    """Arrays of a head, as its file holds them."""
 
     stack: StackRecord
     spread: SpreadRecord
-    values: Int[np.ndarray, ""]  # of a reading of the skin
-    channels: Int[np.ndarray, " used"]  # of a reading, that the head looks at
-    history: Int[np.ndarray, ""]  # rows before a reading that any of it looks at
-    near_stack: StackRecord | None = None  # for readings that are near to known ones, where it is another
-    gate: Float[np.ndarray, " 2"] | None = None  # distances up to which it is that one, and from which it is `stack`
+    values: Int[np.ndarray, ""]  # number of channels of the skin
+    channels: Int[np.ndarray, " used"]  # channels that the head uses
+    history: Int[np.ndarray, ""]  # number of earlier rows that any method uses
+    near_stack: StackRecord | None = None  # replaces `stack` near known readings; None if `stack` serves everywhere
+    gate: Float[np.ndarray, " 2"] | None = None  # distances up to which `near_stack` predicts, and from which `stack`
 
 
 @dataclass(frozen=True)
 class Head:
-    """Predicts one target from readings; make one with `fit_head` or `load_head`.
+    """Predictor of one target from readings, from `fit_head` or `load_head`.
 
     Attributes:
-        target: its name in `HEAD_TARGETS`.
-        record: arrays of it.
-        validation: error of each method on held-out blocks of the recording, by which this one was chosen: root mean
-            square in the library's unit.
-        metadata: whatever the caller wants to remember, as JSON can hold it.
+        target: Name of the target, one of `HEAD_TARGETS`.
+        record: Arrays of the head.
+        validation: Root mean square error of each method on held-out blocks of the recording, in the library's unit;
+            the head has the smallest.
+        metadata: Data of the caller, in types that JSON can hold.
     """
 
     target: str
@@ -151,7 +171,7 @@ class Head:
 
     @property
     def method(self) -> str:
-        """Name of the method, or of a weighted sum of several; two names where another is used near known readings."""
+        """Name of the method or weighted sum; two names if another one predicts near known readings."""
         near, far = self.record.near_stack, _name_of(self.record.stack.parts)
         return far if near is None else f"{_name_of(near.parts)} near, {far} far"
 
@@ -161,42 +181,45 @@ class Head:
         """Predict the target of readings.
 
         Args:
-            readings: uT, all channels of the skin, in the order of time if the head looks back.
-            session: number of the stroke or session that each follows others in; by default one.
+            readings: `(n, c)` readings of all channels of the skin in uT, in the order of time if the head uses earlier
+                rows.
+            session: `(n,)` number of the stroke or session within which rows follow each other; None if there is one.
 
         Returns:
-            Mean and spread.
+            Mean and standard deviation of the target for each reading.
 
         Raises:
-            ValueError: the readings are not of the skin that the head was fitted to.
+            ValueError: The readings are not of the skin that the head was fitted to.
         """
         readings, record = np.asarray(readings, np.float64), self.record
         if readings.ndim != 2 or readings.shape[1] != record.values:
-            raise ValueError(f"readings {readings.shape} are not of the {record.values} channels that the head knows")
+            raise ValueError(
+                f"readings {readings.shape} do not have the {record.values} channels that the head expects"
+            )
         session = np.zeros(len(readings), int) if session is None else np.asarray(session)
-        looked = _with_history(readings[:, record.channels], session, int(record.history))
-        good, d = np.isfinite(looked).all(1), len(record.stack.centre)
+        inputs = _with_history(readings[:, record.channels], session, int(record.history))
+        finite, d = np.isfinite(inputs).all(1), len(record.stack.centre)
         mean, std = np.full((len(readings), d), np.nan), np.full((len(readings), d), np.nan)
         unfamiliar = np.ones(len(readings), bool)
-        if good.any():
-            now = looked[good][:, : len(record.channels)]
-            distance = nearest_known(record.spread.known, record.spread.features(now), 1)[0][:, 0]
-            mean[good] = _predict_stack(record.stack, looked[good], int(record.history))
+        if finite.any():
+            current = inputs[finite][:, : len(record.channels)]
+            distance = nearest_known(record.spread.known, record.spread.features(current), 1)[0][:, 0]
+            mean[finite] = _predict_stack(record.stack, inputs[finite], int(record.history))
             if record.near_stack is not None:
                 assert record.gate is not None
-                near = _predict_stack(record.near_stack, looked[good], int(record.history))
-                mean[good] = _gated(record.gate, distance, near, mean[good])
-            std[good], unfamiliar[good] = _spread(record.spread, now, distance), distance > record.spread.far
+                near = _predict_stack(record.near_stack, inputs[finite], int(record.history))
+                mean[finite] = _blend(record.gate, distance, near, mean[finite])
+            std[finite], unfamiliar[finite] = _spread(record.spread, current, distance), distance > record.spread.far
         return HeadPrediction(mean, std, unfamiliar)
 
     def save(self, path: Path | str) -> None:
-        """Write one file, which appears whole or not at all.
+        """Write the head to one file, which appears complete or not at all.
 
         Args:
-            path: file to write; `.npz` by custom.
+            path: Path of the file, usually with the suffix `.npz`.
 
         Raises:
-            SerializationError: it cannot be written.
+            SerializationError: The file cannot be written.
         """
         about = {"target": self.target, "validation": self.validation, "about": self.metadata}
         serialization.save(path, FILE_KIND_OF_HEAD, self.record, about)
@@ -206,18 +229,18 @@ def load_head(path: Path | str) -> Head:
     """Load a head from its file.
 
     Args:
-        path: a file that `Head.save` wrote.
+        path: Path of a file that `Head.save` wrote.
 
     Returns:
-        The head.
+        The head as it was saved.
 
     Raises:
-        SerializationError: the file is missing, damaged or something else.
+        SerializationError: The file is missing, damaged or of another kind.
     """
     record, about = serialization.load(path, FILE_KIND_OF_HEAD, HeadRecord)
     with serialization.fitting(path):
         if about.get("target") not in HEAD_TARGETS:
-            raise serialization.SerializationError(f"{path}: tells no target that this i2t knows; fit it again")
+            raise serialization.SerializationError(f"{path}: names no target that this version knows; fit it again")
         return Head(about["target"], record, about["validation"], about["about"])
 
 
@@ -231,121 +254,122 @@ def fit_head(
     seed: int = 0,
     metadata: dict[str, Any] | None = None,
 ) -> Head:
-    """Fit a head to a recording, with the method that is best on blocks of it that are held out.
+    """Fit a head to a recording, with the method that is best on held-out parts of it.
 
     Args:
-        recording: of one skin.
-        target: name in `HEAD_TARGETS`.
-        methods: of `HEAD_METHODS` that are tried; the mean always is.
-        history: how many rows before a reading the head looks at too; by default none, and in a stream what is best.
-        budget: how much is tried.
-        seed: of the folds.
-        metadata: whatever shall be saved with it, as JSON can hold it.
+        recording: Recording of one skin.
+        target: Name of the target, one of `HEAD_TARGETS`.
+        methods: Methods of `HEAD_METHODS` to try; the mean is always among them.
+        history: Number of earlier rows that the head uses too. None means none, or the best number in a stream.
+        budget: Numbers of rows to use, at most; None for the default.
+        seed: Seed of the folds.
+        metadata: Data to save with the head, in types that JSON can hold.
 
     Returns:
-        The head.
+        The head with the smallest error.
 
     Raises:
-        ValueError: the recording does not know the target, or does not say enough of it; one sentence.
+        ValueError: The recording lacks the target, or has too little of it.
     """
     budget = HeadBudget() if budget is None else budget
     rows = target_rows(recording, target)
-    rows = rows[thinned(len(rows), budget.rows)]
+    rows = rows[subsample(len(rows), budget.rows)]
     channels = np.flatnonzero(np.ptp(recording.readings[rows], axis=0) > 0)
     if not len(channels):
         raise ValueError(f"{recording.name}: no channel changes, so that {target} cannot be predicted from them")
     values = recording.targets[target][rows]
     groups = _ways_of_grouping(recording.rows(rows))
-    folds = np.stack([_fold_numbers(of, seed) for of in groups])
-    tried = [MEAN_TARGET, *(name for name in methods if name != MEAN_TARGET)]
-    tried_histories = ((0, STREAM_HISTORY) if is_stream(recording) else (0,)) if history is None else (history,)
-    looked = {n: _with_history(recording.readings[:, channels], recording.session, n)[rows] for n in tried_histories}
-    # Settings that are best in each way of holding out.
+    folds = np.stack([_fold_numbers(group, seed) for group in groups])
+    names = [MEAN_TARGET, *(name for name in methods if name != MEAN_TARGET)]
+    default_histories = {0, HEAD_CONFIG.stream_history} if is_stream(recording) else {0}
+    histories = default_histories if history is None else {history}
+    inputs = {n: _with_history(recording.readings[:, channels], recording.session, n)[rows] for n in sorted(histories)}
     ways = [slice(way, way + 1) for way in range(len(folds))]
-    trials = _Trials(looked, values, folds, budget)
-    sets = [{name: trials.best(name, way) for name in tried} for way in ways]
+    trials = _Trials(inputs, values, folds, budget)
+    best_of_ways = [{name: trials.best(name, way) for name in names} for way in ways]
     readings = recording.readings[rows][:, channels]
     distance = _fold_distances(readings, folds)
-    best = _choose(sets, ways, trials, distance)
-    used = [best, *([best.near] if best.near else [])]
-    stack, *near_stack = (_fit_stack(one, trials) for one in used)
+    best = _choose(best_of_ways, ways, trials, distance)
+    stack = _fit_stack(best, trials)
+    near_stack = _fit_stack(best.near, trials) if best.near else None
     record = HeadRecord(
         stack=stack,
         spread=_fit_spread(readings, best.trial.predicted - values, groups, distance),
         values=np.array(recording.readings.shape[1]),
         channels=channels,
-        history=np.array(max(part.histories.max() for part in (stack, *near_stack))),
-        near_stack=near_stack[0] if near_stack else None,
+        history=np.array(max(part.histories.max() for part in (stack, near_stack) if part is not None)),
+        near_stack=near_stack,
         gate=best.gate,
     )
-    validation = {name: min(found[name].error for found in sets) for name in tried}
+    validation = {name: min(best_of_way[name].error for best_of_way in best_of_ways) for name in names}
     head = Head(target, record, validation, metadata or {})
     validation.setdefault(head.method, best.trial.error)
     return head
 
 
 def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
-    """Rows that a head of a target can learn from: those where it is known and where the skin is touched.
+    """Find the rows that a head can learn from: the target is known and the skin is touched.
 
     Args:
-        recording: of one skin.
-        target: name in `HEAD_TARGETS`.
+        recording: Recording of one skin.
+        target: Name of the target, one of `HEAD_TARGETS`.
 
     Returns:
-        Row numbers.
+        Row numbers in ascending order.
 
     Raises:
-        ValueError: there are too few, or they are all alike; one sentence.
+        ValueError: There are too few rows, or their targets do not vary.
     """
     if target not in HEAD_TARGETS:
-        raise ValueError(f"{target!r} is no target of a head; choose of {', '.join(HEAD_TARGETS)}")
-    known = recording.known(target)
+        raise ValueError(f"{target!r} is not a target of a head; choose one of {', '.join(HEAD_TARGETS)}")
+    usable = recording.known(target)
     if target == "position" and recording.labels is not None and len(np.unique(recording.labels)) > 1:
-        raise ValueError(
-            f"several objects touched the skin in {recording.name}, whose origins are not where they touch"
-        )
+        raise ValueError(f"several objects touched the skin in {recording.name}: the place of contact is unknown")
     if target in ("position", "depth") and recording.known("contact").any():
-        known &= ~(recording.targets["contact"][:, 0] == 0)
+        usable &= ~(recording.targets["contact"][:, 0] == 0)
     if target in ("position", "depth") and not recording.known("depth").any() and recording.known("shear").any():
-        known &= recording.known("shear") & (np.abs(np.nan_to_num(recording.targets["shear"])).max(1) > 0)
-    if not known.any():
-        raise ValueError(f"{recording.name} does not know {target}")
-    chosen = recording.rows(known)
-    if known.sum() < MIN_HEAD_ROWS:
-        raise ValueError(f"{recording.name} knows {target} of {known.sum()} rows: {MIN_HEAD_ROWS} are needed")
-    if not chosen.varies(target):
-        raise ValueError(f"{recording.name} has one {target} only, so that no head can be fitted to it")
-    return np.flatnonzero(known)
+        usable &= recording.known("shear") & (np.abs(np.nan_to_num(recording.targets["shear"])).max(1) > 0)
+    count, min_rows = int(usable.sum()), HEAD_CONFIG.min_rows
+    if not count:
+        raise ValueError(f"{recording.name} has no known {target}")
+    if count < min_rows:
+        raise ValueError(f"{recording.name} has a known {target} in {count} rows: {min_rows} are needed")
+    if not recording.rows(usable).varies(target):
+        raise ValueError(f"{recording.name} has only one {target}, so no head can be fitted to it")
+    return np.flatnonzero(usable)
 
 
 def hold_out_groups(recording: SkinRecording) -> np.ndarray:
-    """Groups held out whole: objects where there are several, blocks of the skin where presses lie in several (6 mm, or
-    a quarter of a smaller range), else strokes, else stretches of time.
+    """Group the rows that are held out together.
+
+    Groups are objects if there are several; else blocks of the skin if presses lie in several (6 mm, or a quarter of a
+    smaller range); else strokes; else stretches of time.
 
     Args:
-        recording: of one skin.
+        recording: Recording of one skin.
 
     Returns:
-        (n,) number of the group of each row.
+        `(n,)` number of each row's group.
     """
     if recording.labels is not None and len(np.unique(recording.labels)) > 1:
         return np.unique(recording.labels, return_inverse=True)[1].ravel()
-    known = recording.known("position")
-    position = recording.targets["position"] if known.all() else np.zeros((len(recording), 2))
-    ranges = np.ptp(position, axis=0)
-    # Strokes along a line come back to the same places: there the stroke is what rows share.
-    if ranges.min() > MIN_CHANGE["position"] or (ranges.max() > MIN_CHANGE["position"] and not recording.session.any()):
-        edge = min(BLOCK_M, float(ranges.max()) / BLOCKS_ACROSS)
+    position = recording.targets["position"] if recording.known("position").all() else np.zeros((len(recording), 2))
+    ranges, min_range = np.ptp(position, axis=0), TARGETS["position"].min_range
+    # Strokes along a line return to the same places, so rows share the stroke and not the place.
+    if ranges.min() > min_range or (ranges.max() > min_range and not recording.session.any()):
+        edge = min(HEAD_CONFIG.block_m, float(ranges.max()) / HEAD_CONFIG.blocks_across)
         return square_blocks(position, edge)
-    if len(np.unique(recording.session)) >= MIN_BLOCKS:
+    if len(np.unique(recording.session)) >= HEAD_CONFIG.min_strokes:
         return np.unique(recording.session, return_inverse=True)[1].ravel()
-    stretches = min(TIME_STRETCHES, len(recording))
+    stretches = min(HEAD_CONFIG.time_stretches, len(recording))
     return np.arange(len(recording)) * stretches // max(len(recording), 1)
 
 
 def _ways_of_grouping(recording: SkinRecording) -> np.ndarray:
-    """Groups (ways, n) that are held out whole: blocks or strokes for places between known ones, and single presses for
-    places among them; rows of a stroke are no presses of their own.
+    """Group rows in each way of holding out, `(ways, n)`.
+
+    Blocks or strokes test places between known ones, and single presses test known places. Rows of a stream are not
+    single presses.
     """
     groups = hold_out_groups(recording)
     if is_stream(recording) or not recording.varies("position"):
@@ -354,25 +378,28 @@ def _ways_of_grouping(recording: SkinRecording) -> np.ndarray:
 
 
 def _fold_numbers(groups: np.ndarray, seed: int) -> np.ndarray:
-    """Number of the fold (n,) of each row, in folds of whole groups."""
+    """Assign whole groups to folds: `(n,)` number of each row's fold."""
     _, group = np.unique(groups, return_inverse=True)
     order = np.random.default_rng(seed).permutation(group.max() + 1)
-    return order[group.ravel()] % min(FOLD_COUNT, group.max() + 1)
+    return order[group.ravel()] % min(HEAD_CONFIG.fold_count, group.max() + 1)
 
 
 def _with_history(readings: np.ndarray, session: np.ndarray, history: int) -> np.ndarray:
-    """Readings and their differences (n, (1 + history) c) from each of the rows before, zero where a session begins."""
-    columns, last = [readings], readings
+    """Append the differences of readings from each earlier row, `(n, (1 + history) c)`.
+
+    Rows before the beginning of a session equal its first row.
+    """
+    columns, earlier = [readings], readings
     for _ in range(history):
-        shifted = np.concatenate([last[:1], last[:-1]])
+        shifted = np.concatenate([earlier[:1], earlier[:-1]])
         begins = np.concatenate([[True], np.diff(session) != 0])
-        last = np.where(begins[:, None], last, shifted)
-        columns.append(readings - last)
+        earlier = np.where(begins[:, None], earlier, shifted)
+        columns.append(readings - earlier)
     return np.concatenate(columns, axis=1)
 
 
 class _Trial(NamedTuple):
-    """A method on the rows at hand, each fold predicted from the others."""
+    """A method with its settings, and its predictions of each fold from the others."""
 
     settings: Settings
     history: int
@@ -381,187 +408,187 @@ class _Trial(NamedTuple):
 
 
 class _Candidate(NamedTuple):
-    """Candidate: weights of methods, and perhaps other weights near known readings."""
+    """A weighted sum of methods, and perhaps another one near known readings."""
 
     trial: _Trial
     methods: dict[str, _Trial]
     weights: dict[str, float]
     near: "_Candidate | None" = None
-    gate: np.ndarray | None = None  # distances up to which it is that one, and from which it is not
+    gate: np.ndarray | None = None  # distances up to which `near` predicts, and from which it does not
 
 
 class _Trials(NamedTuple):
     """Data for trials of methods."""
 
-    looked: dict[int, np.ndarray]  # readings with so many rows of history
+    inputs: dict[int, np.ndarray]  # readings with their history, by the number of earlier rows
     values: np.ndarray
     folds: np.ndarray
     budget: HeadBudget
 
     def best(self, method: str, ways: slice) -> _Trial:
-        """A method with the settings and the history that are best in some ways of holding out."""
+        """Try a method with each history, and choose its settings in some ways of holding out."""
         trials = []
-        for history, readings in self.looked.items():
+        for history, readings in self.inputs.items():
             settings = choose_settings(method, readings, self.values, self.folds[ways], self.budget)
             predicted = cross_predict(method, settings, readings, self.values, self.folds, budget=self.budget)
-            trials.append(_judged(predicted, self.values, settings, history))
+            trials.append(_scored(predicted, self.values, settings, history))
         return min(trials, key=lambda trial: trial.error)
 
 
-def _judged(predicted: np.ndarray, values: np.ndarray, settings: Settings = (), history: int = 0) -> _Trial:
+def _scored(predicted: np.ndarray, values: np.ndarray, settings: Settings = (), history: int = 0) -> _Trial:
     errors = [max(_root_mean_square(way - values), 1e-12) for way in predicted]
     return _Trial(settings, history, predicted, float(np.exp(np.mean(np.log(errors)))))
 
 
 def _root_mean_square(errors: np.ndarray) -> float:
-    """Root of the mean square length of errors (..., d)."""
+    """Compute the root mean square length of errors (..., d)."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=-1))))
 
 
 def _name_of(methods: Mapping[str, Any]) -> str:
-    return STACKED_METHODS if len(methods) > 1 else next(iter(methods))
+    return "weighted methods" if len(methods) > 1 else next(iter(methods))
 
 
-def _one(name: str, trial: _Trial) -> _Candidate:
+def _single(name: str, trial: _Trial) -> _Candidate:
     return _Candidate(trial, {name: trial}, {name: 1.0})
 
 
-def _weighted(found: dict[str, _Trial], trials: _Trials, ways: slice) -> _Candidate:
-    """The weighted sum of methods with the least error in some ways of holding out. Weights of a fold come from the
-    others.
+def _weighted(methods: dict[str, _Trial], trials: _Trials, ways: slice) -> _Candidate:
+    """Find the weighted sum of methods with the smallest error in some ways of holding out.
+
+    The weights for a fold come from the other folds.
     """
-    values, predicted = trials.values, np.stack([trial.predicted for trial in found.values()])
-    fold, chosen = trials.folds[ways][0], predicted[:, ways]
+    values, predicted = trials.values, np.stack([trial.predicted for trial in methods.values()])
+    row_folds, chosen = trials.folds[ways][0], predicted[:, ways]
     summed = np.empty(predicted.shape[1:])
-    for i in np.unique(fold):
-        out = fold == i
-        shares, centre = _stack_weights(chosen[:, :, ~out], values[~out])
-        summed[:, out] = centre + np.tensordot(shares, predicted[:, :, out] - centre, 1)
+    for fold in np.unique(row_folds):
+        held_out = row_folds == fold
+        shares, centre = _stack_weights(chosen[:, :, ~held_out], values[~held_out])
+        summed[:, held_out] = centre + np.tensordot(shares, predicted[:, :, held_out] - centre, 1)
     shares = _stack_weights(chosen, values)[0]
-    weights = {name: float(share) for name, share in zip(found, shares, strict=True) if share > MIN_WEIGHT}
+    min_weight = HEAD_CONFIG.min_weight
+    weights = {name: float(share) for name, share in zip(methods, shares, strict=True) if share > min_weight}
     if len(weights) < 2:
-        name = min(found, key=lambda name: found[name].error)
-        return _one(name, found[name])
-    return _Candidate(_judged(summed, values), found, weights)
+        name = min(methods, key=lambda name: methods[name].error)
+        return _single(name, methods[name])
+    return _Candidate(_scored(summed, values), methods, weights)
 
 
-def _choose(sets: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, distance: np.ndarray) -> _Candidate:
-    """Candidate of least error: single methods, weighted sums, or one of these for each of two ways."""
+def _choose(best: list[dict[str, _Trial]], ways: list[slice], trials: _Trials, distance: np.ndarray) -> _Candidate:
+    """Choose the candidate of smallest error: a single method, a weighted sum, or one of these for each of two ways."""
     values = trials.values
-    singles = [[_one(name, found[name]) for name in found] for found in sets]
-    candidates = [
-        *(one for found in singles for one in found),
-        *(_weighted(found, trials, slice(None)) for found in sets),
-    ]
-    if len(sets) > 1:
+    singles = [[_single(name, methods[name]) for name in methods] for methods in best]
+    candidates = [*chain(*singles), *(_weighted(methods, trials, slice(None)) for methods in best)]
+    if len(best) > 1:
         of_blocks, of_presses = (
-            [*alone, _weighted(found, trials, way)] for way, found, alone in zip(ways, sets, singles, strict=True)
+            [*of_way, _weighted(methods, trials, way)] for way, methods, of_way in zip(ways, best, singles, strict=True)
         )
-        far = min(of_blocks, key=lambda one: _root_mean_square(one.trial.predicted[0] - values))
-        for near, shares in product(of_presses, GATES):
+        far = min(of_blocks, key=lambda candidate: _root_mean_square(candidate.trial.predicted[0] - values))
+        for near, shares in product(of_presses, HEAD_CONFIG.gates):
             gate = np.array([np.quantile(distance[way], share) for way, share in zip((1, 0), shares, strict=True)])
             gate = np.maximum.accumulate(gate)
-            both = _gated(gate, distance, near.trial.predicted, far.trial.predicted)
-            candidates.append(_Candidate(_judged(both, values), far.methods, far.weights, near, gate))
-    return min(candidates, key=lambda one: one.trial.error)
+            blended = _blend(gate, distance, near.trial.predicted, far.trial.predicted)
+            candidates.append(_Candidate(_scored(blended, values), far.methods, far.weights, near, gate))
+    return min(candidates, key=lambda candidate: candidate.trial.error)
 
 
-def _gated(gate: np.ndarray, distance: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
-    """Prediction near known readings, blended into the prediction far from them."""
+def _blend(gate: np.ndarray, distance: np.ndarray, near: np.ndarray, far: np.ndarray) -> np.ndarray:
+    """Blend the prediction near known readings into the prediction far from them."""
     share = np.clip((distance - gate[0]) / max(gate[1] - gate[0], 1e-12), 0, 1)[..., None]
     return (1 - share) * near + share * far
 
 
 def _stack_weights(predicted: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights >= 0 with the least squared error of the sum about the mean of the values (d,)."""
+    """Find weights >= 0 with the smallest squared error of the sum about the mean of the values (d,)."""
     centre, scale = values.mean(0), np.maximum(values.std(0), 1e-12)
     columns = ((predicted - centre) / scale).reshape(len(predicted), -1).T
-    wanted = np.broadcast_to((values - centre) / scale, predicted.shape[1:])
-    return nnls(columns, wanted.ravel())[0], centre
+    expected = np.broadcast_to((values - centre) / scale, predicted.shape[1:])
+    return nnls(columns, expected.ravel())[0], centre
 
 
-def _fit_stack(kept: _Candidate, trials: _Trials) -> StackRecord:
+def _fit_stack(candidate: _Candidate, trials: _Trials) -> StackRecord:
     """Fit each method that has a weight to all rows."""
     fields = dict(zip(HEAD_METHODS, StackRecord._fields[-len(HEAD_METHODS) :], strict=True))
-    found = {name: kept.methods[name] for name in kept.weights}
+    methods = {name: candidate.methods[name] for name in candidate.weights}
+    inputs, values, budget = trials.inputs, trials.values, trials.budget
     parts = {
-        fields[name]: fit_regression(
-            name, trial.settings, trials.looked[trial.history], trials.values, budget=trials.budget
-        )
-        for name, trial in found.items()
+        fields[name]: fit_regression(name, trial.settings, inputs[trial.history], values, budget=budget)
+        for name, trial in methods.items()
     }
     return StackRecord(
         centre=trials.values.mean(0),
-        weights=np.array([kept.weights.get(name, 0.0) for name in HEAD_METHODS]),
-        histories=np.array([found[name].history if name in found else 0 for name in HEAD_METHODS]),
+        weights=np.array([candidate.weights.get(name, 0.0) for name in HEAD_METHODS]),
+        histories=np.array([methods[name].history if name in methods else 0 for name in HEAD_METHODS]),
         **parts,
     )
 
 
-def _predict_stack(stack: StackRecord, readings: np.ndarray, history: int) -> np.ndarray:
-    """Predict by a weighted sum from readings with so many rows of history."""
-    deviation = np.zeros((len(readings), len(stack.centre)))
+def _predict_stack(stack: StackRecord, inputs: np.ndarray, history: int) -> np.ndarray:
+    """Predict with a weighted sum, from readings with `history` earlier rows."""
+    deviation = np.zeros((len(inputs), len(stack.centre)))
     for name, part in stack.parts.items():
         i = HEAD_METHODS.index(name)
-        looked = readings[:, : readings.shape[1] * (1 + int(stack.histories[i])) // (1 + history)]
-        deviation += stack.weights[i] * (predict_regression(part, looked) - stack.centre)
+        used = inputs[:, : inputs.shape[1] * (1 + int(stack.histories[i])) // (1 + history)]
+        deviation += stack.weights[i] * (predict_regression(part, used) - stack.centre)
     return stack.centre + deviation
 
 
 def _fold_distances(readings: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """Distance (ways, n) of each reading from the nearest of other folds, in features."""
-    x = make_feature_map(FEATURES_OF_SPREAD, readings)(readings)
+    """Measure the distance of each reading from the nearest of other folds in features, `(ways, n)`."""
+    x = make_feature_map(FeatureKind.PLAIN, readings)(readings)
     distance = np.empty(folds.shape)
-    for way, of in enumerate(folds):
-        for fold in np.unique(of):
-            out = of == fold
-            distance[way, out] = nearest_known(x[~out], x[out], 1)[0][:, 0]
+    for way, row_folds in enumerate(folds):
+        for fold in np.unique(row_folds):
+            held_out = row_folds == fold
+            distance[way, held_out] = nearest_known(x[~held_out], x[held_out], 1)[0][:, 0]
     return distance
 
 
 def _fit_spread(readings: np.ndarray, errors: np.ndarray, groups: np.ndarray, distance: np.ndarray) -> SpreadRecord:
-    """Fit a reading's spread to errors on held-out folds of whole groups (ways, n)."""
-    features = make_feature_map(FEATURES_OF_SPREAD, readings)
+    """Fit the uncertainty to the errors `(ways, n, d)` on held-out folds of whole groups `(ways, n)`."""
+    features = make_feature_map(FeatureKind.PLAIN, readings)
     x = features(readings)
-    raw = np.concatenate([_likeness(readings, way) for way in distance])
-    flat = errors.reshape(-1, errors.shape[-1])
-    middle, width = raw.mean(0), np.maximum(raw.std(0), 1e-6)
+    likeness = np.concatenate([_likeness(readings, of_way) for of_way in distance])
+    flat_errors = errors.reshape(-1, errors.shape[-1])
+    middle, width = likeness.mean(0), np.maximum(likeness.std(0), 1e-6)
     record = SpreadRecord(
         features=features,
-        known=x[thinned(len(x), HeadBudget().known_rows)],
-        likeness=(raw - middle) / width,
+        known=x[subsample(len(x), HeadBudget().known_rows)],
+        likeness=(likeness - middle) / width,
         middle=middle,
         width=width,
-        square=flat**2,
-        factor=np.ones(flat.shape[1]),
-        far=np.array(UNFAMILIAR_FACTOR * np.quantile(distance, UNFAMILIAR_QUANTILE)),
+        square=flat_errors**2,
+        factor=np.ones(flat_errors.shape[1]),
+        far=np.array(HEAD_CONFIG.unfamiliar_factor * np.quantile(distance, HEAD_CONFIG.unfamiliar_quantile)),
     )
-    ratio = (np.abs(flat) / _alike(record, record.likeness, leave_out_itself=True)).reshape(errors.shape)
-    # In the way of holding out that needs most: between known places, as a rule.
+    similar = _error_of_similar(record, record.likeness, leave_out_itself=True)
+    ratio = (np.abs(flat_errors) / similar).reshape(errors.shape)
+    # The way of holding out with the largest factor is usually that between known places.
     factor = np.max([_factor_of_groups(*way) for way in zip(ratio, groups, strict=True)], axis=0)
     return record._replace(factor=np.maximum(factor / STDS_WITHIN_90, 1e-3))
 
 
 def _factor_of_groups(ratio: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Factor (d,) over nine in ten of the ratios (n, d) in nine of ten groups, with one more group to come."""
-    each = np.array([np.quantile(ratio[group == one], RANGE_SHARE, axis=0) for one in np.unique(group)])
-    return np.quantile(each, min(RANGE_SHARE * (1 + 1 / len(each)), 1.0), axis=0)
+    """Compute the factor (d,) above nine in ten of the ratios (n, d) in nine of ten groups, for one more group."""
+    share = HEAD_CONFIG.range_share
+    factors = np.array([np.quantile(ratio[group == number], share, axis=0) for number in np.unique(group)])
+    return np.quantile(factors, min(share * (1 + 1 / len(factors)), 1.0), axis=0)
 
 
 def _spread(record: SpreadRecord, readings: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Standard deviations (n, d) at this distance from the nearest known reading."""
+    """Compute standard deviations (n, d) at a distance from the nearest known reading."""
     likeness = (_likeness(readings, distance) - record.middle) / record.width
-    return _alike(record, likeness) * record.factor
+    return _error_of_similar(record, likeness) * record.factor
 
 
 def _likeness(readings: np.ndarray, distance: np.ndarray) -> np.ndarray:
     return np.column_stack([np.log(np.linalg.norm(readings, axis=1) + 1e-3), np.log(distance + 1e-6)])
 
 
-def _alike(record: SpreadRecord, likeness: np.ndarray, *, leave_out_itself: bool = False) -> np.ndarray:
-    """Root mean square error of the held-out rows that are most alike."""
+def _error_of_similar(record: SpreadRecord, likeness: np.ndarray, *, leave_out_itself: bool = False) -> np.ndarray:
+    """Compute the root mean square error of the most similar held-out rows."""
     n = len(record.likeness)
-    k = min(max(ALIKE_ROWS, round(ALIKE_SHARE * n)), n - 1)
-    near = cKDTree(record.likeness).query(likeness, k + leave_out_itself)[1].reshape(len(likeness), -1)
-    square = np.mean(record.square[near[:, int(leave_out_itself) :]], axis=1)
+    k = min(max(HEAD_CONFIG.min_similar_rows, round(HEAD_CONFIG.similar_share * n)), n - 1)
+    rows = cKDTree(record.likeness).query(likeness, k + leave_out_itself)[1].reshape(len(likeness), -1)
+    square = np.mean(record.square[rows[:, int(leave_out_itself) :]], axis=1)
     return np.sqrt(square + 1e-6 * np.mean(record.square, axis=0) + 1e-18)

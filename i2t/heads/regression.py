@@ -1,16 +1,18 @@
-"""Regressions from a reading to a target: the baselines and a Gaussian process (GP).
+"""Regressions from readings to targets: baselines and a Gaussian process (GP).
 
-Every method is a function of features of a reading. What the features should be depends on the skin: a press twice as
-deep reads several times as much in much the same direction, so that position is written in a reading's direction and
-load in its length. `FEATURE_KINDS` names four ways to say that, and each method chooses one, with its other settings,
-by the error on whole folds of the rows at hand.
+All methods are functions of features of a reading. The best features depend on the skin: a press twice as deep reads
+several times as much in nearly the same direction, so the direction of a reading encodes position and its length
+encodes load. `FeatureKind` lists four ways to express that. Each method chooses its features and its other settings by
+the error on whole folds of the rows at hand.
 
-Methods: the mean; ridge regression on the plain reading; the k nearest readings, weighted by their distance; and a GP
-with a rational quadratic or a squared exponential covariance and a linear part (Rasmussen and Williams, "Gaussian
-Processes for Machine Learning", 2006, algorithm 2.1, equations 4.9 and 4.19). NumPy.
+The methods are the mean; ridge regression on the plain reading; the k nearest readings, weighted by inverse distance;
+and a GP with a rational quadratic or squared exponential covariance and a linear part (Rasmussen and Williams,
+"Gaussian Processes for Machine Learning", 2006, algorithm 2.1, equations 4.9 and 4.19).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum, auto
 from functools import partial
 from itertools import product
 from typing import NamedTuple, TypeAlias
@@ -20,91 +22,107 @@ from jaxtyping import Float, Int
 from scipy.linalg import cho_factor, cho_solve
 
 from i2t.leave_one_out import leave_out_blocks
-from i2t.recordings.diagnose.smooth import thinned
+from i2t.recordings.diagnose.smooth import subsample
 
 MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS = "mean", "linear", "k nearest readings"
 READINGS_GP = "Gaussian process"
-HEAD_METHODS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS, READINGS_GP)
 BASELINE_HEADS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS)
-FEATURE_KINDS = ("plain", "by channel", "compressed", "direction")
-PLAIN_FEATURES, COMPRESSED_FEATURES, DIRECTION_FEATURES = (
-    FEATURE_KINDS.index(name) for name in ("plain", "compressed", "direction")
-)
-
-LINEAR_PENALTIES = tuple(10.0 ** np.arange(-6.0, 2.0))
-READING_NEIGHBOURS = (1.0, 2.0, 4.0, 8.0, 16.0)
-COVARIANCE_LENGTHS = (1.0, 0.5, 0.25, 2.0, 4.0, 8.0)  # of the covariance; features have mean square length 1
-HEAD_NOISES = (1e-3, 1e-4, 1e-2, 3e-2, 1e-1)  # variance, of a target's
-COVARIANCE_SHAPES = (2.0, 0.5, np.inf)  # of the rational quadratic; infinite is the squared exponential
-LINEAR_PARTS = (1.0, 0.0)  # variance of the linear part, of a target's
-COMPRESSION = 0.3  # of the readings' root mean square, where the inverse hyperbolic sine turns from linear to log
-DIRECTION_FLOOR = 0.05  # of the readings' root mean square: a shorter reading has hardly a direction
-JITTER_VARIANCE = 1e-9
-SEARCH_ROUNDS = 2  # over the settings of a GP, one after the other
-
+HEAD_METHODS = (*BASELINE_HEADS, READINGS_GP)  # files store indices into these
 Settings: TypeAlias = tuple[float, ...]
 
 
-class HeadBudget(NamedTuple):
-    """Limits of a fit."""
+class FeatureKind(IntEnum):
+    """Kinds of features; files store their numbers."""
 
-    selection_rows: int = 700  # on which settings are chosen: the cost grows with the cube
+    PLAIN = 0
+    BY_CHANNEL = auto()
+    COMPRESSED = auto()
+    DIRECTION = auto()
+
+
+@dataclass(frozen=True)
+class SearchGrid:
+    """Settings that `choose_settings` tries; features have mean square length 1.
+
+    Attributes:
+        penalties: Penalties of the ridge regression.
+        neighbours: Numbers of nearest readings.
+        lengths: Length scales of the GP.
+        noises: Noise variances of the GP, relative to the target's variance.
+        shapes: Shape parameters of the rational quadratic; infinity is the squared exponential.
+        linear_variances: Variances of the GP's linear part, relative to the target's variance.
+        rounds: Rounds of the search over the settings of the GP, one after the other.
+    """
+
+    penalties: tuple[float, ...] = tuple(10.0 ** np.arange(-6.0, 2.0))
+    neighbours: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0)
+    lengths: tuple[float, ...] = (1.0, 0.5, 0.25, 2.0, 4.0, 8.0)
+    noises: tuple[float, ...] = (1e-3, 1e-4, 1e-2, 3e-2, 1e-1)
+    shapes: tuple[float, ...] = (2.0, 0.5, np.inf)
+    linear_variances: tuple[float, ...] = (1.0, 0.0)
+    rounds: int = 2
+
+
+class HeadBudget(NamedTuple):
+    """Numbers of rows that a fit uses, at most."""
+
+    selection_rows: int = 700  # for the choice of settings, whose cost grows with the cube
     known_rows: int = 2500  # of a GP
-    rows: int = 12000  # of a recording that are looked at
+    rows: int = 12000  # of the recording
 
 
 class FeatureMap(NamedTuple):
     """Map from readings to features, as arrays that a file can hold."""
 
-    kind: Int[np.ndarray, ""]  # index into FEATURE_KINDS
-    channel: Float[np.ndarray, " c"]  # uT, root mean square of each
-    overall: Float[np.ndarray, ""]  # uT, root mean square of all
-    middle: Float[np.ndarray, " k"]  # of the features before they are scaled
-    spread: Float[np.ndarray, ""]  # root mean square distance from the middle
+    kind: Int[np.ndarray, ""]  # a `FeatureKind`
+    channel: Float[np.ndarray, " c"]  # uT, root mean square of each channel
+    overall: Float[np.ndarray, ""]  # uT, root mean square of all channels
+    middle: Float[np.ndarray, " k"]  # mean of the features before they are scaled
+    spread: Float[np.ndarray, ""]  # root mean square distance from the mean
 
     def __call__(self, readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n k"]:
-        """Features of readings, of mean square length 1 over the rows that the map was made of.
+        """Compute the features of readings.
 
         Args:
-            readings: uT.
+            readings: `(n, c)` readings in uT.
 
         Returns:
-            The features.
+            `(n, k)` features, with mean square length 1 over the rows that the map was fitted to.
         """
         return (_unscaled(self, readings) - self.middle) / self.spread
 
 
 class Regression(NamedTuple):
-    """A fitted method, as arrays that a file can hold; None where a method has no such thing."""
+    """A fitted method, as arrays that a file can hold; fields that a method does not use are None."""
 
     method: Int[np.ndarray, ""]  # index into HEAD_METHODS
-    settings: Float[np.ndarray, " s"]  # as `choose_settings` gives them
+    settings: Float[np.ndarray, " s"]  # from `choose_settings`
     features: FeatureMap
-    centre: Float[np.ndarray, " d"]  # of the targets
-    scale: Float[np.ndarray, " d"]
-    known: Float[np.ndarray, "m k"] | None = None  # features of the rows it remembers
+    centre: Float[np.ndarray, " d"]  # mean of the targets
+    scale: Float[np.ndarray, " d"]  # standard deviation of the targets
+    known: Float[np.ndarray, "m k"] | None = None  # features of the rows that the method keeps
     weights: Float[np.ndarray, "m d"] | None = None  # of these rows, or of the features
 
 
 def make_feature_map(kind: int, readings: Float[np.ndarray, "n c"]) -> FeatureMap:
-    """Feature map of a kind, scaled by the rows at hand.
+    """Fit the scales of a feature map to readings.
 
     Args:
-        kind: index into FEATURE_KINDS.
-        readings: uT.
+        kind: A `FeatureKind` or its number.
+        readings: `(n, c)` readings in uT.
 
     Returns:
-        The map.
+        The feature map, scaled to these readings.
     """
     channel = np.sqrt(np.mean(readings**2, axis=0))
     overall = np.sqrt(np.mean(readings**2)) + 1e-9
-    bare = FeatureMap(
-        np.array(kind), np.maximum(channel, 0.05 * overall), np.array(overall), np.zeros(1), np.array(1.0)
+    unscaled_map = FeatureMap(
+        np.array(int(kind)), np.maximum(channel, 0.05 * overall), np.array(overall), np.zeros(1), np.array(1.0)
     )
-    raw = _unscaled(bare, readings)
-    middle = raw.mean(0)
-    spread = np.sqrt(np.mean(np.sum((raw - middle) ** 2, axis=1))) + 1e-9
-    return bare._replace(middle=middle, spread=np.array(spread))
+    unscaled = _unscaled(unscaled_map, readings)
+    middle = unscaled.mean(0)
+    spread = np.sqrt(np.mean(np.sum((unscaled - middle) ** 2, axis=1))) + 1e-9
+    return unscaled_map._replace(middle=middle, spread=np.array(spread))
 
 
 def choose_settings(
@@ -113,26 +131,32 @@ def choose_settings(
     targets: Float[np.ndarray, "n d"],
     folds: Int[np.ndarray, "ways n"],
     budget: HeadBudget,
+    *,
+    grid: SearchGrid = SearchGrid(),
 ) -> Settings:
-    """The settings of a method with the least squared error on whole folds.
+    """Choose the settings of a method that have the smallest squared error on whole folds.
 
     Args:
-        method: one of HEAD_METHODS.
-        readings: uT.
-        targets: in any unit.
-        folds: number of the fold of each row, in each way of holding out.
-        budget: how many rows it may take.
+        method: One of `HEAD_METHODS`.
+        readings: `(n, c)` readings in uT.
+        targets: `(n, d)` targets in any unit.
+        folds: `(ways, n)` number of each row's fold, in each way of holding out.
+        budget: Number of rows to use, at most.
+        grid: Settings to try.
 
     Returns:
-        The settings: index of the features first, then those of the method.
+        The number of the features, followed by the settings of the method.
     """
-    rows = thinned(len(readings), budget.selection_rows)
+    rows = subsample(len(readings), budget.selection_rows)
     readings, targets, folds = readings[rows], targets[rows], folds[:, rows]
     if method == READINGS_GP:
-        return _choose_gp(readings, targets, folds)
-    candidates = _candidates(method)
-    error: Callable[[Settings], float] = partial(_fold_error, method, readings, targets, folds)
-    return min(candidates, key=error)
+        return _choose_gp(readings, targets, folds, grid)
+    candidates: Sequence[Settings] = [(float(FeatureKind.PLAIN),)]
+    if method == LINEAR_MAP:
+        candidates = [(float(FeatureKind.PLAIN), penalty) for penalty in grid.penalties]
+    if method == NEAREST_READINGS:
+        candidates = list(product(map(float, FeatureKind), grid.neighbours))
+    return min(candidates, key=partial(_fold_error, method, readings, targets, folds))
 
 
 def fit_regression(
@@ -146,48 +170,43 @@ def fit_regression(
     """Fit a method with given settings.
 
     Args:
-        method: one of HEAD_METHODS.
-        settings: as `choose_settings` gives them.
-        readings: uT.
-        targets: in any unit.
-        budget: how many rows it may remember.
+        method: One of `HEAD_METHODS`.
+        settings: Settings of the method, from `choose_settings`.
+        readings: `(n, c)` readings in uT.
+        targets: `(n, d)` targets in any unit.
+        budget: Number of rows to keep, at most; None for the default.
 
     Returns:
-        The fitted method.
+        The fitted method, for `predict_regression`.
     """
     budget = HeadBudget() if budget is None else budget
     if method == READINGS_GP:
-        rows = thinned(len(readings), budget.known_rows)
+        rows = subsample(len(readings), budget.known_rows)
         readings, targets = readings[rows], targets[rows]
     centre, scale = targets.mean(0), np.maximum(targets.std(0), 1e-12)
-    bare = Regression(
-        np.array(HEAD_METHODS.index(method)),
-        np.array(settings),
-        make_feature_map(int(settings[0]), readings),
-        centre,
-        scale,
-    )
+    features = make_feature_map(int(settings[0]), readings)
+    regression = Regression(np.array(HEAD_METHODS.index(method)), np.array(settings), features, centre, scale)
     if method == MEAN_TARGET:
-        return bare
-    x, y = bare.features(readings), (targets - centre) / scale
+        return regression
+    x, y = features(readings), (targets - centre) / scale
     if method == LINEAR_MAP:
         system = x.T @ x + settings[1] * len(x) * np.eye(x.shape[1])
-        return bare._replace(weights=np.linalg.solve(system, x.T @ y))
+        return regression._replace(weights=np.linalg.solve(system, x.T @ y))
     if method == NEAREST_READINGS:
-        return bare._replace(known=x, weights=y)
-    factor = cho_factor(_covariance(settings, x, x) + (settings[2] + JITTER_VARIANCE) * np.eye(len(x)), lower=True)
-    return bare._replace(known=x, weights=cho_solve(factor, y))
+        return regression._replace(known=x, weights=y)
+    factor = cho_factor(_noisy_covariance(settings, x), lower=True)
+    return regression._replace(known=x, weights=cho_solve(factor, y))
 
 
 def predict_regression(fitted: Regression, readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n d"]:
-    """Predict targets by a fitted method.
+    """Predict targets with a fitted method.
 
     Args:
-        fitted: the method.
-        readings: uT, finite.
+        fitted: The fitted method.
+        readings: `(n, c)` finite readings in uT.
 
     Returns:
-        The targets, in their unit.
+        `(n, d)` predicted targets, in their unit.
     """
     method, settings = HEAD_METHODS[int(fitted.method)], tuple(map(float, fitted.settings))
     if method == MEAN_TARGET:
@@ -199,7 +218,7 @@ def predict_regression(fitted: Regression, readings: Float[np.ndarray, "n c"]) -
         y = _nearest(fitted, x, int(settings[1]))
     else:
         assert fitted.known is not None
-        y = np.concatenate([_covariance(settings, part, fitted.known) @ fitted.weights for part in _parts(x)])
+        y = np.concatenate([_covariance(settings, batch, fitted.known) @ fitted.weights for batch in _batches(x)])
     return fitted.centre + fitted.scale * y
 
 
@@ -212,70 +231,66 @@ def cross_predict(
     *,
     budget: HeadBudget | None = None,
 ) -> Float[np.ndarray, "ways n d"]:
-    """Each fold as predicted from all others.
+    """Predict each fold from all others.
 
     Args:
-        method: one of HEAD_METHODS.
-        settings: of it.
-        readings: uT.
-        targets: in any unit.
-        folds: number of the fold of each row, in each way of holding out.
-        budget: as in `fit_regression`.
+        method: One of `HEAD_METHODS`.
+        settings: Settings of the method, from `choose_settings`.
+        readings: `(n, c)` readings in uT.
+        targets: `(n, d)` targets in any unit.
+        folds: `(ways, n)` number of each row's fold, in each way of holding out.
+        budget: Number of rows that a fit keeps, at most; None for the default.
 
     Returns:
-        The targets, in their unit, by each way.
+        `(ways, n, d)` predicted targets, in their unit.
     """
     predicted = np.empty((len(folds), *targets.shape))
-    for way, of in enumerate(folds):
-        for fold in np.unique(of):
-            out = of == fold
-            fitted = fit_regression(method, settings, readings[~out], targets[~out], budget=budget)
-            predicted[way, out] = predict_regression(fitted, readings[out])
+    for way, row_folds in enumerate(folds):
+        for fold in np.unique(row_folds):
+            held_out = row_folds == fold
+            fitted = fit_regression(method, settings, readings[~held_out], targets[~held_out], budget=budget)
+            predicted[way, held_out] = predict_regression(fitted, readings[held_out])
     return predicted
 
 
 def nearest_known(
-    known: Float[np.ndarray, "m k"], x: Float[np.ndarray, "n k"], count: int
+    reference: Float[np.ndarray, "m k"], x: Float[np.ndarray, "n k"], count: int
 ) -> tuple[Float[np.ndarray, "n j"], Int[np.ndarray, "n j"]]:
-    """The nearest known rows of each row, by products: in as many dimensions as a skin has channels no tree is faster.
+    """Find the nearest known rows of each row by matrix products.
+
+    No tree is faster in as many dimensions as a skin has channels.
 
     Args:
-        known: features.
-        x: features.
-        count: how many are wanted; all where there are fewer.
+        reference: `(m, k)` features of the known rows.
+        x: `(n, k)` features of the rows to look up.
+        count: Number of neighbours to find; all m if there are fewer.
 
     Returns:
-        Distances in no order, and the rows of `known`.
+        `(n, j)` distances in no particular order, and the row numbers of these neighbours.
     """
-    count = min(count, len(known))
-    length, distances, rows = np.sum(known**2, axis=1), [], []
-    for part in _parts(x):
-        square = np.sum(part**2, axis=1)[:, None] + length[None] - 2 * part @ known.T
-        near = np.argpartition(square, count - 1, axis=1)[:, :count]
-        distances.append(np.sqrt(np.maximum(np.take_along_axis(square, near, axis=1), 0)))
-        rows.append(near)
+    count = min(count, len(reference))
+    squared_length, distances, rows = np.sum(reference**2, axis=1), [], []
+    for batch in _batches(x):
+        square = np.sum(batch**2, axis=1)[:, None] + squared_length[None] - 2 * batch @ reference.T
+        nearest = np.argpartition(square, count - 1, axis=1)[:, :count]
+        distances.append(np.sqrt(np.maximum(np.take_along_axis(square, nearest, axis=1), 0)))
+        rows.append(nearest)
     return np.concatenate(distances), np.concatenate(rows)
 
 
 def _unscaled(features: FeatureMap, readings: np.ndarray) -> np.ndarray:
     kind = int(features.kind)
-    if kind == PLAIN_FEATURES:
+    if kind == FeatureKind.PLAIN:
         return readings / features.overall
-    if kind == COMPRESSED_FEATURES:
-        return np.arcsinh(readings / (COMPRESSION * features.overall))
-    if kind == DIRECTION_FEATURES:
+    if kind == FeatureKind.COMPRESSED:
+        # The inverse hyperbolic sine changes from linear to logarithmic at 0.3 of the root mean square.
+        return np.arcsinh(readings / (0.3 * features.overall))
+    if kind == FeatureKind.DIRECTION:
         relative = readings / (features.overall * np.sqrt(readings.shape[1]))
-        length = np.sqrt(np.sum(relative**2, axis=1, keepdims=True) + DIRECTION_FLOOR**2)
+        # A reading shorter than 0.05 of the root mean square has hardly a direction.
+        length = np.sqrt(np.sum(relative**2, axis=1, keepdims=True) + 0.05**2)
         return np.column_stack([relative / length, 0.5 * np.log(length)])
     return readings / features.channel
-
-
-def _candidates(method: str) -> Sequence[Settings]:
-    if method == LINEAR_MAP:
-        return [(float(PLAIN_FEATURES), penalty) for penalty in LINEAR_PENALTIES]
-    if method == NEAREST_READINGS:
-        return list(product(map(float, range(len(FEATURE_KINDS))), READING_NEIGHBOURS))
-    return [(float(PLAIN_FEATURES),)]
 
 
 def _fold_error(method: str, readings: np.ndarray, targets: np.ndarray, folds: np.ndarray, settings: Settings) -> float:
@@ -283,52 +298,55 @@ def _fold_error(method: str, readings: np.ndarray, targets: np.ndarray, folds: n
     return float(np.mean(((predicted - targets) / np.maximum(targets.std(0), 1e-12)) ** 2))
 
 
-def _choose_gp(readings: np.ndarray, targets: np.ndarray, folds: np.ndarray) -> Settings:
-    """Choose one setting after the other, by the error of whole folds in closed form."""
+def _choose_gp(readings: np.ndarray, targets: np.ndarray, folds: np.ndarray, grid: SearchGrid) -> Settings:
+    """Choose one setting after the other, by the closed-form error on whole folds."""
     y = (targets - targets.mean(0)) / np.maximum(targets.std(0), 1e-12)
-    features = [make_feature_map(kind, readings)(readings) for kind in range(len(FEATURE_KINDS))]
-    blocks = [np.flatnonzero(of == fold) for of in folds for fold in np.unique(of)]
+    features = [make_feature_map(kind, readings)(readings) for kind in FeatureKind]
+    blocks = [np.flatnonzero(row_folds == fold) for row_folds in folds for fold in np.unique(row_folds)]
 
     def error(settings: Settings) -> float:
         x = features[int(settings[0])]
-        K = _covariance(settings, x, x) + (settings[2] + JITTER_VARIANCE) * np.eye(len(x))
         try:
-            precision = cho_solve(cho_factor(K, lower=True), np.eye(len(x)))
+            precision = cho_solve(cho_factor(_noisy_covariance(settings, x), lower=True), np.eye(len(x)))
             weights = precision @ y
             left_out = [leave_out_blocks(precision[np.ix_(block, block)], weights[block]) for block in blocks]
         except np.linalg.LinAlgError:
             return np.inf
         return float(sum(np.sum(fold.error**2) for fold in left_out))
 
-    kinds = tuple(map(float, range(len(FEATURE_KINDS))))
-    grid = ((float(COMPRESSED_FEATURES), *kinds), COVARIANCE_LENGTHS, HEAD_NOISES, COVARIANCE_SHAPES, LINEAR_PARTS)
-    best: Settings = tuple(values[0] for values in grid)
-    seen = {best: error(best)}
-    for _ in range(SEARCH_ROUNDS):
-        for i, values in enumerate(grid):
-            tries = [(*best[:i], value, *best[i + 1 :]) for value in values]
-            for settings in tries:
-                if settings not in seen:
-                    seen[settings] = error(settings)
-            best = min(tries, key=lambda one: seen[one])
+    kinds = (float(FeatureKind.COMPRESSED), *map(float, FeatureKind))
+    axes = (kinds, grid.lengths, grid.noises, grid.shapes, grid.linear_variances)
+    best: Settings = tuple(values[0] for values in axes)
+    errors = {best: error(best)}
+    for _ in range(grid.rounds):
+        for i, values in enumerate(axes):
+            candidates = [(*best[:i], value, *best[i + 1 :]) for value in values]
+            for settings in candidates:
+                if settings not in errors:
+                    errors[settings] = error(settings)
+            best = min(candidates, key=lambda settings: errors[settings])
     return best
 
 
 def _covariance(settings: Settings, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    _, length, _, shape, linear = settings
+    _, length, _, shape, linear_variance = settings
     inner = a @ b.T
     square = np.maximum(np.sum(a**2, 1)[:, None] + np.sum(b**2, 1)[None] - 2 * inner, 0) / (2 * length**2)
-    near = np.exp(-square) if np.isinf(shape) else (1 + square / shape) ** -shape
-    return near + linear * inner
+    stationary = np.exp(-square) if np.isinf(shape) else (1 + square / shape) ** -shape
+    return stationary + linear_variance * inner
+
+
+def _noisy_covariance(settings: Settings, x: np.ndarray) -> np.ndarray:
+    return _covariance(settings, x, x) + (settings[2] + 1e-9) * np.eye(len(x))  # jitter of 1e-9
 
 
 def _nearest(fitted: Regression, x: np.ndarray, k: int) -> np.ndarray:
     assert fitted.known is not None
     assert fitted.weights is not None
-    distance, near = nearest_known(fitted.known, x, k)
+    distance, rows = nearest_known(fitted.known, x, k)
     share = 1 / (distance + 1e-6)
-    return np.einsum("nk,nkd->nd", share / share.sum(1, keepdims=True), fitted.weights[near])
+    return np.einsum("nk,nkd->nd", share / share.sum(1, keepdims=True), fitted.weights[rows])
 
 
-def _parts(x: np.ndarray, rows: int = 1000) -> list[np.ndarray]:
+def _batches(x: np.ndarray, rows: int = 1000) -> list[np.ndarray]:
     return [x[start : start + rows] for start in range(0, max(len(x), 1), rows)]

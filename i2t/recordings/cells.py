@@ -1,8 +1,8 @@
 """Numbers in the cells of a table: decimal points, decimal commas, and the same signs between thousands.
 
 1.234 is a little more than one, or one thousand two hundred and thirty-four. Other numbers of the table decide: those
-with one, two, four or more decimals, or a zero before the sign, can be read in one way only. Where there are none, or
-as many of either kind, such a cell is marked and does not count as a number.
+with one, two, four or more decimals, or with a zero before the sign, have only one reading. If there are none, or as
+many of either kind, such a cell is marked and does not count as a number.
 """
 
 import re
@@ -17,9 +17,8 @@ GROUPED = {  # numbers that may have this sign between thousands
     ".": re.compile(r"[-+]?[1-9][0-9]{0,2}([.][0-9]{3})+(,[0-9]*)?"),
     ",": re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+([.][0-9]*)?"),
 }
-OTHER_SIGN = {".": ",", ",": "."}
 SIGN_NAMES = {".": "points", ",": "commas"}
-WHOLE, MAYBE = "whole", "maybe "  # kinds of numbers: without a sign, and with a sign (appended) of unknown meaning
+WHOLE, AMBIGUOUS = "whole", "maybe "  # kinds of numbers: without a sign; with a sign (appended) of unknown meaning
 GROUPED_MARK, NO_TIME_MARK = "\ufffe", "\uffff"  # appended to cells that do not count as numbers; Unicode has neither
 
 
@@ -27,10 +26,10 @@ def parse_number(text: str) -> float | None:
     """Read a number.
 
     Args:
-        text: Any text. Unlike Python's, a number has no underscores between digits.
+        text: Any text. Unlike in Python, a number has no underscores between digits.
 
     Returns:
-        The number, which may be infinite or NaN; None where the text is not a number.
+        The number, which may be infinite or NaN; None if the text is not a number.
     """
     try:
         return None if "_" in text else float(text)
@@ -39,34 +38,34 @@ def parse_number(text: str) -> float | None:
 
 
 def as_written(cell: str) -> str:
-    """Take the marks off a cell.
+    """Remove the marks from a cell.
 
     Args:
         cell: A cell with or without a mark.
 
     Returns:
-        The text that stands in the file.
+        The text as it stands in the file.
     """
     return cell.rstrip(GROUPED_MARK + NO_TIME_MARK)
 
 
 def kind_of_number(text: str) -> str:
-    """What a number shows about the sign before decimals.
+    """Classify a number by what it shows about the decimal sign.
 
     Args:
         text: The text of a cell.
 
     Returns:
-        "." or "," where the number shows that this sign is decimal; `MAYBE` and the sign where it may be decimal or
-        group thousands; `WHOLE` for a number without a sign; "" for a text that is not a number.
+        "." or "," if the number shows that this sign is decimal; `AMBIGUOUS` and the sign if it may be decimal or group
+        thousands; `WHOLE` for a number without a sign; "" for a text that is not a number.
     """
     plain = text.strip()
     if plain.lstrip("+-").isdigit():
         return WHOLE
     for sign in ".,":
         if sign in plain and DECIMAL[sign].fullmatch(plain):
-            return MAYBE + sign if GROUPED[sign].fullmatch(plain) else sign
-    return next((OTHER_SIGN[sign] for sign in ".," if GROUPED[sign].fullmatch(plain)), "")
+            return AMBIGUOUS + sign if GROUPED[sign].fullmatch(plain) else sign
+    return next((decimal for decimal, grouping in (",.", ".,") if GROUPED[grouping].fullmatch(plain)), "")
 
 
 def count_kinds(rows: Iterable[Sequence[str]], columns: Sequence[int], counters: Container[int] = ()) -> Counter[str]:
@@ -78,7 +77,7 @@ def count_kinds(rows: Iterable[Sequence[str]], columns: Sequence[int], counters:
         counters: Indices of columns whose whole numbers show nothing about decimals, because they count milliseconds.
 
     Returns:
-        How many numbers have each kind of `kind_of_number`.
+        The number of cells of each kind of `kind_of_number`.
     """
     counts: Counter[str] = Counter()
     for cells in rows:
@@ -90,36 +89,38 @@ def count_kinds(rows: Iterable[Sequence[str]], columns: Sequence[int], counters:
 
 
 def decimal_sign(counts: Counter[str], delimiter: str) -> str:
-    """Decide the sign before decimals by the numbers of a table.
+    """Decide which sign is decimal, by the numbers of a table.
 
     Args:
-        counts: How many numbers have each kind of `kind_of_number`.
+        counts: The number of cells of each kind of `kind_of_number`.
         delimiter: The character between fields.
 
     Returns:
-        The sign that more numbers show to be decimal. Where no number decides, it is the sign that every number has,
-        because grouped numbers below a thousand would have none, or the point in a table separated by commas. Else "".
+        The sign that more numbers show to be decimal. If no number decides, the sign that every number has, because
+        grouped numbers below a thousand would have none, or the point in a table separated by commas. Else "".
     """
     if counts["."] != counts[","]:
         return "." if counts["."] > counts[","] else ","
-    signs = [sign for sign in ".," if counts[MAYBE + sign]]
+    signs = [sign for sign in ".," if counts[AMBIGUOUS + sign]]
     if not counts["."] and not counts[WHOLE] and len(signs) == 1:
         return signs[0]
     return "." if delimiter == "," and not counts[","] else ""
 
 
 class DecimalSigns:
-    """Reads the numbers of a table row by row. Its first rows decide the sign before decimals; where they do not, or
-    where a later number contradicts them, the numbers of all rows are counted, once.
+    """Reader of a table's numbers, row by row.
+
+    The first rows decide the decimal sign. If they do not, or if a later number contradicts them, the numbers of all
+    rows are counted, once.
     """
 
     def __init__(self, path: Path, first: Counter[str], all_rows: Callable[[], Counter[str]], delimiter: str) -> None:
         """Begin to read a table.
 
         Args:
-            path: The file of the table, for messages.
-            first: The counts of `count_kinds` for its first rows.
-            all_rows: Reads the table again and gives the counts for all rows.
+            path: Path of the table, for messages.
+            first: Counts of `count_kinds` for its first rows.
+            all_rows: Function that reads the table again and returns the counts for all rows.
             delimiter: The character between fields.
         """
         self.sign = decimal_sign(first, delimiter)
@@ -134,11 +135,10 @@ class DecimalSigns:
             line: Number of its line in the file.
 
         Returns:
-            The number, marked where its sign may group thousands. A text that is not a number stays as it is.
+            The number, marked if its sign may group thousands. A text that is not a number is returned unchanged.
 
         Raises:
-            DataError: Most numbers of the table have another decimal sign than those of its first rows, which were read
-                already.
+            DataError: Most numbers of the table have another decimal sign than its first rows, which were read already.
         """
         sign = "," if "," in text else "."
         if sign not in text or (sign == self.sign == "."):
@@ -148,9 +148,9 @@ class DecimalSigns:
             return plain.replace(",", ".")
         kind = kind_of_number(plain)
         is_clear = kind in SIGN_NAMES
-        if not self._final and ((is_clear and kind != self.sign) or (kind.startswith(MAYBE) and not self.sign)):
+        if not self._final and ((is_clear and kind != self.sign) or (kind.startswith(AMBIGUOUS) and not self.sign)):
             self._count_all(plain, line)
-        if not is_clear and not kind.startswith(MAYBE):
+        if not is_clear and not kind.startswith(AMBIGUOUS):
             return text
         if not DECIMAL[sign].fullmatch(plain) or (not is_clear and sign != self.sign):
             return plain + GROUPED_MARK
@@ -159,10 +159,10 @@ class DecimalSigns:
         return plain.replace(",", ".")
 
     def _count_all(self, plain: str, line: int) -> None:
-        """Decide by all rows of the table."""
+        """Decide the decimal sign by all rows of the table."""
         counts, before = self._all_rows(), self.sign
         self._final, self.sign = True, decimal_sign(counts, self._delimiter)
-        if before and self.sign != before and counts[MAYBE + before]:
+        if before and self.sign != before and counts[AMBIGUOUS + before]:
             raise DataError(
                 f"{self._path}: line {line} has {plain!r}, but {SIGN_NAMES[before]} seemed to be decimal in the rows "
                 "before it; write all numbers with one decimal sign and no other"

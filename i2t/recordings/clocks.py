@@ -1,13 +1,14 @@
-"""Clocks of recordings: time stamps of any form in seconds, those that contradict their neighbours, and coarse ones.
+"""Clocks of recordings: time stamps of any form in seconds, damaged stamps, clocks that restart and coarse clocks.
 
-Stamps are numbers in a unit that a column's name states, Unix times, or dates and times of day in ISO 8601. A damaged
-stamp stands out from the rows before it and after it, which agree. Where the stamps after a step back go on, the clock
-itself has begun again: a full counter is counted on, and a clock that was set or a board that was started anew begins a
-new part. Where several rows share a stamp, the clock is coarser than the rows, and where they come in batches, it is
-the time at which a computer took them over: such rows follow each other evenly.
+Stamps are numbers in a unit that the column's name states, Unix times, or dates and times of day in ISO 8601. A damaged
+stamp stands out from the rows before and after it, which agree with each other. If the stamps continue from a step
+back, the clock itself has restarted: a full counter is continued, and a clock that was set or a board that was
+restarted begins a new part. If several rows share a stamp, the clock is coarser than the rows; if rows come in batches,
+the stamp is the time at which a computer received them. The rows are then evenly spaced.
 """
 
 import re
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from datetime import time as TimeOfDay
 from typing import NamedTuple
@@ -17,92 +18,112 @@ from jaxtyping import Bool, Float, Int
 
 from i2t.errors import DataError
 
-PAUSE_S = 1.0  # between two rows: afterwards the skin may rest elsewhere
-PAUSE_ROWS = 20  # where rows are so far apart that a second is none
-MAX_BAD_STAMPS = 64  # in a row that are damage; more are a clock that was set
-MIN_PART_ROWS = 8  # at a clock's beginning or end that can be a part of a recording; fewer are damage
-MAX_BACK_SHARE = 0.05  # of the rows before which time goes back; beyond it rows are in no order
-STEPS_S = (1e-4, 1.0)  # between rows of a log: no board sends faster, and slower ones miss a press
-ASSUMED_RATE_HZ = 100.0  # of a log whose stamps do not tell: its presses last the same number of rows at 30 to 500 Hz
-BATCH_SHARE = 3.0  # of the mean step that is many times longer than the steps within a batch of rows
-BATCHED_ROWS = 0.4  # of all, at least, that follow the row before within a batch
-BETWEEN_BATCHES = 1 / 3  # of all time, at least, that passes in the steps from one batch to the next
-UNEVEN = 0.5  # of the time from one batch to the next, up to which it is told by its rows
-DAY_S, HOUR_S = 86400.0, 3600.0
-MINUTES_AND_SECONDS = re.compile(r"(\d+):(\d\d[.,]\d+)")  # as Excel shows times of day, without their hour
-COUNTERS_S = {  # how long a counter of whole numbers runs until it begins again
+
+@dataclass(frozen=True)
+class ClockConfig:
+    """Thresholds for the clock of a log.
+
+    Attributes:
+        pause_s: Time between two rows above which the recording paused and the skin may rest elsewhere.
+        pause_rows: The same threshold in rows; the longer one applies.
+        max_damaged_run: Number of successive stamps that can be damaged; after more of them the clock was set.
+        min_part_rows: Number of rows at the beginning or end of a clock that can be a part of a recording; fewer are
+            damaged.
+        max_backward_share: Share of the rows before which time may go back; beyond it the rows have no order.
+        min_step_s: Time between rows, at least: no board is faster.
+        max_step_s: Time between rows below which presses are not missed.
+        assumed_rate_hz: Rate of a log whose stamps do not determine it. Presses last the same number of rows at 30 to
+            500 Hz.
+        batch_ratio: Ratio of the mean step to the steps within a batch of rows, at least.
+        min_batched_share: Share of the steps that lie within a batch, at least.
+        min_between_share: Share of the time that passes between batches, at least.
+        max_batch_error: Share of the time between batches by which the number of rows may fail to predict it.
+    """
+
+    pause_s: float = 1.0
+    pause_rows: int = 20
+    max_damaged_run: int = 64
+    min_part_rows: int = 8
+    max_backward_share: float = 0.05
+    min_step_s: float = 1e-4
+    max_step_s: float = 1.0
+    assumed_rate_hz: float = 100.0
+    batch_ratio: float = 3.0
+    min_batched_share: float = 0.4
+    min_between_share: float = 1 / 3
+    max_batch_error: float = 0.5
+
+
+CLOCK = ClockConfig()
+COUNTER_PERIODS_S = {  # time after which a full counter restarts
     "a 32-bit counter of microseconds": 2.0**32 * 1e-6,
     "a 32-bit counter of milliseconds": 2.0**32 * 1e-3,
     "a 16-bit counter of milliseconds": 2.0**16 * 1e-3,
-    "a clock of one hour": HOUR_S,
-    "a clock of one day": DAY_S,
+    "a clock of one hour": 3600.0,
+    "a clock of one day": 86400.0,
 }
-DECIMAL_MINUTES = re.compile(r"(^|[T ])\d+:\d\d[.,]\d")  # of which nothing tells whether they are hours and minutes
-IN_ORDER = (
-    "sort them by it where they were mixed up, or give --rate-hz where they are in order and its counter often begins "
-    "again or its stamps are damaged"
-)
-UNIX_TIMES = {1e9: 1.0, 1e12: 1e-3, 1e15: 1e-6, 1e18: 1e-9}  # s in their unit, from these numbers to ten times these
 
 
 class ClockVerdict(NamedTuple):
-    """What the stamps of some rows tell."""
+    """Judgement on the stamps of some rows."""
 
     damaged: Bool[np.ndarray, " n"]  # stamps that contradict the rows before and after them
-    restarts: Int[np.ndarray, " k"]  # rows at which the clock goes back, and goes on from there
-    settled: int  # rows of which later rows cannot change that
+    restarts: Int[np.ndarray, " k"]  # rows at which the clock goes back and continues from there
+    settled: int  # number of rows whose judgement later rows cannot change
 
 
 class RowClock(NamedTuple):
-    """How the rows of a log follow each other."""
+    """Timing of the rows of a log."""
 
     step: float  # s, between rows
-    by_rows: bool  # the stamps say nothing: rows are evenly spaced
-    resolution: float  # s, of the stamps or between batches, where several rows share one; else 0
-    assumed: bool  # nothing states the step
-    within: float = 0.0  # s, up to which rows that follow each other are of one batch
+    by_rows: bool  # whether rows are evenly spaced because the stamps say nothing
+    resolution: float  # s, of the stamps or between batches if several rows share one; else 0
+    assumed: bool  # whether nothing determines the step
+    within: float = 0.0  # s, step up to which successive rows belong to one batch
 
 
 def pause_of(step: float) -> float:
-    """How far rows are apart at least between which a recording paused.
+    """Compute the time between two rows above which a recording paused.
 
     Args:
-        step: Between rows (s).
+        step: Usual time between rows, in s.
 
     Returns:
-        s.
+        The threshold in s.
     """
-    return max(PAUSE_S, PAUSE_ROWS * step)
+    return max(CLOCK.pause_s, CLOCK.pause_rows * step)
 
 
 def states_zone(stamp: str) -> bool:
-    """Test whether a time stamp is no date and time, or one with its zone.
+    """Test whether a time stamp needs no time zone or has one.
 
     Args:
-        stamp: As it stands in the table.
+        stamp: Stamp as it stands in the table.
 
     Returns:
-        False for a date and time without a zone.
+        False for a date and time without a zone; else True.
     """
     return ":" not in stamp or re.search(r"(Z|[+-]\d\d:?\d\d)$", stamp.strip()) is not None
 
 
 def stamp_in_seconds(text: str) -> str:
-    """A time stamp as a number of seconds.
+    """Convert a time stamp to seconds.
 
     Args:
-        text: A number, or a date and time in ISO 8601, or a time of day, or minutes and seconds with decimals; without
-            a zone it is taken as UTC.
+        text: A number, a date and time in ISO 8601 (in UTC if it has no zone), a time of day, or minutes and seconds
+            with decimals.
 
     Returns:
-        The text of a number; what is no stamp stays as it is.
+        The text of a number in s; the text itself if it is not a stamp.
     """
     plain = text.strip()
     if ":" not in plain:
         return text
-    if short := MINUTES_AND_SECONDS.fullmatch(plain):
-        return repr(60.0 * int(short[1]) + float(short[2].replace(",", ".")))
-    if DECIMAL_MINUTES.search(plain):
+    # Excel shows a time of day without its hour.
+    if minutes := re.fullmatch(r"(\d+):(\d\d[.,]\d+)", plain):
+        return repr(60.0 * int(minutes[1]) + float(minutes[2].replace(",", ".")))
+    # Two numbers with decimals may be hours and minutes or minutes and seconds.
+    if re.search(r"(^|[T ])\d+:\d\d[.,]\d", plain):
         return text
     try:
         moment = datetime.fromisoformat(plain.replace("/", "-"))
@@ -116,15 +137,16 @@ def stamp_in_seconds(text: str) -> str:
 
 
 def unix_unit(number: float) -> float | None:
-    """The unit of a Unix time of this century, by its size.
+    """Determine the unit of a Unix time of this century by its size.
 
     Args:
         number: The stamp.
 
     Returns:
-        Seconds in the unit; None for a number that is no such time.
+        Seconds in the unit, or None if the number cannot be such a time.
     """
-    return next((unit for least, unit in UNIX_TIMES.items() if least <= number < 10 * least), None)
+    units = ((1e9, 1.0), (1e12, 1e-3), (1e15, 1e-6), (1e18, 1e-9))
+    return next((unit for smallest, unit in units if smallest <= number < 10 * smallest), None)
 
 
 def row_clock(
@@ -134,20 +156,19 @@ def row_clock(
     rate: float | None = None,
     begins: Bool[np.ndarray, " n"] | None = None,
 ) -> RowClock:
-    """How the rows of a log follow each other, by the stamps of some of its first rows.
+    """Determine the timing of a log's rows from the stamps of some of its first rows.
 
     Args:
-        time: s.
-        name: Of the log and its column, for messages.
-        rate: Hz, where it is stated: then the stamps are not looked at.
-        begins: Rows with which another session begins, whose clock may start anew.
+        time: `(n,)` stamps in s.
+        name: Name of the log and its column, for messages.
+        rate: Stated rate in Hz, or None if none is stated. A stated rate replaces the stamps.
+        begins: `(n,)` mask of rows that begin another session, whose clock may restart.
 
     Returns:
-        The clock.
+        The timing of the rows.
 
     Raises:
-        DataError: Rows follow each other at a rate that no board has, so that the stamps are in another unit, or
-            they are in no order.
+        DataError: No board has the rate of the rows, so that the stamps are in another unit; or the rows have no order.
     """
     if rate is not None:
         return RowClock(1 / rate, by_rows=True, resolution=0.0, assumed=False)
@@ -163,44 +184,44 @@ def row_clock(
     resolution = float(np.median(widths)) if len(widths) else float(np.median(forward)) if len(forward) else 0.0
     usual = (widths <= pause_of(resolution)) & (widths > 0)
     if not usual.any():
-        return RowClock(1 / ASSUMED_RATE_HZ, by_rows=True, resolution=resolution, assumed=True)
+        return RowClock(1 / CLOCK.assumed_rate_hz, by_rows=True, resolution=resolution, assumed=True)
     step = float(widths[usual].sum() / counts[usual].sum())
     _require_rate(step, len(time), name)
-    return RowClock(step, by_rows=resolution > PAUSE_S, resolution=resolution, assumed=False, within=within)
+    return RowClock(step, by_rows=resolution > CLOCK.pause_s, resolution=resolution, assumed=False, within=within)
 
 
 def _batches(time: np.ndarray, within: float) -> tuple[np.ndarray, np.ndarray]:
-    """Time from one whole batch to the next (s), and how many rows it has; the first may have begun before."""
+    """Measure the time in s from each complete batch to the next, and count its rows; the first may be incomplete."""
     begins = np.flatnonzero(np.diff(time) > within) + 1
     return time[begins[1:]] - time[begins[:-1]], np.diff(begins)
 
 
 def _within_batches(time: np.ndarray) -> float:
-    """Step (s) up to which rows are of one batch; 0 where they do not come in batches, or share stamps.
+    """Find the step in s up to which rows belong to one batch; 0 if they do not come in batches, or share stamps.
 
-    Rows come in batches where many steps are far shorter than the mean, and the time up to the next batch grows with
-    the rows of each. It does not where rows were lost, or where the rate changes.
+    Rows come in batches if many steps are far shorter than the mean, and the time up to the next batch grows with the
+    number of rows in each. That time does not grow if rows were lost or the rate changes.
     """
     steps = np.diff(time)
-    usual = steps[(steps >= 0) & (steps <= PAUSE_S)]
-    if len(usual) < MIN_PART_ROWS:
+    usual = steps[(steps >= 0) & (steps <= CLOCK.pause_s)]
+    if len(usual) < CLOCK.min_part_rows:
         return 0.0
-    close = usual <= usual.mean() / BATCH_SHARE
-    if not (usual[close] > 0).any() or close.mean() < BATCHED_ROWS:
+    short = usual <= usual.mean() / CLOCK.batch_ratio
+    if not (usual[short] > 0).any() or short.mean() < CLOCK.min_batched_share:
         return 0.0
     longest = np.sort(usual)[::-1]
-    between = longest[np.searchsorted(np.cumsum(longest), BETWEEN_BATCHES * longest.sum())]
+    between = longest[np.searchsorted(np.cumsum(longest), CLOCK.min_between_share * longest.sum())]
     widths, counts = _batches(time, between / 2)
-    widths, counts = widths[widths <= PAUSE_S], counts[widths <= PAUSE_S]
-    told = widths.sum() / max(counts.sum(), 1) * counts
-    even = np.abs(widths - told).sum() < UNEVEN * widths.sum() and counts.sum() > len(time) / 2
-    return float(between) / 2 if even else 0.0
+    widths, counts = widths[widths <= CLOCK.pause_s], counts[widths <= CLOCK.pause_s]
+    expected = widths.sum() / max(counts.sum(), 1) * counts
+    is_even = np.abs(widths - expected).sum() < CLOCK.max_batch_error * widths.sum()
+    return float(between) / 2 if is_even and counts.sum() > len(time) / 2 else 0.0
 
 
 def _require_rate(step: float, rows: int, name: str) -> None:
-    if rows < MIN_PART_ROWS or STEPS_S[0] <= step < STEPS_S[1]:
+    if rows < CLOCK.min_part_rows or CLOCK.min_step_s <= step < CLOCK.max_step_s:
         return
-    pace = "slower than a press" if step >= STEPS_S[1] else "faster than any board"
+    pace = "slower than a press" if step >= CLOCK.max_step_s else "faster than any board"
     raise DataError(
         f"{name} says that rows are {step:.3g} s apart, {pace}; name its column by the unit that it counts (time_s, "
         "time_ms, time_us), or give --rate-hz"
@@ -211,43 +232,46 @@ def require_order(
     time: Float[np.ndarray, " n"],
     name: str,
     begins: Bool[np.ndarray, " n"] | None = None,
-    remedy: str = IN_ORDER,
+    remedy: str = (
+        "sort them by it if they were mixed up, or give --rate-hz if they are in order and its counter restarts often "
+        "or its stamps are damaged"
+    ),
 ) -> None:
-    """Refuse rows in no order.
+    """Refuse rows whose time goes back too often.
 
     Args:
-        time: s.
-        name: Of the log and its column, for messages.
-        begins: Rows with which another session begins, whose clock may start anew.
-        remedy: What to do.
+        time: `(n,)` stamps in s.
+        name: Name of the log and its column, for messages.
+        begins: `(n,)` mask of rows that begin another session, whose clock may restart.
+        remedy: Advice at the end of the message.
 
     Raises:
         DataError: Time goes back at many rows.
     """
     goes_back = np.diff(time) < 0
     back = int(np.sum(goes_back if begins is None else goes_back & ~begins[1:]))
-    if back > max(MAX_BACK_SHARE * len(time), 3):
+    if back > max(CLOCK.max_backward_share * len(time), 3):
         raise DataError(f"{name} goes back at {back} of {len(time)} rows, so they are in no order; {remedy}")
 
 
 def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bool = True) -> ClockVerdict:
-    """Find damaged stamps, and where the clock begins again.
+    """Find damaged stamps, and rows at which the clock restarts.
 
-    A run of stamps is damaged that stands out: later than the row after it and far from the row before it, or earlier
-    than the row before it and far from the row after it. The shorter of two such runs is. Fewer rows than can be a part
-    are damaged too where the clock goes back after the first of all rows, or before the last.
+    A run of stamps is damaged if it stands out: it is later than the row after it and far from the row before it, or
+    earlier than the row before it and far from the row after it. Of two such runs the shorter one is damaged. A run
+    that is too short to be a part is also damaged if the clock goes back after the first row of all or before the last.
 
     Args:
-        time: s, finite, in the order of the file.
-        begun: The first is a sound row that was judged before.
-        last: No more rows follow.
+        time: `(n,)` finite stamps in s, in the order of the file.
+        begun: Whether the first row was judged before and is sound.
+        last: Whether no more rows follow.
 
     Returns:
-        The verdict on these rows.
+        The judgement on these rows.
     """
     damaged = np.zeros(len(time), bool)
     restarts: list[int] = []
-    decided = len(time) if last else max(len(time) - MAX_BAD_STAMPS, 0)
+    decided = len(time) if last else max(len(time) - CLOCK.max_damaged_run, 0)
     while True:
         rows = np.flatnonzero(~damaged)
         back = np.flatnonzero(np.diff(time[rows]) < 0) + 1
@@ -261,37 +285,37 @@ def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
             restarts.append(int(rows[at]))
         else:
             damaged[rows[runs[0].start : runs[0].end]] = True
-    settled = len(time) if last else max(len(time) - 2 * MAX_BAD_STAMPS, 0)
+    settled = len(time) if last else max(len(time) - 2 * CLOCK.max_damaged_run, 0)
     return ClockVerdict(damaged[:settled], np.array([row for row in restarts if row < settled], int), settled)
 
 
 def rolls_over(before: float, after: float) -> str:
-    """Name the counter that begins again between two stamps because it is full.
+    """Name the counter that is full and restarts between two stamps.
 
     Args:
-        before: s, the last stamp.
-        after: s, the next.
+        before: Last stamp before the step back, in s.
+        after: First stamp after it, in s.
 
     Returns:
-        What counts so; "" where no counter does.
+        A key of `COUNTER_PERIODS_S`, or "" if no counter restarts there.
     """
-    for name, period in COUNTERS_S.items():
-        full = any(0 < end - before <= PAUSE_S for end in (period, period / 2))  # without a sign, and with one
-        if 0 <= after + period - before <= PAUSE_S and full:
+    for name, period in COUNTER_PERIODS_S.items():
+        is_full = any(0 < end - before <= CLOCK.pause_s for end in (period, period / 2))  # unsigned and signed
+        if 0 <= after + period - before <= CLOCK.pause_s and is_full:
             return name
     return ""
 
 
 def even_times(time: Float[np.ndarray, " n"], clock: RowClock, shared: int = 0) -> Float[np.ndarray, " n"]:
-    """Times of rows that share the stamp of a coarse clock, evenly from each stamp onwards.
+    """Space rows that share the stamp of a coarse clock evenly, from that stamp onwards.
 
     Args:
-        time: s, not decreasing.
-        clock: Of the log.
-        shared: Rows before these that have the first stamp too.
+        time: `(n,)` non-decreasing stamps in s.
+        clock: Timing of the log's rows.
+        shared: Number of rows before these that also have the first stamp.
 
     Returns:
-        s, not decreasing, as given where no two rows share a stamp.
+        `(n,)` non-decreasing times in s; the stamps themselves if no two rows share one.
     """
     begins = np.flatnonzero(np.diff(time, prepend=-np.inf) > clock.within)
     sizes = np.diff(np.append(begins, len(time)))
@@ -299,10 +323,10 @@ def even_times(time: Float[np.ndarray, " n"], clock: RowClock, shared: int = 0) 
     within[: sizes[0]] += shared
     stamps = np.repeat(time[begins], sizes) if clock.resolution else time
     even = stamps + clock.step * within
-    if clock.resolution and not shared and len(begins) > 1:  # of the first stamp, the last rows alone may be here
+    if clock.resolution and not shared and len(begins) > 1:  # only the last rows of the first stamp may be here
         end = min(time[begins[1]], time[0] + clock.resolution)
         even[: sizes[0]] = np.maximum(even[: sizes[0]], end - clock.step * np.arange(sizes[0], 0, -1))
-    # A batch is taken over after its last row was measured, and so is stamped later than its rows by its length.
+    # A batch is stamped after its last row was measured, so its rows are earlier by its length.
     return np.maximum.accumulate(even) - (clock.resolution - clock.step if clock.within else 0.0)
 
 
@@ -311,26 +335,26 @@ class _Run(NamedTuple):
 
     start: int
     end: int
-    closed: bool  # from the rows before and from those after; else a side has no rows
+    closed: bool  # whether there are rows on both sides to compare with
 
 
 def _late_rows(time: np.ndarray, at: int, first: int, begun: bool) -> _Run | None:
-    """Rows before `at` that are later than it and stand out from those before, of which the part begins at `first`."""
-    window = time[max(at - MAX_BAD_STAMPS - 1, first) : at][::-1] > time[at]
+    """Find rows before `at` that are later than it and stand out from those before; their part begins at `first`."""
+    window = time[max(at - CLOCK.max_damaged_run - 1, first) : at][::-1] > time[at]
     start = at - (len(window) if window.all() else int(np.argmin(window)))
-    if at - start > MAX_BAD_STAMPS:
+    if at - start > CLOCK.max_damaged_run:
         return None
     if start == first:
-        return None if first or begun or at - start >= MIN_PART_ROWS else _Run(start, at, closed=False)
+        return None if first or begun or at - start >= CLOCK.min_part_rows else _Run(start, at, closed=False)
     return _Run(start, at, closed=True) if 2 * (time[start] - time[start - 1]) >= time[at - 1] - time[at] else None
 
 
 def _early_rows(time: np.ndarray, at: int, last: bool) -> _Run | None:
-    """Rows from `at` that are earlier than the row before and stand out from those after."""
-    window = time[at : at + MAX_BAD_STAMPS + 1] < time[at - 1]
+    """Find rows from `at` on that are earlier than the row before and stand out from those after."""
+    window = time[at : at + CLOCK.max_damaged_run + 1] < time[at - 1]
     end = at + (len(window) if window.all() else int(np.argmin(window)))
-    if end - at > MAX_BAD_STAMPS:
+    if end - at > CLOCK.max_damaged_run:
         return None
     if end == len(time):
-        return _Run(at, end, closed=False) if last and end - at < MIN_PART_ROWS else None
+        return _Run(at, end, closed=False) if last and end - at < CLOCK.min_part_rows else None
     return _Run(at, end, closed=True) if 2 * (time[end] - time[end - 1]) >= time[at - 1] - time[at] else None

@@ -1,7 +1,7 @@
-"""Columns of tables: the names, quantities and units that every reader of recordings understands.
+"""Columns of tables: the names, quantities and units that all readers of recordings understand.
 
-A column is named by its stem and our unit: x_mm, force_N, b0x_uT. Other spellings and units of the same stems become
-these.
+A column is named by its stem and our unit, such as x_mm, force_N or b0x_uT. Other spellings and units of the same stems
+are converted to these.
 """
 
 import re
@@ -11,16 +11,14 @@ from pathlib import Path
 from i2t.errors import DataError
 from i2t.recordings.cells import parse_number
 
-NEWTONS_PER_GRAM = 9.80665e-3  # weight of a gram
-UNITS: dict[str, tuple[str, dict[str, float]]] = {  # our unit of each quantity, and other units with their factors
+NEWTONS_PER_GRAM = 9.80665e-3  # standard gravity, times one gram
+UNITS: dict[str, tuple[str, dict[str, float]]] = {  # our unit of each quantity, and factors from other units to ours
     "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
     "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": NEWTONS_PER_GRAM, "kg": 9.80665}),
     "time": ("s", {"sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}),
 }
-LIBRARY_UNITS = {"mm": 1e-3}  # factors from our units of tables to those of the library, where they differ
-# Columns of each target of a recording; those of one target stand next to each other.
-TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {
+TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a recording, in their order
     "position": ("x_mm", "y_mm"),
     "depth": ("depth_mm",),
     "force": ("force_N",),
@@ -29,35 +27,28 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "slip": ("slip",),
 }
 PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["depth"])
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, in place of a depth
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, instead of a depth
 FORCE, TIME, SOURCE_COLUMN = "force_N", "time_s", "source"
 NAME_COLUMNS = ("pad", "session")
 TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
+UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
 FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # column of a chip's value under our name
-QUANTITY_OF_UNIT = {ours: quantity for quantity, (ours, _) in UNITS.items()}
-QUANTITY_OF = {  # quantity of a column by its name without the unit
-    name.rpartition("_")[0]: QUANTITY_OF_UNIT[name.rpartition("_")[2]]
-    for name in (*sum(TARGET_COLUMNS.values(), ()), *HEIGHT_COLUMNS, TIME)
-    if "_" in name
-}
-WORDS = {name: name for name in (*NAME_COLUMNS, "contact", "slip")} | {"run": "session"}
+QUANTITY_OF_STEM = {"time": "time"}
+QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "depth", "height"), "length")
+QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
 STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
-UNIT_WORDS = {"-", "1", "#"} | {word for own, others in UNITS.values() for word in (own.lower(), *others)}
 MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # the last is that of cp850, read as cp1252
-MAX_SHOWN = 60  # letters that a message shows of a single name
-SHOWN_NAMES = 6  # names that a message shows of a first line
-MAX_NAMED = 5  # missing columns that a message names
 
 
 def value_columns(chips: Iterable[int]) -> list[str]:
     """Name the columns of chips' values.
 
     Args:
-        chips: Their numbers.
+        chips: Numbers of the chips.
 
     Returns:
-        The names b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
+        The names b0x_uT, b0y_uT, b0z_uT, b1x_uT ..., three for each chip.
     """
     return [f"b{chip}{axis}_uT" for chip in chips for axis in "xyz"]
 
@@ -66,119 +57,120 @@ def ambient_columns(values: Iterable[str]) -> list[str]:
     """Name the columns of the ambient field that belongs to values.
 
     Args:
-        values: Their columns.
+        values: Names of the values' columns.
 
     Returns:
-        The names a0x_uT ...
+        The names a0x_uT ..., in the order of the values.
     """
     return ["a" + name[1:] for name in values]
 
 
 def library_factor(name: str) -> float:
-    """Factor from the unit of a column to the library's.
+    """Look up the factor from the unit of a column to the unit that the library uses.
 
     Args:
-        name: Of a column under our name.
+        name: Our name of the column.
 
     Returns:
-        1e-3 for a length, as the library has metres; else 1.
+        1e-3 for a length, because the library uses metres; else 1.
     """
-    return LIBRARY_UNITS.get(name.rpartition("_")[2], 1.0)
+    return 1e-3 if name.endswith("_mm") else 1.0
 
 
 def field_columns(
     path: Path, header: list[str], chips: int, needed: Sequence[str], remedy: str = "name columns as in docs/data.md"
 ) -> list[str]:
-    """Name the columns of a board's values, and refuse a table without them or with those of more chips.
+    """Name the columns of a board's values, after checking that a table has exactly those of its chips.
 
     Args:
-        path: The file, for messages.
+        path: Path of the table, for messages.
         header: Names of its columns.
         chips: Number of chips of the board.
-        needed: Other columns that the table must have.
-        remedy: What the user is to do where a column is missing.
+        needed: Names of other columns that the table must have.
+        remedy: Advice on a missing column.
 
     Returns:
-        The names b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
+        The names b0x_uT, b0y_uT, b0z_uT, b1x_uT ..., three for each chip.
 
     Raises:
-        DataError: A column is missing, stands twice, or belongs to a chip that the board lacks.
+        DataError: A column is missing, appears twice, or belongs to a chip that the board lacks.
     """
     values = value_columns(range(chips))
     if missing := [name for name in (*needed, *values) if name not in header]:
-        named = ", ".join(missing[:MAX_NAMED]) + (" ..." if len(missing) > MAX_NAMED else "")
-        raise DataError(f"{path}: column {named} is missing ({beginning_of(header)}); {remedy}")
+        names = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
+        raise DataError(f"{path}: column {names} is missing ({beginning_of(header)}); {remedy}")
     if beyond := [name for name in header if FIELD_COLUMN.fullmatch(name) and name not in values]:
         raise DataError(
-            f"{path}: column {', '.join(beyond)} is of no chip of the board, which has {chips}; name it with --board"
+            f"{path}: column {', '.join(beyond)} belongs to no chip of the board, which has {chips}; name the right "
+            "board with --board"
         )
     if twice := next((name for name in header if header.count(name) > 1 and is_read(name)), ""):
-        raise DataError(f"{path}: a column name, {twice}, stands twice in the first line; rename one")
+        raise DataError(f"{path}: column name {twice} appears twice in the first line; rename one")
     return values
 
 
 def beginning_of(header: list[str]) -> str:
-    """Describe the first line of a table, for a sentence that refuses it.
+    """Describe the first line of a table, for a message that refuses the table.
 
     Args:
         header: Names of its columns.
 
     Returns:
-        Half a sentence on what its first line holds.
+        A clause on the contents of the first line.
     """
     if not header:
         return "it holds no name of a column"
     if all(is_number(name) for name in header):
         return "its first line holds numbers and no names"
     if len(header) == 1:
-        return f"its first line holds {header[0][:MAX_SHOWN]!r} alone: delete lines above the names"
-    more = " ..." if len(header) > SHOWN_NAMES else ""
-    return f"its first line names {', '.join(header[:SHOWN_NAMES])}{more}"
+        return f"its first line holds only {header[0][:60]!r}: delete lines above the names"
+    more = " ..." if len(header) > 6 else ""
+    return f"its first line names {', '.join(header[:6])}{more}"
 
 
 def is_ours(name: str) -> bool:
-    """Test for the name of a quantity with its unit.
+    """Test whether a name states a quantity that is read, with its unit.
 
     Args:
-        name: Of a column, as stated.
+        name: Name of a column as stated.
 
     Returns:
-        Whether it is, under our name or another.
+        True for our name of the quantity and for other spellings and units.
     """
     stem, _, unit = our_name(name)[0].rpartition("_")
-    quantity = "field" if FIELD_STEM.fullmatch(stem) else QUANTITY_OF.get(stem)
+    quantity = _quantity_of(stem)
     return quantity is not None and unit == UNITS[quantity][0]
 
 
 def is_read(name: str) -> bool:
-    """Test for a column that some reader of tables looks at.
+    """Test whether some reader of tables uses a column.
 
     Args:
-        name: Of a column.
+        name: Name of a column as stated.
 
     Returns:
-        Whether it is read.
+        True if the column is used.
     """
-    return is_ours(name) or name in WORDS.values() or name in TEXT_COLUMNS
+    return is_ours(name) or name in UNITLESS_COLUMNS or name in TEXT_COLUMNS
 
 
 def is_field_or_ours(name: str) -> bool:
-    """Test for the name of a column that is read, with or without its unit.
+    """Test whether some reader of tables uses a column, or would with a unit in the name of a chip's value.
 
     Args:
-        name: Of a column, as stated.
+        name: Name of a column as stated.
 
     Returns:
-        Whether it is.
+        True if the column is used, with or without a unit.
     """
     return is_read(name) or FIELD_STEM.fullmatch(plain_name(name)) is not None
 
 
 def plain_name(name: str) -> str:
-    """A column's name in small letters, with its unit after an underscore: x_mm for X [mm] or x/mm.
+    """Write a column's name in lower case, with its unit after an underscore: x_mm for X [mm] or x/mm.
 
     Args:
-        name: As stated.
+        name: Name of a column as stated.
 
     Returns:
         The plain name.
@@ -189,20 +181,22 @@ def plain_name(name: str) -> str:
 
 
 def our_name(name: str) -> tuple[str, float]:
-    """Our name of a column.
+    """Find our name of a column, and the factor from its unit to ours.
 
     Args:
-        name: As stated.
+        name: Name of a column as stated.
 
     Returns:
-        Our name, or the stated one if the column has no meaning here; and the factor from its unit to ours.
+        Our name and the factor; the stated name and 1 if the column has no meaning here.
     """
     plain = plain_name(name)
-    if plain in WORDS:
-        return WORDS[plain], 1.0
+    if plain == "run":
+        return "session", 1.0
+    if plain in UNITLESS_COLUMNS:
+        return plain, 1.0
     stem, _, unit = plain.lstrip("%").rpartition("_")
     stem = "time" if stem in STAMPS else stem
-    quantity = "field" if FIELD_STEM.fullmatch(stem) else QUANTITY_OF.get(stem)
+    quantity = _quantity_of(stem)
     if quantity is None:
         return name, 1.0
     ours, others = UNITS[quantity]
@@ -211,13 +205,17 @@ def our_name(name: str) -> tuple[str, float]:
     return (f"{stem}_{ours}", others[unit]) if unit in others else (name, 1.0)
 
 
+def _quantity_of(stem: str) -> str | None:
+    return "field" if FIELD_STEM.fullmatch(stem) else QUANTITY_OF_STEM.get(stem)
+
+
 def is_number(text: str) -> bool:
-    """Test for the text of a number.
+    """Test whether a text is a number.
 
     Args:
         text: Any text.
 
     Returns:
-        Whether it is one, infinite and NaN among them.
+        True for a number, including infinity and NaN.
     """
     return parse_number(text) is not None

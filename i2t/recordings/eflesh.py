@@ -1,8 +1,8 @@
-"""Sessions of eFlesh as they were recorded: what their tables hold, and which rows belong together.
+"""Sessions of eFlesh as they were recorded: the contents of their tables, and which rows belong together.
 
-`states.csv` has Unix time (s), x, y, z of the probe (mm) and, where it was read, the load in grams (-1: not read);
-`sensor_post_baselines.csv` has Unix time (s) and 15 values for each board, each less the reading before that touch;
-`sensor.csv`, where it was kept, has the raw values.
+`states.csv` holds Unix time (s), x, y, z of the probe (mm) and, in some sessions, the load in grams (-1: not read).
+`sensor_post_baselines.csv` holds Unix time (s) and 15 values for each board, minus the reading before that touch.
+`sensor.csv`, which some sessions have, holds the raw values.
 """
 
 from pathlib import Path
@@ -15,40 +15,38 @@ from i2t.recordings.columns import NEWTONS_PER_GRAM
 from i2t.recordings.files import data_error, read_numbers
 from i2t.skin.boards import silent_chips
 
-EFLESH_READINGS = 15  # of one board, AnySkin's
-RAW_DECIMALS = 6  # of raw values, which are sums here
-SAME_ROW = 15e-3  # s: sensor and state of a row are at most 8 ms apart, and rows at least 34 ms
-STROKE_PAUSE_S = 0.5  # without rows between the strokes of a `normal` or `shear` session; rows are 0.03 to 0.14 s apart
+EFLESH_READINGS = 15  # of one AnySkin board
+MAX_ROW_OFFSET_S = 15e-3  # between sensor and state of one row: they are within 8 ms, and rows at least 34 ms apart
 
 
 def rows_together(
     states: Float[np.ndarray, " n"], values: Float[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Sensor rows that have a state at their time.
+    """Match sensor rows with states of the same time.
 
     Args:
-        states: s, increasing.
-        values: s, of the sensor's rows.
+        states: `(n,)` increasing times of the states, in s.
+        values: `(m,)` times of the sensor rows, in s.
 
     Returns:
-        These rows, and the states that are theirs.
+        Row numbers of the k sensor rows that have a state, and row numbers of these states.
     """
     after = np.clip(np.searchsorted(states, values), 0, len(states) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(states[before] - values) < np.abs(states[after] - values), before, after)
-    rows = np.flatnonzero(np.abs(states[nearest] - values) <= SAME_ROW)
+    rows = np.flatnonzero(np.abs(states[nearest] - values) <= MAX_ROW_OFFSET_S)
     return rows, nearest[rows]
 
 
 def baselines(folder: Path, values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n c"] | None:
-    """What was subtracted from each row, by the raw values (`sensor.csv`) in the same folder.
+    """Compute what was subtracted from each row, from the raw values (`sensor.csv`) in the same folder.
 
     Args:
-        folder: Of the session.
-        values: As recorded: time (s), and differences (uT).
+        folder: Folder of the session.
+        values: `(n, columns)` rows as recorded: time in s, and differences in uT.
 
     Returns:
-        uT; None where the raw values are missing, damaged or of other rows.
+        `(n, c)` baselines in uT, or None if the raw values are missing, damaged or of other rows.
     """
     try:
         raw = read_numbers(table_path(folder, "sensor"), (values.shape[1],))
@@ -63,44 +61,49 @@ def baselines(folder: Path, values: Float[np.ndarray, "n columns"]) -> Float[np.
 
 
 def silent_chips_of(folder: Path, values: Float[np.ndarray, "n columns"]) -> Bool[np.ndarray, "n chips"]:
-    """Chips that did not answer, by the raw values where these are in the folder, else by the differences.
+    """Find chips that did not answer, from the raw values if the folder has them, else from the differences.
 
     Args:
-        folder: Of the session.
-        values: As recorded: time (s), and differences (uT).
+        folder: Folder of the session.
+        values: `(n, columns)` rows as recorded: time in s, and differences in uT.
 
     Returns:
-        Where a chip did not answer.
+        `(n, chips)` mask that is True where a chip did not answer.
     """
     subtracted = baselines(folder, values)
     if subtracted is None:
         return silent_chips(values[:, 1:], differences=True)
-    return silent_chips(np.round(values[:, 1:] + subtracted, RAW_DECIMALS))
+    # Rounding removes the error of the sum: a silent chip sends exact zeros.
+    return silent_chips(np.round(values[:, 1:] + subtracted, 6))
 
 
-def stroke_numbers(time: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """The stroke, down and up, that each row belongs to: strokes begin at the top, after a pause.
+def stroke_numbers(
+    time: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"], *, min_pause_s: float = 0.5
+) -> Int[np.ndarray, " n"]:
+    """Number the strokes down and up of a `normal` or `shear` session; a stroke begins at the top after a pause.
 
     Args:
-        time: s.
-        z: Height of the probe, in any unit; NaN where it is not known.
+        time: `(n,)` times in s.
+        z: `(n,)` heights of the probe in any unit; NaN where unknown.
+        min_pause_s: Time between rows above which the probe paused; rows are 0.03 to 0.14 s apart within a stroke.
 
     Returns:
-        Numbers from 0.
+        `(n,)` number of each row's stroke, from 0.
     """
     at_top = z > np.nanmax(z) - 0.1 * (np.nanmax(z) - np.nanmin(z))
-    begins = np.concatenate([[False], (np.diff(time) > STROKE_PAUSE_S) & at_top[1:] & at_top[:-1]])
+    begins = np.concatenate([[False], (np.diff(time) > min_pause_s) & at_top[1:] & at_top[:-1]])
     return np.cumsum(begins)
 
 
 def load_of_states(states: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, " n"]:
-    """What the scale read.
+    """Convert the readings of the scale to newtons.
 
     Args:
-        states: As recorded, the load (grams, -1 where it was not read) in the fifth column if there is one.
+        states: `(n, columns)` states as recorded. The fifth column, if there is one, is the load in grams, -1 if it was
+            not read.
 
     Returns:
-        N; NaN where it was not read.
+        `(n,)` loads in N; NaN where the scale was not read.
     """
     if states.shape[1] < 5:
         return np.full(len(states), np.nan)
@@ -108,17 +111,17 @@ def load_of_states(states: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, 
 
 
 def table_path(folder: Path, name: str) -> Path:
-    """The file of a session's table, plain or gzip-ed.
+    """Find the file of a session's table, plain or gzipped.
 
     Args:
-        folder: Of the session.
-        name: Of the table.
+        folder: Folder of the session.
+        name: Name of the table without suffix.
 
     Returns:
-        The file.
+        The path of the file.
 
     Raises:
-        DataError: There is none.
+        DataError: There is no such file.
     """
     path = next((p for p in (folder / f"{name}.csv", folder / f"{name}.csv.gz") if p.is_file()), None)
     if path is None:

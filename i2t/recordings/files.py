@@ -1,4 +1,4 @@
-"""Files of recordings: texts and tables of numbers, plain or gzip-ed, whose damage is told in one sentence."""
+"""Files of recordings: texts and tables of numbers, plain or gzipped. One sentence describes any damage."""
 
 import io
 from collections.abc import Iterator
@@ -14,24 +14,24 @@ from i2t.files.reading import read_bytes as read_file
 
 
 def data_error(path: Path, problem: str) -> DataError:
-    """The error about a file that is not as its author wrote it.
+    """Create the error about a file that is not as its author wrote it.
 
     Args:
-        path: Of the file.
-        problem: What is wrong with it.
+        path: Path of the file.
+        problem: What is wrong with it, as a predicate ("is empty").
 
     Returns:
-        The error, with one sentence.
+        The error, whose message is one sentence with a remedy.
     """
     return DataError(f"{path}: {problem}; restore it from the source")
 
 
 @contextmanager
 def os_errors_as_data_errors(path: Path) -> Iterator[None]:
-    """Turn errors of the system while a file is read into errors that name the file.
+    """Convert errors of the operating system during reading to errors that name the file.
 
     Args:
-        path: The file that is read in the block.
+        path: Path of the file that the block reads.
 
     Yields:
         Nothing.
@@ -46,16 +46,16 @@ def os_errors_as_data_errors(path: Path) -> Iterator[None]:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The contents of a file, unzipped where it is a gzip archive.
+    """Read a file, and unzip it if it is a gzip archive.
 
     Args:
-        path: Of the file.
+        path: Path of the file.
 
     Returns:
-        The contents.
+        The contents of the file, unzipped.
 
     Raises:
-        DataError: It cannot be read.
+        DataError: The file cannot be read.
     """
     with os_errors_as_data_errors(path):
         raw = read_file(path)
@@ -63,32 +63,32 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """The contents of a text file, unzipped as by `read_bytes`.
+    """Read a text file, plain or gzipped.
 
     Args:
-        path: Of the file.
+        path: Path of the file.
 
     Returns:
-        The text.
+        The decoded text of the file.
 
     Raises:
-        DataError: It cannot be read, is of another kind, or is not text.
+        DataError: The file cannot be read, is of another kind, or is not text.
     """
     return decoded(path, read_bytes(path))
 
 
 def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:
-    """A comma-separated table of numbers without a header.
+    """Read a comma-separated table of numbers without a header.
 
     Args:
-        path: Of the file.
-        columns: How many columns it may have.
+        path: Path of the file.
+        columns: Permitted numbers of columns.
 
     Returns:
-        (rows, columns) float64.
+        `(rows, columns)` numbers as float64.
 
     Raises:
-        DataError: It cannot be read, or is no such table.
+        DataError: The file cannot be read, or is not such a table.
     """
     text = read_text(path)
     if not text.strip():
@@ -96,7 +96,7 @@ def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:
     try:
         table = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
     except (ValueError, OverflowError) as error:
-        raise data_error(path, f"is no table of numbers ({repr(str(error))[:200]})") from error
+        raise data_error(path, f"is not a table of numbers ({repr(str(error))[:200]})") from error
     if table.shape[1] not in columns:
         expected = " or ".join(map(str, columns))
         raise data_error(path, f"has {table.shape[1]} columns, not {expected}")

@@ -1,4 +1,4 @@
-"""Touches of one tip on one skin as presses by position and load."""
+"""Presses of one tip on one skin, by position and load, from a data set of touches."""
 
 from typing import Literal
 
@@ -10,41 +10,42 @@ from i2t.recordings.sets import corrected_dataset
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
-DEPTH_OF_UNKNOWN_M = 2e-3  # of every press, where neither depth nor force is known
-LEAST_LOAD_RANGE = 1e-6  # of the largest load: less is one load
+ASSUMED_DEPTH_M = 2e-3  # of every press, if neither depth nor force is known
 
 
 def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) -> LoadedPresses:
-    """The touches of one tip on one skin by position and load; presses that failed or met air are left out.
+    """Select the presses of one tip on one skin whose position and load are known.
+
+    Presses that failed or did not meet the skin are left out.
 
     Args:
         dataset: Recorded or simulated touches of one object with one skin.
-        load: The column that says how hard was pressed; "auto" is the depth where it was measured at every press or no
-            force was, else the force.
+        load: Column that measures the load. "auto" is the depth if every press has one or none has a force, else the
+            force.
 
     Returns:
-        The presses whose position and load are known, with their rows in the data set and a note for each oddity.
+        The presses with their rows in the data set, and a note on each irregularity.
 
     Raises:
-        ValueError: No press has a known position and load, none of the forces pushes, or there are several skins or
-            several objects.
+        ValueError: No press has a known position and load, no force pushes, or the data set holds several skins or
+            objects.
     """
     dataset, corrected = corrected_dataset(dataset)
     touches = dataset.touches
     position = dataset_presses(dataset).position
     good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
-    forced = np.isfinite(touches.force[good]).any() and not np.isfinite(touches.depth[good]).all()
-    by_force = load == "force" or (load == "auto" and bool(forced))
+    prefer_force = np.isfinite(touches.force[good]).any() and not np.isfinite(touches.depth[good]).all()
+    by_force = load == "force" or (load == "auto" and bool(prefer_force))
     amount = (touches.force if by_force else touches.depth).astype(np.float64)
     unknown = load == "auto" and not np.isfinite(amount[good]).any()
-    if unknown:  # as where all presses go to one height, whose depth nothing tells
-        by_force, amount = False, np.full(len(amount), DEPTH_OF_UNKNOWN_M)
+    if unknown:  # such as presses that all go to one height
+        by_force, amount = False, np.full(len(amount), ASSUMED_DEPTH_M)
     good &= np.isfinite(amount) & np.isfinite(position).all(1)
     kind: LoadName = "force" if by_force else "depth"
     if not good.any():
         other = "depth" if by_force else "force"
         raise ValueError(
-            f"no press has a known position and {kind}, and what a press reads cannot be told without; choose --load "
+            f"no press has a known position and {kind}, and readings cannot be predicted without them; choose --load "
             f"{other} if that was recorded"
         )
     if len(np.unique(touches.pad[good])) > 1:
@@ -53,7 +54,7 @@ def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) ->
         raise ValueError("the data set holds several objects; calibration needs presses of one tip")
     pushing, notes = _pushing_loads(amount, good, kind)
     if unknown:
-        notes = ("neither depth nor force is known: all presses are taken to go to one depth",)
+        notes = ("neither depth nor force is known: all presses are assumed to go to one depth",)
     good &= pushing
     readings = touches.reading[good].astype(np.float64)
     own = None if name_of_board(dataset.board) else dataset.board
@@ -64,16 +65,16 @@ def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) ->
 
 
 def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Which loads push, and what is odd about them; ValueError where none pushes."""
+    """Return the mask of loads that push, and notes on their irregularities; ValueError if no force pushes."""
     notes = []
     pushing = amount >= 0
-    if lost := int(np.sum(good & ~pushing)):
-        notes.append(f"{lost} presses with a negative {kind} are left out")
+    if count := int(np.sum(good & ~pushing)):
+        notes.append(f"{count} presses with a negative {kind} are left out")
     largest = float(amount[good & pushing].max(initial=0.0))
     if kind == "force" and largest <= 0:
         raise ValueError(
-            "every force is zero, so nothing says how hard was pressed; choose --load depth if it is known"
+            "every force is zero, so the load of the presses is unknown; choose --load depth if it is known"
         )
-    if float(np.ptp(amount[good & pushing])) <= LEAST_LOAD_RANGE * max(largest, 1e-9):
-        notes.append(f"all presses have one {kind}, so only what depends on the position is learned")
+    if float(np.ptp(amount[good & pushing])) <= 1e-6 * max(largest, 1e-9):
+        notes.append(f"all presses have the same {kind}, so only the dependence on position is learned")
     return pushing, tuple(notes)

@@ -1,4 +1,4 @@
-"""What a person must know of a recording that is read: what was assumed and left out, and how damage is treated."""
+"""Log of a recording that is being read: what was assumed and left out, and how damage is handled."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -13,60 +13,60 @@ ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"
 
 @dataclass
 class ReadingLog:
-    """Sentences that a person must read about a recording, each once; damage ends reading unless it may be skipped."""
+    """Notes on a recording for a person, each listed once. Damage raises an error unless it may be skipped."""
 
     skip_bad: bool
     lines: list[str] = field(default_factory=list)
     damaged_rows: int = 0
     first_damage: str = ""
-    unit: str = "rows"  # what a reading stands for
+    unit: str = "rows"  # what a reading is called in the notes
     heard_rows: int = 0  # rows in which every chip answered
     silent_rows: int = 0  # rows that are left out because a chip did not answer
     silent_chips: Counter[int] = field(default_factory=Counter)  # rows in which each chip did not answer
 
     def info(self, line: str) -> None:
-        """Note a sentence, once.
+        """Note a sentence unless it has been noted before.
 
         Args:
-            line: The sentence.
+            line: Sentence to note.
         """
         if line not in self.lines:
             self.lines.append(line)
 
     def skip(self, error: DataError) -> None:
-        """Raise an error, or note what is left out for it.
+        """Raise an error, or note what is left out because of it.
 
         Args:
-            error: What is wrong with the source.
+            error: Error about the source.
 
         Raises:
-            DataError: The error, unless `skip_bad`.
+            DataError: The error itself, unless `skip_bad` is set.
         """
         if not self.skip_bad:
             raise error
         self.info(f"left out: {error}")
 
     def skip_row(self, error: DataError) -> None:
-        """Raise an error, or leave out a row of a table for it and count it.
+        """Raise an error, or count a row of a table that is left out because of it.
 
         Args:
-            error: What is wrong with the row.
+            error: Error about the row.
 
         Raises:
-            DataError: The error, unless `skip_bad`.
+            DataError: The error itself, unless `skip_bad` is set.
         """
         if not self.skip_bad:
             raise error
         self.damaged_rows, self.first_damage = self.damaged_rows + 1, self.first_damage or str(error)
 
     def keep_heard(self, silent: Bool[np.ndarray, "n chips"]) -> Bool[np.ndarray, " n"]:
-        """Leave out rows in which a chip did not answer, and count them.
+        """Select and count the rows in which all chips answered.
 
         Args:
-            silent: (n, chips) mask of chips that did not answer.
+            silent: `(n, chips)` mask of chips that did not answer.
 
         Returns:
-            (n,) mask of the rows in which all chips answered.
+            `(n,)` mask of the rows in which all chips answered.
         """
         heard = np.asarray(~silent.any(1))
         self.heard_rows, self.silent_rows = self.heard_rows + int(heard.sum()), self.silent_rows + int((~heard).sum())
@@ -74,14 +74,14 @@ class ReadingLog:
         return heard
 
     def require_heard(self, source: object, remedy: str = "check the board's cable, and record again") -> None:
-        """Refuse a source in which a chip was silent in every row.
+        """Refuse a source in which some chip is silent in every row.
 
         Args:
             source: Name of the source, for the message.
-            remedy: What the user is to do.
+            remedy: Advice at the end of the message.
 
         Raises:
-            DataError: Rows were left out because a chip did not answer, and no other row was read.
+            DataError: All rows were left out because a chip did not answer.
         """
         if self.silent_rows and not self.heard_rows:
             rows = f"in any of its {self.silent_rows} {self.unit}"
@@ -95,17 +95,17 @@ class ReadingLog:
             raise DataError(f"{source}: {problem}; {remedy}")
 
     def _chips(self) -> str:
-        """Half a sentence that counts the rows in which each chip did not answer."""
+        """Count the rows in which each chip did not answer, as a clause."""
         counts = {chip: count for chip, count in self.silent_chips.items() if count}
         if len(counts) == len(self.silent_chips) and set(counts.values()) == {self.silent_rows}:
             return "every chip in all of them"
         return ", ".join(f"chip {chip} in {count}" for chip, count in counts.items())
 
     def sentences(self) -> list[str]:
-        """All notes, with the numbers of damaged rows and of those in which a chip did not answer.
+        """List all notes, including the numbers of damaged rows and of rows with silent chips.
 
         Returns:
-            The sentences.
+            The sentences in the order in which they were noted, followed by the counts.
         """
         counted = {
             f"left out: {self.damaged_rows} damaged rows; the first: {self.first_damage}": self.damaged_rows,
@@ -118,13 +118,13 @@ class ReadingLog:
 def require_ambient(
     source: object, silent: Bool[np.ndarray, "n chips"], silent_ambient: Bool[np.ndarray, "n chips"], remedy: str
 ) -> None:
-    """Refuse a source without the ambient field of a chip that has readings.
+    """Refuse a source that lacks the ambient field of a chip with readings.
 
     Args:
         source: Name of the file, for the message.
-        silent: (n, chips) mask of chips that did not answer.
-        silent_ambient: (n, chips) mask of ambient fields that are zero.
-        remedy: What the user is to do.
+        silent: `(n, chips)` mask of chips that did not answer.
+        silent_ambient: `(n, chips)` mask of ambient fields that are zero.
+        remedy: Advice at the end of the message.
 
     Raises:
         DataError: A chip that answered has no ambient field in any row.

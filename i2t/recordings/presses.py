@@ -1,4 +1,4 @@
-"""Presses of one tip: the columns that every reader of recordings fills, and views of them for who needs less."""
+"""Presses of one tip: the columns that all readers of recordings fill, and the subset that models of skins need."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple, TypeAlias
@@ -11,59 +11,55 @@ from i2t.geometry import inverse
 from i2t.types import Board
 
 LoadName: TypeAlias = Literal["depth", "force", "none"]
-MM_PER_M = 1e3
 
 
 class Presses(NamedTuple):
-    """Presses, a row each, in the order of time; None for a column that was not recorded, NaN for a value."""
+    """n presses in the order of time; a column that was not recorded is None, and a missing value is NaN."""
 
     position: Float[np.ndarray, "n 2"]  # m, of the tip's axis on the skin, along the skin's edges
-    readings: Float[np.ndarray, "n c"]  # uT, three channels for each chip; NaN of a chip that did not answer
-    height: Float[np.ndarray, " n"] | None = None  # m, of the tip along the skin's outward normal, from anywhere
-    force: Float[np.ndarray, " n"] | None = None  # N, along tool z: positive where the tip presses
+    readings: Float[np.ndarray, "n c"]  # uT, three channels for each chip; NaN for a chip that did not answer
+    height: Float[np.ndarray, " n"] | None = None  # m, of the tip along the skin's outward normal, from any origin
+    force: Float[np.ndarray, " n"] | None = None  # N along tool z, positive if the tip presses
     time: Float[np.ndarray, " n"] | None = None  # s
     pad: np.ndarray | None = None  # (n,) names
     session: np.ndarray | None = None  # (n,) names
 
     def rows(self, which: Any) -> "Presses":
-        """Some of the presses.
+        """Select presses.
 
         Args:
             which: A mask, row numbers or a slice.
 
         Returns:
-            The presses of these rows.
+            The selected presses.
         """
         return self._replace(**{name: column[which] for name, column in self._asdict().items() if column is not None})
 
 
 def join_presses(parts: Sequence[Presses]) -> Presses:
-    """Presses one after the other.
+    """Concatenate presses.
 
     Args:
-        parts: Presses with the same columns, at least one part.
+        parts: At least one part; all have the same columns.
 
     Returns:
-        The presses of all parts.
+        The presses of all parts, in their order.
     """
     columns: dict[str, Any] = {name: [getattr(part, name) for part in parts] for name in Presses._fields}
-    joined: dict[str, Any] = {
-        name: None if parts[0] is None else np.concatenate(parts) for name, parts in columns.items()
-    }
-    return Presses(**joined)
+    columns = {name: None if values[0] is None else np.concatenate(values) for name, values in columns.items()}
+    return Presses(**columns)
 
 
 def dataset_presses(dataset: Dataset) -> Presses:
-    """The touches of a data set as presses.
+    """Convert the touches of a data set to presses.
 
-    A height is minus the depth; of a press without depth it is the distance at which the tip stood before the skin,
-    where that is known.
+    A height is minus the depth. Without depth it is the distance at which the tip stopped before the skin, if known.
 
     Args:
         dataset: Touches of one object.
 
     Returns:
-        A row for each touch; positions are those of the object's origin in the tool frame.
+        A press for each touch; its position is that of the object's origin in the tool frame.
     """
     touches = dataset.touches
     T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
@@ -77,16 +73,16 @@ def dataset_presses(dataset: Dataset) -> Presses:
 
 
 class LoadedPresses(NamedTuple):
-    """Presses by their place and by one load, as what predicts a reading is given them."""
+    """n presses by position and one load, as the models that predict readings take them."""
 
     position: Float[np.ndarray, "n 2"]  # m
-    load: Float[np.ndarray, " n"]  # m of depth, or N of force; of one value where none is known
+    load: Float[np.ndarray, " n"]  # depth in m, or force in N; constant if unknown
     readings: Float[np.ndarray, "n c"]  # uT
     load_kind: LoadName
-    notes: tuple[str, ...] = ()  # what is odd about the loads, a sentence each
-    own_board: Board | None = None  # where it is none of a name, which `i2t.calibrate` tries by itself
+    notes: tuple[str, ...] = ()  # irregularities of the loads, a sentence each
+    own_board: Board | None = None  # board without a name, which `i2t.calibrate` tries besides the named ones
     session: Int[np.ndarray, " n"] | None = None
-    row: Int[np.ndarray, " n"] | None = None  # of the recording
+    row: Int[np.ndarray, " n"] | None = None  # rows of the recording
 
     @property
     def by_force(self) -> bool:
@@ -95,17 +91,17 @@ class LoadedPresses(NamedTuple):
 
     @property
     def coordinates(self) -> Float[np.ndarray, "n 3"]:
-        """Position (m), and load in its standard deviations."""
+        """`(n, 3)` position in m, and load in its standard deviations."""
         return np.column_stack([self.position, self.load / max(float(self.load.std()), 1e-9)])
 
     def features(self, rows: np.ndarray) -> Float[np.ndarray, "k 3"]:
-        """Position and load in their standard deviations, for neighbours.
+        """Scale position and load for a search of nearest neighbours.
 
         Args:
             rows: Row numbers, or a mask.
 
         Returns:
-            Of these rows.
+            `(k, 3)` position and load of these rows, in standard deviations over all presses.
         """
         both = np.column_stack([self.position, self.load])
         return (both / np.maximum(both.std(0), 1e-9))[rows]

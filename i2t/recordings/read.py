@@ -1,4 +1,4 @@
-"""Recordings of a skin: readings and their known targets, from several file formats.
+"""Readers of recordings: readings and their targets, from several file formats.
 
     from i2t.recordings.read import read_recordings
 
@@ -6,11 +6,11 @@
     recording.readings                # (n, c) uT
     recording.targets["position"]     # (n, 2) m
 
-Three forms are read: a data set of i2t (a file or a folder), sessions of eFlesh as they were recorded (a folder with
+Three formats are read: a data set of i2t (a file or a folder), sessions of eFlesh as they were recorded (a folder with
 `states.csv`), and a table with one row for each reading (a `.csv` file with the columns of `i2t.recordings.columns`).
-Unlike the converters of `i2t.convert`, which refuse what is damaged, this reader keeps what can be kept: a row that is
-not finite is left out, what was not measured is NaN, and each such thing is said in a note. `corrected_recording`
-applies what `i2t.recordings.diagnose` finds wrong. NumPy only.
+The converters of `i2t.convert` refuse damage; this reader keeps what it can. Non-finite rows are left out, missing
+values are NaN, and a note describes each such change. `corrected_recording` applies the findings of
+`i2t.recordings.diagnose`.
 """
 
 import csv
@@ -42,7 +42,7 @@ from i2t.recordings.columns import (
 from i2t.recordings.diagnose import Finding, correction_of, lag_rows, turn_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
-    SAME_ROW,
+    MAX_ROW_OFFSET_S,
     baselines,
     load_of_states,
     rows_together,
@@ -52,30 +52,27 @@ from i2t.recordings.eflesh import (
 )
 from i2t.recordings.files import read_text
 from i2t.recordings.presses import Presses, dataset_presses
-from i2t.recordings.tables import TextTable, read_text_table
+from i2t.recordings.tables import MAX_TABLE_VALUE, TextTable, read_text_table
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board, ReturnCode
 
-MAX_VALUE = 1e9  # of any number of a table, in its unit; beyond it is damage
-TOUCHING_FORCE_N = 0.1  # from which a reading counts as one in contact
-AIR_FORCE_N = 0.02  # up to which it counts as one in air; what lies between is neither
-STREAM_GAP_S = 0.5  # rows farther apart are no stream
-MIN_CHANGE = {"position": 0.2e-3, "depth": 0.1e-3, "force": 0.05, "shear": 0.05}  # m, m, N, N: less is no range
+MAX_STREAM_STEP_S = 0.5  # between rows of a stream
 
 
 class TargetKind(NamedTuple):
-    """Kind of target of a head."""
+    """Kind of target that a head predicts."""
 
     unit: str
-    scale: float  # from the library's unit to the unit
+    scale: float  # factor from the library's unit to `unit`
     yes_no: bool = False
+    min_range: float = 0.5  # range in the library's unit below which the target is constant
 
 
 TARGETS: Mapping[str, TargetKind] = {
-    "position": TargetKind("mm", 1e3),
-    "depth": TargetKind("mm", 1e3),
-    "force": TargetKind("N", 1.0),
-    "shear": TargetKind("N", 1.0),
+    "position": TargetKind("mm", 1e3, min_range=0.2e-3),
+    "depth": TargetKind("mm", 1e3, min_range=0.1e-3),
+    "force": TargetKind("N", 1.0, min_range=0.05),
+    "shear": TargetKind("N", 1.0, min_range=0.05),
     "contact": TargetKind("", 1.0, yes_no=True),
     "slip": TargetKind("", 1.0, yes_no=True),
 }
@@ -83,19 +80,19 @@ TARGETS: Mapping[str, TargetKind] = {
 
 @dataclass(frozen=True)
 class SkinRecording:
-    """Readings of one skin in the order of time, with their known targets; NaN where one is unknown.
+    """n readings of one skin in the order of time, with their targets; unknown values are NaN.
 
     Attributes:
-        name: of the recording.
-        readings: (n, c) uT, finite; three channels for each chip.
-        targets: by its name in `TARGETS` (n, d); only those that are known somewhere.
-        session: (n,) number of the stroke, run or session, in which rows follow each other.
-        time: (n,) s; NaN where it is not known.
-        board: positions of the chips, where they are known.
-        source: real, simulated or mixed.
-        baseline: (n, c) uT that was subtracted from each reading, where it is known.
-        notes: what was assumed and left out, a sentence each.
-        labels: (n,) index of the object that was touched, where it is known.
+        name: Name of the recording.
+        readings: `(n, c)` finite readings in uT, three channels for each chip.
+        targets: `(n, d)` values of each target in `TARGETS` that is known in some row, by its name.
+        session: `(n,)` number of the stroke, run or session within which rows follow each other.
+        time: `(n,)` times in s; NaN where unknown.
+        board: Board of the skin, or None if unknown.
+        source: "real", "simulated" or "mixed".
+        baseline: `(n, c)` baselines in uT that were subtracted from the readings, or None if unknown.
+        notes: What was assumed and left out, a sentence each.
+        labels: `(n,)` index of the object that was touched, or None if unknown.
     """
 
     name: str
@@ -113,22 +110,22 @@ class SkinRecording:
         return len(self.readings)
 
     def known(self, target: str) -> np.ndarray:
-        """Rows of which a target is known.
+        """Find the rows in which a target is known.
 
         Args:
-            target: its name.
+            target: Name of the target.
 
         Returns:
-            (n,) mask; False throughout where the recording does not have it.
+            `(n,)` mask of these rows; False throughout if the recording lacks the target.
         """
         values = self.targets.get(target)
         return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
 
     def presses(self) -> Presses:
-        """The rows as presses.
+        """Convert the rows to presses.
 
         Returns:
-            A press for each row; its height is minus its depth.
+            A press for each row, whose height is minus its depth.
         """
         depth, force = self.targets.get("depth"), self.targets.get("force")
         return Presses(
@@ -139,59 +136,57 @@ class SkinRecording:
         )
 
     def varies(self, target: str) -> bool:
-        """Test that a target varies, so that a head can be fitted to it.
+        """Test whether a target varies, so that a head can be fitted to it.
 
         Args:
-            target: its name.
+            target: Name of the target.
 
         Returns:
-            Whether it is known and differs from row to row; of a question with yes or no, whether both occur.
+            True if the known values differ from row to row; for a yes-no target, if both values occur.
         """
-        known = self.known(target)
-        if known.sum() < 2:
+        known_rows = self.known(target)
+        if known_rows.sum() < 2:
             return False
-        spread = np.subtract(*np.percentile(self.targets[target][known], [99, 1], axis=0)).max()
-        return bool(spread > MIN_CHANGE.get(target, 0.5) or (TARGETS[target].yes_no and self._both(target)))
+        values, kind = self.targets[target][known_rows], TARGETS[target]
+        spread = np.subtract(*np.percentile(values, [99, 1], axis=0)).max()
+        return bool(spread > kind.min_range or (kind.yes_no and len(np.unique(values)) > 1))
 
     def rows(self, chosen: np.ndarray | slice) -> "SkinRecording":
-        """Some rows.
+        """Select rows.
 
         Args:
-            chosen: a mask (n,), row numbers or a slice.
+            chosen: `(n,)` mask, row numbers or a slice.
 
         Returns:
-            The recording of these rows.
+            A recording of the selected rows.
         """
-        pick = np.arange(len(self))[chosen]
+        numbers = np.arange(len(self))[chosen]
 
-        def some(values: np.ndarray | None) -> np.ndarray | None:
-            return None if values is None else values[pick]
+        def select(values: np.ndarray | None) -> np.ndarray | None:
+            return None if values is None else values[numbers]
 
         return replace(
             self,
-            readings=self.readings[pick],
-            targets={name: values[pick] for name, values in self.targets.items()},
-            session=self.session[pick],
-            time=self.time[pick],
-            baseline=some(self.baseline),
-            labels=some(self.labels),
+            readings=self.readings[numbers],
+            targets={name: values[numbers] for name, values in self.targets.items()},
+            session=self.session[numbers],
+            time=self.time[numbers],
+            baseline=select(self.baseline),
+            labels=select(self.labels),
         )
-
-    def _both(self, target: str) -> bool:
-        return len(np.unique(self.targets[target][self.known(target)])) > 1
 
 
 def read_recordings(path: Path | str) -> list[SkinRecording]:
-    """Read the recordings of a path: a data set, sessions of eFlesh, or a table.
+    """Read the recordings at a path: a data set, sessions of eFlesh, or a table.
 
     Args:
-        path: a file or a folder.
+        path: Path of a file or a folder.
 
     Returns:
-        A recording for each skin and, of eFlesh, for each session.
+        A recording for each skin and, in eFlesh, for each session.
 
     Raises:
-        DataError: there is nothing that can be read, in one sentence.
+        DataError: The path holds nothing that can be read.
     """
     path = Path(path)
     if is_dataset(path):
@@ -207,10 +202,10 @@ def is_dataset(path: Path) -> bool:
     """Test whether a path is read as a data set of i2t.
 
     Args:
-        path: a file or a folder.
+        path: Path of a file or a folder.
 
     Returns:
-        False for tables, and folders of tables or sessions of eFlesh.
+        False for tables, and for folders of tables or sessions of eFlesh.
     """
     if path.is_file() and path.name.removesuffix(".gz").endswith(TABLE_SUFFIXES):
         return False
@@ -221,19 +216,19 @@ def is_dataset(path: Path) -> bool:
 
 
 def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording]:
-    """A data set's touches as recordings, one for each skin.
+    """Convert the touches of a data set to recordings.
 
     Args:
-        dataset: of touches.
-        name: of the recordings; where there are several skins, each adds its own.
+        dataset: Recorded or simulated touches.
+        name: Name of the recordings; the name of the skin is added if there are several.
 
     Returns:
         A recording for each skin that has a touch with a finite reading.
 
     Raises:
-        DataError: no touch has a finite reading.
+        DataError: No touch has a finite reading.
     """
-    touches, several = dataset.touches, len(np.unique(dataset.touches.pad)) > 1
+    touches, has_several_pads = dataset.touches, len(np.unique(dataset.touches.pad)) > 1
     presses, free = dataset_presses(dataset), np.isin(touches.code, [ReturnCode.FREE, ReturnCode.AIR])
     contact = np.where(free, 0.0, 1.0) if free.any() else np.full(len(dataset), np.nan)
     targets = {
@@ -243,15 +238,15 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
         "contact": contact[:, None],
     }
     usable = (touches.code != ReturnCode.FAILED) & np.isfinite(touches.reading).all(1)
-    found = []
+    recordings = []
     for pad in np.unique(touches.pad[usable]):
         rows = usable & (touches.pad == pad)
-        left = int(np.sum((touches.pad == pad) & ~usable))
-        notes = [f"left out: {left} touches that failed or whose reading is not finite"] if left else []
+        unusable = int(np.sum((touches.pad == pad) & ~usable))
+        notes = [f"left out: {unusable} touches that failed or whose reading is not finite"] if unusable else []
         notes += [note for note in dataset.meta.get("notes", "").split(" | ") if note]
-        found.append(
+        recordings.append(
             SkinRecording(
-                f"{name} ({dataset.pads[pad]})" if several else name,
+                f"{name} ({dataset.pads[pad]})" if has_several_pads else name,
                 touches.reading[rows].astype(np.float64),
                 {key: values[rows] for key, values in targets.items()},
                 session=touches.session[rows].astype(int),
@@ -262,110 +257,114 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
                 labels=touches.object[rows],
             )
         )
-    if not found:
+    if not recordings:
         raise DataError(f"{name}: no touch has a finite reading; record it again")
-    return [_cleaned(one) for one in found]
+    return [_cleaned(recording) for recording in recordings]
 
 
 def is_stream(recording: SkinRecording) -> bool:
-    """Test for rows in quick sequence, as samples of one contact are.
+    """Test whether rows follow each other quickly, as samples of one contact do.
 
     Args:
-        recording: of one skin.
+        recording: Recording of one skin.
 
     Returns:
-        False where times are not known.
+        True for a stream; False if the times are unknown.
     """
-    gap = np.diff(recording.time)
-    return bool(np.isfinite(gap).any() and np.nanmedian(gap) < STREAM_GAP_S)
+    steps = np.diff(recording.time)
+    return bool(np.isfinite(steps).any() and np.nanmedian(steps) < MAX_STREAM_STEP_S)
 
 
 def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -> SkinRecording:
-    """Apply the corrections of findings: units, signs, a lag, the board's turn.
+    """Correct the units, signs, lag and board of a recording.
 
-    A height zero stays where it is. Depths that are turned and fall below zero count from the least of them.
+    Height zero is kept. If depths change sign and become negative, they count from the smallest one.
 
     Args:
-        recording: As it was read.
-        findings: About it.
+        recording: Recording as it was read.
+        findings: Findings about the recording.
 
     Returns:
-        The recording put right; with a lag it has fewer rows.
+        The corrected recording. A lag leaves fewer rows.
     """
     if not any(finding.correction for finding in findings):
         return recording
-    todo = correction_of(findings)
-    factors = {"position": todo.length, "depth": todo.height, "force": todo.force, "shear": abs(todo.force)}
+    correction = correction_of(findings)
+    factors = {"position": correction.length, "depth": correction.height, "force": correction.force}
+    factors["shear"] = abs(correction.force)
     targets = {name: factors.get(name, 1.0) * values for name, values in recording.targets.items()}
-    if todo.height < 0 and "depth" in targets:
+    if correction.height < 0 and "depth" in targets:
         targets["depth"] = targets["depth"] - min(np.nanmin(targets["depth"]), 0.0)
-    board, baseline, turn = recording.board, recording.baseline, todo.board_from_stage
+    board, baseline, board_from_stage = recording.board, recording.baseline, correction.board_from_stage
     recording = replace(
         recording,
         targets=targets,
-        readings=todo.field * recording.readings,
-        baseline=None if baseline is None else todo.field * baseline,
-        board=board if board is None or turn is None else turn_board(board, turn),
+        readings=correction.field * recording.readings,
+        baseline=None if baseline is None else correction.field * baseline,
+        board=board if board is None or board_from_stage is None else turn_board(board, board_from_stage),
     )
-    if todo.lag:
-        # The lag counts rows whose position is known, as the estimate did.
+    if correction.lag:
+        # The lag was estimated over rows with a known position.
         recording = recording.rows(recording.known("position"))
-        label_rows, reading_rows = lag_rows(len(recording), todo.lag)
+        label_rows, reading_rows = lag_rows(len(recording), correction.lag)
         labels = {name: values[label_rows] for name, values in recording.targets.items()}
         recording = replace(recording.rows(reading_rows), targets=labels)
     return recording
 
 
 def read_tables(path: Path) -> list[SkinRecording]:
-    """Read a table with a line of names and one row for each reading.
+    """Read a table with a line of column names and one row for each reading.
 
-    Columns by name: b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (any number of chips), and of `TARGET_COLUMNS`, a0x_uT ...
-    (ambient, subtracted), time_s, session and pad what there is; z_mm or height_mm of the tip in place of a depth.
-    Separators and units may be those of `i2t.recordings.tables`. Empty or unreadable cells are unknown.
+    The columns b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (of any number of chips) are required. Optional are those of
+    `TARGET_COLUMNS`, the ambient field a0x_uT ..., which is subtracted, time_s, session, pad, and z_mm or height_mm of
+    the tip instead of a depth. `i2t.recordings.tables` lists other delimiters and units. Empty or unreadable cells are
+    unknown.
 
     Args:
-        path: of the table, plain or gzip-ed.
+        path: Path of the table, plain or gzipped.
 
     Returns:
         A recording for each pad.
 
     Raises:
-        DataError: it is no such table, or no row has a finite reading.
+        DataError: The file is not such a table, or no row has a finite reading.
     """
     table = _LooseTable.read(path)
     names, notes = _reading_columns(table, path), list(table.text.notes)
     ambient = ambient_columns(names)
-    readings = table.some(names)
-    if all(name in table.columns for name in ambient) and (table.some(ambient) != 0).any():
-        readings = without_silent_chips(readings) - without_silent_chips(table.some(ambient))
+    readings = table.select(names)
+    if all(name in table.columns for name in ambient) and (table.select(ambient) != 0).any():
+        readings = without_silent_chips(readings) - without_silent_chips(table.select(ambient))
     else:
         readings, ambient = without_silent_chips(readings, differences=True), []
     targets = {
         target: np.column_stack([library_factor(name) * table.column(name) for name in columns])
-        for target, every in TARGET_COLUMNS.items()
-        if (columns := [name for name in every if name in table.columns])
+        for target, required in TARGET_COLUMNS.items()
+        if (columns := [name for name in required if name in table.columns])
     }
     height = next((name for name in HEIGHT_COLUMNS if name in table.columns), None)
     if height is not None and "depth" not in targets and np.isfinite(z := table.column(height)).any():
         targets["depth"] = 1e-3 * (np.nanmax(z) - z)[:, None]
         notes.append(
-            f"assumed: {height} grows out of the skin, and depth counts from its highest value, {np.nanmax(z):g} mm"
+            f"assumed: {height} points out of the skin, and depth counts from its highest value, {np.nanmax(z):g} mm"
         )
     session, _ = table.named("session")
     pad, pads = table.named("pad")
     name, notes = path.name.split(".")[0], notes + _unused_columns(table, {*names, *ambient})
-    whole = _cleaned(SkinRecording(name, readings, targets, session, table.column(TIME), notes=tuple(notes)))
+    recording = _cleaned(SkinRecording(name, readings, targets, session, table.column(TIME), notes=tuple(notes)))
     if len(pads) < 2:
-        return [_finite(whole, path)]
-    return [_finite(replace(whole.rows(pad == i), name=f"{whole.name} ({one})"), path) for i, one in enumerate(pads)]
+        return [_finite(recording, path)]
+    return [
+        _finite(replace(recording.rows(pad == i), name=f"{name} ({pad_name})"), path) for i, pad_name in enumerate(pads)
+    ]
 
 
 class _LooseTable(NamedTuple):
     """A table whose cells may be missing or unreadable."""
 
     text: TextTable
-    columns: dict[str, int]  # the first of each name
-    values: np.ndarray  # (rows, columns); NaN for what is no number
+    columns: dict[str, int]  # index of the first column of each name
+    values: np.ndarray  # (rows, columns); NaN for cells that are not numbers
 
     @classmethod
     def read(cls, path: Path) -> "_LooseTable":
@@ -376,61 +375,60 @@ class _LooseTable(NamedTuple):
         return cls(text, columns, values.reshape(-1, width))
 
     def column(self, name: str) -> np.ndarray:
-        """The numbers of a column; NaN throughout where there is none."""
+        """Return the numbers of a column, or NaN throughout if there is no such column."""
         return self.values[:, self.columns[name]] if name in self.columns else np.full(len(self.values), np.nan)
 
-    def some(self, names: list[str]) -> np.ndarray:
-        """Numbers of existing columns."""
+    def select(self, names: list[str]) -> np.ndarray:
+        """Return the numbers of existing columns."""
         return self.values[:, [self.columns[name] for name in names]]
 
     def named(self, name: str) -> tuple[np.ndarray, list[str]]:
-        """Number of each row's name in a column, and the names; one name where there is no column."""
+        """Number the names in a column: the number of each row's name, and the names; "" if there is no column."""
         if name not in self.columns:
             return np.zeros(len(self.text.rows), int), [""]
         at = self.columns[name]
         cells = [cells[at].strip() if at < len(cells) else "" for _, cells in self.text.rows]
-        names, which = np.unique(cells, return_inverse=True)
-        return which, names.tolist()
+        names, numbers = np.unique(cells, return_inverse=True)
+        return numbers, names.tolist()
 
 
 def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
-    """The names of the columns that hold readings, chip by chip."""
+    """Name the columns that hold readings, chip by chip."""
     chips = sorted({int(match[1]) for name in table.columns if (match := FIELD_COLUMN.fullmatch(name))})
     names = value_columns(chips)
     if not chips or any(name not in table.columns for name in names):
         raise DataError(
-            f"{path}: has not the columns b0x_uT, b0y_uT, b0z_uT, ... ({beginning_of(table.text.header)}); name them "
-            "as in docs/data.md"
+            f"{path}: lacks the columns b0x_uT, b0y_uT, b0z_uT, ... ({beginning_of(table.text.header)}); name them as "
+            "in docs/data.md"
         )
     return names
 
 
 def _unused_columns(table: _LooseTable, readings: set[str]) -> list[str]:
-    """Sentences on columns that were left out."""
+    """Describe columns that are left out, a sentence each."""
     used = readings | {TIME, *NAME_COLUMNS, *HEIGHT_COLUMNS}.union(*TARGET_COLUMNS.values())
     notes = []
     if unknown := [name for name in table.columns if name not in used]:
         notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")
     if twice := sorted(name for name, count in Counter(table.text.header).items() if count > 1):
-        notes.append(f"columns {', '.join(twice)} stand twice: the first of each is taken")
+        notes.append(f"columns {', '.join(twice)} appear twice: the first of each is read")
     return notes
 
 
 def read_eflesh_session(folder: Path) -> SkinRecording:
     """Read a session of eFlesh as it was recorded: `states.csv` and `sensor_post_baselines.csv`, plain or gzip-ed.
 
-    The states are time (s), x, y, z (mm) and, where it was read, the load in grams (-1: not read). As in
-    `i2t.convert.eflesh`, a session with two boards is one in which the probe shears two skins along z, and its load is
-    the shear force; in any other it presses one skin along z, and depth counts from the highest z.
+    In a session with two boards the probe shears two skins along z, and the load is the shear force. In any other
+    session it presses one skin along z, and depth counts from the highest z. `i2t.convert.eflesh` assumes the same.
 
     Args:
-        folder: of the session.
+        folder: Folder of the session.
 
     Returns:
         The recording, with the channels of all boards.
 
     Raises:
-        DataError: a table is missing, or no row has a finite reading.
+        DataError: A table is missing, or no row has a finite reading.
     """
     states, values = _loose_table(folder, "states"), _loose_table(folder, "sensor_post_baselines")
     if states.shape[1] < 4 or values.shape[1] < 1 + AXES_OF_CHIP or (values.shape[1] - 1) % AXES_OF_CHIP:
@@ -440,18 +438,17 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
         )
     rows, partner = rows_together(states[:, 0], values[:, 0])
     if not len(rows):
-        raise DataError(f"{folder}: no state was recorded within {1e3 * SAME_ROW:g} ms of a sensor row")
-    notes = (
-        [f"left out: {len(values) - len(rows)} rows without a state at their time"] if len(rows) < len(values) else []
-    )
+        raise DataError(f"{folder}: no state was recorded within {1e3 * MAX_ROW_OFFSET_S:g} ms of a sensor row")
+    unmatched = len(values) - len(rows)
+    notes = [f"left out: {unmatched} rows without a state at their time"] if unmatched else []
     states, values = states[partner], values[rows]
     silent = np.repeat(silent_chips_of(folder, values), AXES_OF_CHIP, axis=1)
     readings, place = np.where(silent, np.nan, values[:, 1:]), 1e-3 * states[:, 1:4]
-    sheared = readings.shape[1] > EFLESH_READINGS
+    has_two_boards = readings.shape[1] > EFLESH_READINGS
     middle = (np.nanmin(place, 0) + np.nanmax(place, 0)) / 2
     load = load_of_states(states)
     targets = {"position": place[:, :2] - middle[:2]}
-    if sheared:
+    if has_two_boards:
         notes += ["assumed: the stroke (robot z) shears along tool x, and the load is the shear force"]
         targets["position"] = targets["position"] + np.column_stack([place[:, 2] - middle[2], np.zeros(len(place))])
         targets["shear"] = load[:, None]
@@ -466,55 +463,60 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
 
 
 def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
-    """A recording without damaged rows; values that no sensor sends are damage too."""
+    """Remove damaged rows; values that no sensor sends are damage too."""
     readings, notes = recording.readings, recording.notes
     with np.errstate(invalid="ignore"):
-        sent = np.abs(readings) < MAX_VALUE
-    dead = ~sent.any(0)
+        plausible = np.abs(readings) < MAX_TABLE_VALUE
+    dead = ~plausible.any(0)
     if dead.any() and not dead.all():
         readings = np.where(dead[None], 0.0, readings)
-        sent = sent | dead[None]
-        notes = (*notes, f"channels {', '.join(map(str, np.flatnonzero(dead)))} hold no number: taken as zero")
-    good = sent.all(1)
+        plausible = plausible | dead[None]
+        notes = (*notes, f"channels {', '.join(map(str, np.flatnonzero(dead)))} hold no number: they are read as zero")
+    good = plausible.all(1)
     if not good.any():
         raise DataError(f"{where}: no row has a finite reading; record it again")
     if not good.all():
         notes = (*notes, f"left out: {np.sum(~good)} rows whose reading is not finite, first row {np.argmin(good) + 1}")
-    kept = replace(recording, readings=readings, notes=notes).rows(good)
-    return replace(kept, targets={name: values for name, values in kept.targets.items() if kept.known(name).any()})
+    finite = replace(recording, readings=readings, notes=notes).rows(good)
+    targets = {name: values for name, values in finite.targets.items() if finite.known(name).any()}
+    return replace(finite, targets=targets)
 
 
-def _cleaned(recording: SkinRecording) -> SkinRecording:
-    """A recording with the targets that are known, and contact where the force tells it."""
-    clean = {key: np.where(np.abs(values) < MAX_VALUE, values, np.nan) for key, values in recording.targets.items()}
+def _cleaned(recording: SkinRecording, *, min_contact_n: float = 0.1, max_air_n: float = 0.02) -> SkinRecording:
+    """Remove implausible values and unknown targets, and infer contact from the force.
+
+    Contact is unknown if the force is between the two limits.
+    """
+    bound = MAX_TABLE_VALUE
+    clean = {name: np.where(np.abs(values) < bound, values, np.nan) for name, values in recording.targets.items()}
     if "contact" not in clean or not np.isfinite(clean["contact"]).any():
-        loads = [np.abs(clean[key]).max(1) for key in ("force", "shear") if key in clean]
+        loads = [np.abs(clean[name]).max(1) for name in ("force", "shear") if name in clean]
         if loads:
             load = np.fmax.reduce(loads)
-            in_contact = np.where(load >= TOUCHING_FORCE_N, 1.0, np.nan)
-            clean["contact"] = np.where(load <= AIR_FORCE_N, 0.0, in_contact)[:, None]
-    known = {key: values for key, values in clean.items() if np.isfinite(values).all(1).any()}
-    return replace(recording, targets=known)
+            in_contact = np.where(load >= min_contact_n, 1.0, np.nan)
+            clean["contact"] = np.where(load <= max_air_n, 0.0, in_contact)[:, None]
+    targets = {name: values for name, values in clean.items() if np.isfinite(values).all(1).any()}
+    return replace(recording, targets=targets)
 
 
 def _numbers(cells: list[str], count: int) -> list[float]:
-    """Numbers of a line; NaN for other text."""
+    """Read the numbers of a line; other texts and missing cells are NaN."""
     numbers = [parse_number(cell) for cell in [*cells, *[""] * count][:count]]
     return [np.nan if number is None else number for number in numbers]
 
 
 def _loose_table(folder: Path, name: str) -> np.ndarray:
-    """One table of a session without its damage: rows in the order of time, unreadable cells as NaN."""
+    """Read one table of a session without its damage: rows in the order of time, unreadable cells as NaN."""
     path = table_path(folder, name)
     try:
         lines = [line for line in csv.reader(read_text(path).splitlines()) if line]
     except csv.Error as error:
-        raise DataError(f"{path}: is no comma-separated table ({error}); save it as CSV") from error
+        raise DataError(f"{path}: is not a comma-separated table ({error}); save it as CSV") from error
     if not lines:
         raise DataError(f"{path}: holds no row; restore it from the source")
     width = Counter(map(len, lines)).most_common(1)[0][0]
-    nothing = [np.nan] * width
-    table = np.array([_numbers(line, width) if len(line) == width else nothing for line in lines])
+    missing = [np.nan] * width
+    table = np.array([_numbers(line, width) if len(line) == width else missing for line in lines])
     table = table[np.isfinite(table[:, 0])]
     if not len(table):
         raise DataError(f"{path}: holds no row that begins with a time; restore it from the source")

@@ -81,7 +81,7 @@ def test_a_set_of_which_most_forces_pull_is_turned_by_the_converter_and_stays_so
     path = write_presses(tmp_path / "pulling.csv", sound._replace(force=force))
     dataset = converted("presses", path, tmp_path / "data", "--indenter", "sphere:4", "--window-mm", 40)
     np.testing.assert_allclose(dataset.touches.force, -force, rtol=1e-5, atol=1e-5)
-    assert "as if they pulled: they are turned" in capsys.readouterr().out
+    assert "as if they pulled: their sign is reversed" in capsys.readouterr().out
     assert corrected_dataset(dataset) == (dataset, ())
 
 

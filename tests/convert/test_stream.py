@@ -94,7 +94,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path):
     lines[60] = lines[60].replace(".", "?", 1)
     lines[70] = ",".join([*lines[70].split(",")[:5], "", "", "", *lines[70].split(",")[8:]])
     path.write_text("\n".join(lines))
-    with pytest.raises(DataError, match="line 51 has not 20 fields"):
+    with pytest.raises(DataError, match="line 51 has 19 fields instead of 20"):
         table_of_presses(path, board=BOARD)
     table = table_of_presses(path, board=BOARD, skip_bad=True)
     assert len(table.rows) == 4
@@ -277,8 +277,8 @@ def test_stamps_that_say_nothing_are_said_and_a_rate_can_be_stated(tmp_path):
         ("time_s", np.random.default_rng(0).permutation(LOG[:, 0]), "they are in no order; sort them"),
         ("time_s", LOG[::-1, 0], "they are in no order; sort them"),
         ("time", LOG[:, 0], "name the column of time by its unit"),
-        ("time_s", texts("%d.%m.%Y %H:%M:%S"), "which is no time in ISO 8601"),
-        ("time_s", texts("%Y-%m-%d %H:%M.%f"), "which is no time in ISO 8601"),
+        ("time_s", texts("%d.%m.%Y %H:%M:%S"), "which is not a time in ISO 8601"),
+        ("time_s", texts("%Y-%m-%d %H:%M.%f"), "which is not a time in ISO 8601"),
     ],
     ids=["unit", "other unit", "shuffled", "descending", "no unit", "other dates", "decimal minutes"],
 )

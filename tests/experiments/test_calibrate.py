@@ -226,7 +226,7 @@ NO_DEPTH = {"depth": np.full(60, np.nan)}
     ("change", "said"),
     [
         ({"force": -np.linspace(4, 8, 60)} | NO_DEPTH, "negative in 100 % of the presses"),
-        ({"depth": np.zeros(60)}, "all presses have one depth"),
+        ({"depth": np.zeros(60)}, "all presses have the same depth"),
         ({"force": np.r_[-1.0, np.linspace(1, 3, 59)]} | NO_DEPTH, "1 presses with a negative force"),
     ],
 )

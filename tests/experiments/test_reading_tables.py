@@ -64,7 +64,7 @@ def test_several_files_are_groups_and_those_of_one_name_are_told_apart(tmp_path)
         ("what,u\na,1\nb,-1e31\n", "line 3 has '-1e31' in column u, which is not a plausible number"),
         ("what,u\na,soft\nb,2\n", "line 2 has 'soft' in column u"),
         ("what,u\na,1\n ,2\n", "line 3 has nothing in column what"),
-        ("what,u\na,1\nb,2,3\n", "line 3 has not 2 fields but 3"),
+        ("what,u\na,1\nb,2,3\n", "line 3 has 3 fields instead of 2"),
         ("what,u\na,1\na,2\n", "holds a only"),
         ("what,u,u\na,1,2\nb,1,2\n", "column u stands twice"),
         ("what\na\nb\n", "no column is left"),
@@ -134,7 +134,7 @@ def test_a_line_that_may_be_a_label_or_a_comment_is_refused_and_comments_are_cou
     text = "what,u\na,1\n# a pause\nb,2\n"
     table = read_reading_table([written(tmp_path / "t.csv", text)], label="what")
     assert any("1 lines of comments between the rows" in note for note in table.notes)
-    with pytest.raises(DataError, match=r"up to line 5 \('#a'\) begin with # and some do not"):
+    with pytest.raises(DataError, match=r"up to line 5 \('#a'\) begin with # and others do not"):
         read_reading_table([written(tmp_path / "t.csv", text + "#a,3\n")], label="what")
 
 

@@ -1,4 +1,4 @@
-"""Heads: what they tell, how sure they are, what they refuse, and recordings in every form and state."""
+"""Heads: predictions, their uncertainty, refusals, and recordings in all formats and states."""
 
 import gzip
 from dataclasses import replace
@@ -30,7 +30,7 @@ def position_head(recording):
     return fit_head(recording.rows(slice(0, 200)), "position", budget=SMALL)
 
 
-def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording, position_head):
+def test_a_head_predicts_new_positions_better_than_the_baselines(recording, position_head):
     predicted, truth = position_head.predict(recording.readings[200:]), recording.targets["position"][200:]
     assert np.median(np.linalg.norm(predicted.mean - truth, axis=1)) < 0.4e-3  # the range is 20 mm
     assert 0.8 < np.mean(np.abs(predicted.mean - truth) < 1.645 * predicted.std) <= 1.0
@@ -39,21 +39,21 @@ def test_a_head_tells_positions_it_never_saw_better_than_the_baselines(recording
     assert validation[position_head.method] < 0.5 * min(validation[name] for name in BASELINE_HEADS)
 
 
-def test_a_skin_that_is_not_touched_tells_no_place(recording):
-    """Where depth or contact is not recorded, by the shear force: it is nil in air."""
+def test_untouched_rows_are_not_used_for_positions(recording):
+    """Without depth and contact, a shear force of zero shows that the skin is not touched."""
     touched = np.arange(len(recording)) % 3 > 0
     place = {"position": recording.targets["position"]}
     shear = np.where(touched[:, None], [[0.1, -0.2]], 0.0)
     shear[-1] = np.nan
-    for known, rows in (
+    for targets, rows in (
         ({"contact": touched[:, None] * 1.0}, np.flatnonzero(touched)),
         ({"shear": shear}, np.flatnonzero(touched)[:-1]),
         ({"shear": shear, "depth": recording.targets["depth"]}, np.arange(len(recording))),
     ):
-        np.testing.assert_array_equal(target_rows(replace(recording, targets=place | known), "position"), rows)
+        np.testing.assert_array_equal(target_rows(replace(recording, targets=place | targets), "position"), rows)
 
 
-def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_is_not_told(recording, position_head):
+def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_gives_nan(recording, position_head):
     readings = recording.readings[200:].copy()
     assert not position_head.predict(readings).unfamiliar.any()
     assert position_head.predict(readings + 500).unfamiliar.mean() > 0.95
@@ -64,7 +64,7 @@ def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_is_not_told(recording, p
     assert predicted.unfamiliar[1]
 
 
-def test_where_nothing_can_be_told_the_mean_is_kept(recording):
+def test_the_mean_is_predicted_if_readings_hold_no_information(recording):
     rng = np.random.default_rng(1)
     deaf = replace(recording, readings=rng.normal(size=recording.readings.shape))
     head = fit_head(deaf, "depth", budget=SMALL)
@@ -77,8 +77,9 @@ def test_where_nothing_can_be_told_the_mean_is_kept(recording):
 
 
 def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, np.ndarray]:
-    """Each site of a grid is touched several times to one depth and reads an offset of its own, which repeats; and the
-    number of each press's site.
+    """Touch each site of a grid several times to one depth; return the recording and the number of each press's site.
+
+    Readings have an offset that is the same for all presses of a site.
     """
     rng = np.random.default_rng(0)
     along = np.linspace(-9e-3, 9e-3, side)
@@ -93,16 +94,16 @@ def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, n
 
 
 @pytest.mark.parametrize("sites_repeat", [True, False])
-def test_a_head_loses_to_no_neighbours_where_sites_repeat_and_where_they_do_not(sites_repeat, tmp_path):
-    made, site = presses_at_sites()
+def test_a_head_beats_nearest_readings_whether_or_not_sites_repeat(sites_repeat, tmp_path):
+    recording, site = presses_at_sites()
     rng = np.random.default_rng(1)
     held = np.isin(site, rng.permutation(144)[:28])
     if sites_repeat:
         held = rng.permutation(held)
-    known, asked, truth = made.rows(~held), made.readings[held], made.targets["position"][held]
-    head = fit_head(known, "position", budget=SMALL)
-    neighbours = fit_head(known, "position", budget=SMALL, methods=(methods.NEAREST_READINGS,))
-    missed = [np.sum((one.predict(asked).mean - truth) ** 2) for one in (head, neighbours)]
+    train, asked, truth = recording.rows(~held), recording.readings[held], recording.targets["position"][held]
+    head = fit_head(train, "position", budget=SMALL)
+    neighbours = fit_head(train, "position", budget=SMALL, methods=(methods.NEAREST_READINGS,))
+    missed = [np.sum((fitted.predict(asked).mean - truth) ** 2) for fitted in (head, neighbours)]
     assert missed[0] < missed[1]
     assert " near, " in head.method
     assert head.method.endswith(" far")
@@ -123,19 +124,21 @@ def test_ranges_hold_on_strokes_that_err_alike():
     """Strokes have a gain of their own: rows of one stroke err alike, and there are few strokes."""
     inside = []
     stroke, depth = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
-    known, time = stroke < 8, 0.1 * np.arange(300) + 5.0 * stroke
+    train, time = stroke < 8, 0.1 * np.arange(300) + 5.0 * stroke
     for seed in range(6):
         rng = np.random.default_rng(seed)
         gain = np.exp(0.15 * rng.normal(size=12))[stroke]
         readings = 40 * (gain * depth)[:, None] * np.linspace(-1, 1, 15) + rng.normal(size=(300, 15))
-        made = SkinRecording("strokes", readings, {"force": depth[:, None]}, stroke, time)
-        head = fit_head(made.rows(known), "force", methods=("linear", "k nearest readings"), budget=SMALL, history=0)
-        predicted = head.predict(readings[~known], stroke[~known])
-        inside.append(np.mean(np.abs(predicted.mean - depth[~known, None]) <= 1.645 * predicted.std))
+        recording = SkinRecording("strokes", readings, {"force": depth[:, None]}, stroke, time)
+        head = fit_head(
+            recording.rows(train), "force", methods=("linear", "k nearest readings"), budget=SMALL, history=0
+        )
+        predicted = head.predict(readings[~train], stroke[~train])
+        inside.append(np.mean(np.abs(predicted.mean - depth[~train, None]) <= 1.645 * predicted.std))
     assert np.mean(inside) > 0.88
 
 
-def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
+def test_neighbours_and_gp_match_scikit_learn(recording):
     x, y = recording.readings[:120], recording.targets["position"][:120]
     at = recording.readings[200:220]
     near = methods.fit_regression(methods.NEAREST_READINGS, (0.0, 4.0), x, y)
@@ -144,11 +147,11 @@ def test_neighbours_and_gp_are_those_of_scikit_learn(recording):
     fitted = methods.fit_regression(methods.READINGS_GP, (1.0, 0.7, 1e-2, np.inf, 1.0), x, y)
     kernel = RBF(0.7) + DotProduct(1e-6, "fixed") + WhiteKernel(1e-2)
     judge = GaussianProcessRegressor(kernel, optimizer=None, normalize_y=True).fit(fitted.features(x), y)
-    found = methods.predict_regression(fitted, at)
-    np.testing.assert_allclose(found, judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8)
+    predicted = methods.predict_regression(fitted, at)
+    np.testing.assert_allclose(predicted, judge.predict(fitted.features(at)), rtol=1e-5, atol=1e-8)
 
 
-def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
+def test_blocks_are_held_out_of_presses_and_strokes_of_a_stream():
     flat = presses_of_a_skin(80)
     assert 9 <= hold_out_groups(flat).max() + 1 <= 25
     large = replace(flat, targets={"position": 6 * flat.targets["position"]})  # of 6 mm there too
@@ -164,14 +167,14 @@ def test_blocks_are_held_out_of_the_skin_and_strokes_of_a_stream():
     ("target", "change", "message"),
     [
         ("depth", {"readings": np.ones((300, 15))}, "no channel changes"),
-        ("colour", {}, "no target"),
-        ("force", {}, "does not know force"),
-        ("depth", {"depth": np.full((300, 1), 2e-3)}, "one depth only"),
+        ("colour", {}, "not a target of a head"),
+        ("force", {}, "has no known force"),
+        ("depth", {"depth": np.full((300, 1), 2e-3)}, "has only one depth"),
         ("depth", {"depth": np.r_[np.arange(10.0), np.full(290, np.nan)][:, None]}, "20 are needed"),
-        ("contact", {"contact": np.ones((300, 1))}, "no target of a head"),
+        ("contact", {"contact": np.ones((300, 1))}, "not a target of a head"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused_in_a_sentence(recording, target, change, message):
+def test_unusable_recordings_are_refused_in_a_sentence(recording, target, change, message):
     readings = change.get("readings", recording.readings)
     with pytest.raises(ValueError, match=message):
         fit_head(replace(recording, readings=readings, targets=recording.targets | change), target, budget=SMALL)
@@ -194,17 +197,17 @@ def _session(folder, rows=60):
 
 def test_sessions_of_eflesh_are_read_as_recorded(tmp_path):
     states, values = _session(tmp_path / "one")
-    (found,) = read_recordings(tmp_path)
-    np.testing.assert_allclose(found.readings, values[:, 1:])
-    np.testing.assert_allclose(found.targets["depth"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12)
-    assert found.known("force").sum() == 30
-    np.testing.assert_allclose(np.nanmax(found.targets["force"]), 9.80665e-3 * states[::2, 4].max(), rtol=1e-12)
-    assert len(np.unique(found.session)) == 3
-    assert is_stream(found)
-    assert {0.0, 1.0} <= set(found.targets["contact"][:, 0])
+    (recording,) = read_recordings(tmp_path)
+    np.testing.assert_allclose(recording.readings, values[:, 1:])
+    np.testing.assert_allclose(recording.targets["depth"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12)
+    assert recording.known("force").sum() == 30
+    np.testing.assert_allclose(np.nanmax(recording.targets["force"]), 9.80665e-3 * states[::2, 4].max(), rtol=1e-12)
+    assert len(np.unique(recording.session)) == 3
+    assert is_stream(recording)
+    assert {0.0, 1.0} <= set(recording.targets["contact"][:, 0])
 
 
-def test_a_damaged_session_gives_what_is_left_and_an_empty_one_is_refused(tmp_path):
+def test_sound_rows_of_a_damaged_session_are_kept_and_an_empty_one_is_refused(tmp_path):
     _, values = _session(tmp_path / "one")
     path, states = (tmp_path / "one" / f"{name}.csv" for name in ("sensor_post_baselines", "states"))
     lines = path.read_text().splitlines()
@@ -214,11 +217,11 @@ def test_a_damaged_session_gives_what_is_left_and_an_empty_one_is_refused(tmp_pa
     with gzip.open(tmp_path / "one" / "states.csv.gz", "wt") as file:
         file.write(states.read_text())
     states.unlink()
-    (found,) = read_recordings(tmp_path)
-    assert 50 <= len(found) <= 53
-    assert any("not finite" in note for note in found.notes)
-    known = {round(row, 9) for row in values[:, 1]}
-    assert all(round(row, 9) in known for row in found.readings[:, 0][:2])
+    (recording,) = read_recordings(tmp_path)
+    assert 50 <= len(recording) <= 53
+    assert any("not finite" in note for note in recording.notes)
+    first_values = {round(row, 9) for row in values[:, 1]}
+    assert all(round(row, 9) in first_values for row in recording.readings[:, 0][:2])
     path.write_text("")
     with pytest.raises(DataError, match="holds no row"):
         read_recordings(tmp_path)
@@ -230,13 +233,13 @@ def test_a_table_of_any_board_is_read(tmp_path):
         "time_s,x_mm,y_mm,force_N,slip,session,b0x_uT,b0y_uT,b0z_uT,b1x_uT,b1y_uT,b1z_uT\n"
         "0,1,2,0.5,0,a,1,2,3,4,5,6\n0.1,1,2,,1,a,2,3,4,5,6,x\n0.2,-1,2,0.7,1,b,3,4,5,6,7,8\n"
     )
-    (found,) = read_recordings(path)
-    np.testing.assert_array_equal(found.readings, [[1, 2, 3, 4, 5, 6], [3, 4, 5, 6, 7, 8]])
-    np.testing.assert_allclose(found.targets["position"], [[1e-3, 2e-3], [-1e-3, 2e-3]])
-    np.testing.assert_allclose(found.targets["force"][:, 0], [0.5, 0.7])
-    np.testing.assert_array_equal(found.targets["slip"][:, 0], [0, 1])
-    np.testing.assert_array_equal(found.session, [0, 1])
-    assert any("row" in note for note in found.notes)
+    (recording,) = read_recordings(path)
+    np.testing.assert_array_equal(recording.readings, [[1, 2, 3, 4, 5, 6], [3, 4, 5, 6, 7, 8]])
+    np.testing.assert_allclose(recording.targets["position"], [[1e-3, 2e-3], [-1e-3, 2e-3]])
+    np.testing.assert_allclose(recording.targets["force"][:, 0], [0.5, 0.7])
+    np.testing.assert_array_equal(recording.targets["slip"][:, 0], [0, 1])
+    np.testing.assert_array_equal(recording.session, [0, 1])
+    assert any("row" in note for note in recording.notes)
     path.write_text("x_mm,y_mm\n1,2\n")
     with pytest.raises(DataError, match="b0x_uT"):
         read_recordings(path)

@@ -1,4 +1,4 @@
-"""Time stamps: damage is told from a clock that begins again, and rows of a coarse clock keep their order and pace."""
+"""Time stamps: damage is distinguished from a restarted clock, and rows of a coarse clock keep order and rate."""
 
 from itertools import pairwise
 
@@ -15,7 +15,7 @@ TIME = np.arange(400) * 0.01
 
 @given(st.data())
 @settings(max_examples=60, deadline=None)
-def test_stamps_that_are_left_increase_up_to_where_the_clock_begins_again(data):
+def test_sound_stamps_increase_until_the_clock_restarts(data):
     time = TIME + 1.7e9
     for _ in range(data.draw(st.integers(1, 4))):
         first, length = data.draw(st.integers(0, 399)), data.draw(st.integers(1, 90))
@@ -29,7 +29,7 @@ def test_stamps_that_are_left_increase_up_to_where_the_clock_begins_again(data):
 
 @given(first=st.integers(1, 390), length=st.integers(1, 60), by=st.sampled_from([-1e9, -60.0, 60.0, 1e9]))
 @settings(max_examples=60, deadline=None)
-def test_just_the_rows_that_stand_out_are_damaged(first, length, by):
+def test_only_the_rows_that_stand_out_are_damaged(first, length, by):
     time = TIME.copy()
     time[first : first + length] += by
     away = np.zeros(400, bool)
@@ -40,7 +40,7 @@ def test_just_the_rows_that_stand_out_are_damaged(first, length, by):
         assert not len(verdict.restarts)
 
 
-def test_rows_judged_in_two_goes_are_judged_alike():
+def test_judging_rows_in_two_parts_gives_the_same_result():
     time = TIME.copy()
     time[[100, 240]] += 3600
     time[250:270] -= 50
@@ -68,7 +68,7 @@ def test_rows_of_a_coarse_clock_are_evenly_spaced(resolution):
 
 
 @pytest.mark.parametrize("rows", [2, 3, 25])
-def test_rows_of_a_batch_have_the_times_at_which_they_were_measured(rows):
+def test_rows_of_a_batch_get_the_times_at_which_they_were_measured(rows):
     within = np.arange(400) % rows
     arrived = TIME + 0.01 * (rows - 1 - within) + 2e-4 * within
     clock = row_clock(arrived, "a clock")
@@ -76,7 +76,7 @@ def test_rows_of_a_batch_have_the_times_at_which_they_were_measured(rows):
     np.testing.assert_allclose(even_times(arrived, clock), TIME, atol=0.011)
 
 
-def test_rows_that_were_lost_and_a_rate_that_changes_are_no_batches():
+def test_lost_rows_and_a_changing_rate_are_not_batches():
     lost = TIME[np.random.default_rng(0).uniform(size=400) < 0.5]
     idle = np.concatenate([np.arange(100) * 0.2, 20 + np.arange(800) * 0.0025])
     for time in (lost, idle):
@@ -84,7 +84,7 @@ def test_rows_that_were_lost_and_a_rate_that_changes_are_no_batches():
         np.testing.assert_array_equal(even_times(time, row_clock(time, "a clock")), time)
 
 
-def test_a_clock_without_steps_tells_no_rate():
+def test_a_clock_without_steps_determines_no_rate():
     for stamps in (np.float32(1.76e9 + TIME).astype(float), np.zeros(400)):
         clock = row_clock(stamps, "a clock")
         assert clock.assumed

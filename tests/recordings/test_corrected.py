@@ -1,4 +1,4 @@
-"""What is found wrong in a recording is put right before anything is fitted to it."""
+"""Findings correct a recording before anything is fitted to it."""
 
 from dataclasses import replace
 
@@ -11,10 +11,10 @@ from i2t.recordings.presses import Presses
 from i2t.recordings.read import SkinRecording, corrected_recording
 
 
-def as_recording(one):
-    n = len(one.readings)
-    targets = {"position": one.position, "depth": -one.height[:, None], "force": one.force[:, None]}
-    return SkinRecording("made", one.readings, targets, session=np.zeros(n, int), time=np.arange(n, dtype=float))
+def as_recording(recorded):
+    n = len(recorded.readings)
+    targets = {"position": recorded.position, "depth": -recorded.height[:, None], "force": recorded.force[:, None]}
+    return SkinRecording("made", recorded.readings, targets, session=np.zeros(n, int), time=np.arange(n, dtype=float))
 
 
 SOUND = press(3, 90, free=0.0)
@@ -31,29 +31,29 @@ def put_right(variant):
 @pytest.mark.parametrize(
     "mistake", ["force that pulls", "height into the skin", "positions in millimetres", "readings in millitesla"]
 )
-def test_a_mistaken_column_is_put_right(mistake):
-    found = put_right(mistake)[1]
-    np.testing.assert_allclose(found.readings, EXPECTED.readings)
+def test_a_wrong_column_is_corrected(mistake):
+    corrected = put_right(mistake)[1]
+    np.testing.assert_allclose(corrected.readings, EXPECTED.readings)
     for name in ("position", "force"):
-        np.testing.assert_allclose(found.targets[name], EXPECTED.targets[name])
+        np.testing.assert_allclose(corrected.targets[name], EXPECTED.targets[name])
     # Turned depths keep their differences; from where they count is another question.
-    assert np.ptp(found.targets["depth"] - EXPECTED.targets["depth"]) < 1e-12
-    assert found.targets["depth"].min() >= 0
+    assert np.ptp(corrected.targets["depth"] - EXPECTED.targets["depth"]) < 1e-12
+    assert corrected.targets["depth"].min() >= 0
 
 
 @pytest.mark.parametrize("mistake", ["labels a row late", "labels two rows early"])
-def test_labels_of_another_row_come_back_to_their_readings(mistake):
-    recording, found = put_right(mistake)
-    assert len(recording) > len(found) >= len(recording) - 2
-    at = np.abs(found.readings[:, None] - SOUND.readings[None]).sum(-1).argmin(1)
-    np.testing.assert_allclose(found.targets["position"], SOUND.position[at])
-    np.testing.assert_allclose(found.targets["force"][:, 0], SOUND.force[at])
-    np.testing.assert_array_equal(np.diff(found.time), 1)
+def test_shifted_labels_return_to_their_readings(mistake):
+    recording, corrected = put_right(mistake)
+    assert len(recording) > len(corrected) >= len(recording) - 2
+    at = np.abs(corrected.readings[:, None] - SOUND.readings[None]).sum(-1).argmin(1)
+    np.testing.assert_allclose(corrected.targets["position"], SOUND.position[at])
+    np.testing.assert_allclose(corrected.targets["force"][:, 0], SOUND.force[at])
+    np.testing.assert_array_equal(np.diff(corrected.time), 1)
 
 
-def test_a_sound_recording_stays_as_it_is_and_what_was_subtracted_has_the_unit_of_the_readings():
+def test_a_sound_recording_is_unchanged_and_baselines_are_scaled_with_readings():
     recording, same = put_right("sound")
     assert same is recording
     finding = Finding("units", "", True, wrong=True, correction={"field_factor": 1e3})
-    found = corrected_recording(replace(EXPECTED, baseline=np.ones((90, 15))), [finding])
-    np.testing.assert_array_equal(found.baseline, 1e3)
+    corrected = corrected_recording(replace(EXPECTED, baseline=np.ones((90, 15))), [finding])
+    np.testing.assert_array_equal(corrected.baseline, 1e3)

@@ -1,4 +1,4 @@
-"""Tables as programs and people write them come out as one and the same table, with a sentence on what was undone."""
+"""Tables of any program give the same table, with a note on each conversion."""
 
 import gzip
 import io
@@ -79,7 +79,7 @@ def test_a_table_is_the_same_in_any_encoding(tmp_path, encoding):
     assert any("not in UTF-8" in note for note in recording.notes) == (encoding != "utf-8-sig")
 
 
-def test_a_micro_sign_of_dos_is_read_and_letters_are_doubted(tmp_path):
+def test_a_micro_sign_of_dos_is_read_with_a_warning(tmp_path):
     path = write_table(tmp_path / "mine.csv", renamed("uT", "\u00b5T"), VALUES)
     path.write_bytes(path.read_text(encoding="utf-8").encode("cp850"))
     (recording,) = read_recordings(path)
@@ -125,7 +125,7 @@ def as_npy(array):
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_file_that_is_no_table_is_named_by_what_it_is(tmp_path, capsys, data, kind):
+def test_a_file_of_another_kind_is_refused_by_its_kind(tmp_path, capsys, data, kind):
     path = tmp_path / "log.csv"
     path.write_bytes(data)
     for words in (("presses", path, tmp_path / "out", *OPTIONS), ("stream", path, tmp_path / "out.csv")):
@@ -142,7 +142,7 @@ def test_a_file_that_is_no_table_is_named_by_what_it_is(tmp_path, capsys, data, 
         ("-12,345", lambda text: text.replace(",", "\t")),
     ],
 )
-def test_a_sign_that_may_group_thousands_is_refused_by_row_and_field(tmp_path, capsys, text, change):
+def test_an_ambiguous_decimal_sign_is_refused_with_row_and_column(tmp_path, capsys, text, change):
     path = write_table(tmp_path / "a.csv", NAMES, VALUES, change)
     lines = path.read_text().splitlines()
     between = next(sign for sign in ";\t," if sign in lines[0])
@@ -155,7 +155,7 @@ def test_a_sign_that_may_group_thousands_is_refused_by_row_and_field(tmp_path, c
     assert len(converted(*words, "--skip-bad").touches.reading) == 39
 
 
-def test_three_decimals_and_names_with_a_point_group_nothing(tmp_path):
+def test_three_decimals_and_names_with_a_point_are_not_grouped_thousands(tmp_path):
     rows = [[*(f"{value:.3f}" for value in row), "1.234"] for row in VALUES]
     path = write_table(tmp_path / "a.csv", [*NAMES, "session"], rows)
     dataset = converted("presses", path, tmp_path / "points", *OPTIONS)
@@ -166,7 +166,7 @@ def test_three_decimals_and_names_with_a_point_group_nothing(tmp_path):
     assert dataset.sessions == other.sessions == ("1.234",)
 
 
-def test_a_unit_below_a_name_that_has_another_is_refused(tmp_path, capsys):
+def test_a_unit_that_contradicts_the_name_above_it_is_refused(tmp_path, capsys):
     units = "\nm,mm,mm" + 15 * ",uT" + "\n"
     path = write_table(tmp_path / "a.csv", NAMES, VALUES, lambda text: text.replace("\n", units, 1))
     assert "column x_mm has the unit mm by its name and m below it" in refused(
@@ -174,16 +174,16 @@ def test_a_unit_below_a_name_that_has_another_is_refused(tmp_path, capsys):
     )
 
 
-def test_decimal_commas_between_commas_are_named_as_such(tmp_path, capsys):
+def test_decimal_commas_in_a_comma_separated_table_are_recognised(tmp_path, capsys):
     path = write_table(tmp_path / "a.csv", NAMES, VALUES)
     names, *lines = path.read_text().splitlines()
     path.write_text("\n".join([names, *(line.replace(".", ",") for line in lines)]))
     sentence = refused(capsys, "presses", path, tmp_path / "out", *OPTIONS)
-    assert "line 2 has not 18 fields but 36; if its numbers have decimal commas" in sentence
+    assert "line 2 has 36 fields instead of 18; if its numbers have decimal commas" in sentence
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_a_table_is_the_same_whoever_wrote_it(tmp_path, way):
+def test_a_table_is_the_same_from_any_program(tmp_path, way):
     path = write_table(tmp_path / "mine.csv", *WAYS[way])
     (recording,) = read_recordings(path)
     np.testing.assert_allclose(recording.readings, SKIN.readings, rtol=1e-9)
@@ -194,27 +194,27 @@ def test_a_table_is_the_same_whoever_wrote_it(tmp_path, way):
     np.testing.assert_allclose(touches.depth, SKIN.targets["depth"][:, 0], rtol=1e-5)
 
 
-def test_what_was_undone_and_what_is_left_out_is_said(tmp_path):
+def test_conversions_and_omissions_are_noted(tmp_path):
     path = write_table(tmp_path / "b.csv", ["x_m", "Time (ms)", "humidity", "x_mm"], [[1.0, 2, 3, 4]] * 2)
     table = read_text_table(path)
     assert table.header == ["x_mm", "time_s", "humidity", "x_mm"]
     assert table.rows[0][0] == 2
     assert [float(cell) for cell in table.rows[0][1]] == [1000.0, 0.002, 3.0, 4.0]
-    assert "x_m, Time (ms) are in other units" in table.notes[0]
+    assert "x_m, Time (ms) are in units other than" in table.notes[0]
     both = np.column_stack([VALUES, VALUES[:, 0] + 5, VALUES[:, 0]])
     (recording,) = read_recordings(write_table(tmp_path / "c.csv", [*NAMES, "x_mm", "humidity"], both))
-    assert any("x_mm stand twice: the first" in note for note in recording.notes)
+    assert any("x_mm appear twice: the first" in note for note in recording.notes)
     assert any("humidity, which have no meaning" in note for note in recording.notes)
     np.testing.assert_allclose(recording.targets["position"], SKIN.targets["position"])
 
 
-def test_a_table_that_is_not_understood_is_refused_by_what_it_begins_with(tmp_path):
+def test_an_unknown_table_is_refused_with_its_first_line(tmp_path):
     for names, sentence in ((["x", "y", "Bx0"], "its first line names x, y, Bx0"), ((), "holds numbers and no names")):
         with pytest.raises(DataError, match=sentence):
             read_recordings(write_table(tmp_path / "a.csv", names, np.ones((3, 3))))
 
 
-def test_heights_of_the_tip_take_the_place_of_depths(tmp_path, capsys):
+def test_heights_of_the_tip_replace_depths(tmp_path, capsys):
     heights = VALUES * np.r_[1, 1, -1, np.ones(15)] + np.r_[0, 0, 142.6, np.zeros(15)]
     path = write_table(tmp_path / "a.csv", renamed("depth", "z"), heights)
     expected = SKIN.targets["depth"] - SKIN.targets["depth"].min()
@@ -226,7 +226,7 @@ def test_heights_of_the_tip_take_the_place_of_depths(tmp_path, capsys):
     assert "depth counts from its highest value" in capsys.readouterr().out
 
 
-def test_presses_that_are_known_by_their_force_alone_are_converted(tmp_path, capsys):
+def test_presses_with_force_but_no_depth_are_converted(tmp_path, capsys):
     path = write_table(tmp_path / "a.csv", renamed("depth_mm", "force_g"), VALUES)
     dataset = converted("presses", path, tmp_path / "out", *OPTIONS)
     touches = dataset.touches
@@ -239,7 +239,7 @@ def test_presses_that_are_known_by_their_force_alone_are_converted(tmp_path, cap
     assert len(presses.load) == 40
 
 
-def test_a_chip_that_did_not_answer_is_missing_and_costs_no_press(tmp_path, capsys):
+def test_a_silent_chip_is_missing_but_its_press_is_kept(tmp_path, capsys):
     rows = [[str(value) for value in row] for row in VALUES]
     rows[2][9:12] = ["", "", ""]
     words = ("presses", write_table(tmp_path / "a.csv", NAMES, rows), tmp_path / "out", *OPTIONS)
@@ -256,7 +256,7 @@ def test_a_chip_that_did_not_answer_is_missing_and_costs_no_press(tmp_path, caps
     assert "line 4 has '' in column b2x_uT" in refused(capsys, *words, "--overwrite")
 
 
-def test_the_skins_of_a_table_are_apart(tmp_path):
+def test_each_skin_of_a_table_is_a_recording(tmp_path):
     rows = [[*row, "left" if i % 4 else "right"] for i, row in enumerate(VALUES)]
     left, right = read_recordings(write_table(tmp_path / "a.csv", [*NAMES, "pad"], rows))
     assert (left.name, right.name) == ("a (left)", "a (right)")
@@ -287,7 +287,7 @@ def whole_numbers(changes, between=";", rows=100):
         ({10: "1.234", 80: "1.234,5"}, 10),
     ],
 )
-def test_a_number_that_no_other_number_explains_is_refused(tmp_path, capsys, changes, refused_row, between):
+def test_a_number_is_refused_if_no_other_resolves_it(tmp_path, capsys, changes, refused_row, between):
     (path := tmp_path / "a.csv").write_text(whole_numbers(changes, between))
     sentence = refused(capsys, "presses", path, tmp_path / "out", *OPTIONS)
     assert f"line {refused_row + 2} has {changes[refused_row]!r} in column b0x_uT, which may be decimal" in sentence
@@ -302,7 +302,7 @@ def test_a_number_that_no_other_number_explains_is_refused(tmp_path, capsys, cha
         ({80: "1.234"}, ",", 1.234),
     ],
 )
-def test_a_number_that_other_numbers_explain_is_read(tmp_path, changes, between, value):
+def test_a_number_is_read_if_others_resolve_it(tmp_path, changes, between, value):
     (path := tmp_path / "a.csv").write_text(whole_numbers(changes, between))
     table = read_text_table(path)
     assert float(table.rows[80][1][3]) == value
@@ -315,7 +315,7 @@ def test_three_decimals_everywhere_are_decimals(tmp_path):
         assert [float(cells[5]) for _, cells in table.rows] == [2, 2.125, 2.25, 2.375]
 
 
-def test_seconds_with_three_decimals_stand_beside_whole_readings(tmp_path):
+def test_seconds_with_three_decimals_are_read_next_to_whole_readings(tmp_path):
     text = "time_s\tb0x_uT\n" + "".join(f"{5 + i / 100:.3f}\t{i}\n" for i in range(100))
     (path := tmp_path / "a.csv").write_text(text)
     np.testing.assert_allclose([float(cells[0]) for _, cells in read_text_table(path).rows], 5 + np.arange(100) / 100)
@@ -323,7 +323,7 @@ def test_seconds_with_three_decimals_stand_beside_whole_readings(tmp_path):
     assert not any(cells[0].replace(".", "").isdigit() for _, cells in read_text_table(path).rows)
 
 
-def test_rows_that_were_read_with_another_decimal_sign_end_the_reading(tmp_path):
+def test_a_decimal_sign_that_contradicts_earlier_rows_is_refused(tmp_path):
     (path := tmp_path / "a.csv").write_text(whole_numbers({3: "0.5", 70: "1.234", 80: "2,5", 90: "3,5"}))
     with pytest.raises(DataError, match="line 82 has '2,5', but points seemed to be decimal"):
         read_text_table(path)
@@ -333,7 +333,7 @@ def test_rows_that_were_read_with_another_decimal_sign_end_the_reading(tmp_path)
         read_text_table(path)
 
 
-def test_signs_between_digits_are_no_part_of_a_number(tmp_path, capsys):
+def test_underscores_are_not_part_of_a_number(tmp_path, capsys):
     path = tmp_path / "a.csv"
     path.write_text(whole_numbers({4: "3_2"}, ","))
     assert "line 6 has '3_2' in column b0x_uT, which is not a plausible number" in refused(
@@ -363,7 +363,7 @@ def test_signs_between_digits_are_no_part_of_a_number(tmp_path, capsys):
         lambda text: text.replace("_mm", "/mm"),
     ],
 )
-def test_empty_rows_and_titles_are_no_rows(tmp_path, change):
+def test_empty_lines_and_titles_are_not_rows(tmp_path, change):
     path = write_table(tmp_path / "a.csv", NAMES, VALUES, change)
     touches = converted("presses", path, tmp_path / "out", *OPTIONS).touches
     np.testing.assert_allclose(touches.reading, SKIN.readings, rtol=1e-5)
@@ -386,7 +386,7 @@ OTHER_NAMES = [
 
 
 @pytest.mark.parametrize("names", OTHER_NAMES)
-def test_a_table_that_goes_on_with_other_columns_is_refused_there(tmp_path, capsys, names):
+def test_a_table_that_continues_with_other_columns_is_refused(tmp_path, capsys, names):
     path = write_table(tmp_path / "a.csv", NAMES, VALUES)
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, names, *lines[1:]]))
@@ -395,13 +395,13 @@ def test_a_table_that_goes_on_with_other_columns_is_refused_there(tmp_path, caps
     assert "split the file there" in sentence
 
 
-def test_names_and_units_that_stand_again_are_no_rows(tmp_path):
+def test_repeated_names_and_units_are_not_rows(tmp_path):
     text = ",".join(BARE) + "\n" + "mm,mm,mm" + 15 * ",uT" + "\n" + "1" + 17 * ",2" + "\n"
     (path := tmp_path / "a.csv").write_text(text + "# " + text)
     assert [line for line, _ in read_text_table(path).rows] == [3, 6]
 
 
-def test_columns_that_are_not_read_may_have_one_name(tmp_path):
+def test_unused_columns_may_share_a_name(tmp_path):
     rows = [[*row, "a", "b"] for row in VALUES]
     path = write_table(tmp_path / "a.csv", [*NAMES, "note", "note"], rows)
     assert len(converted("presses", path, tmp_path / "out", *OPTIONS)) == 40
@@ -414,14 +414,14 @@ def test_columns_that_are_not_read_may_have_one_name(tmp_path):
     ("name", "unit"),
     [("Timestamp (ms)", 1e-3), ("timestamp_us", 1e-6), ("time_ns", 1e-9), ("epoch_s", 1), ("Time [sec]", 1)],
 )
-def test_a_time_is_known_by_its_unit(tmp_path, name, unit):
+def test_a_time_column_is_recognised_by_its_unit(tmp_path, name, unit):
     (path := tmp_path / "a.csv").write_text(f"{name},b0x_uT\n5000,1\n6000,2\n")
     table = read_text_table(path)
     assert table.header[0] == "time_s"
     np.testing.assert_allclose([float(cells[0]) for _, cells in table.rows], [5000 * unit, 6000 * unit])
 
 
-def test_one_of_two_clocks_is_the_time(tmp_path):
+def test_only_one_of_two_clocks_is_the_time(tmp_path):
     (path := tmp_path / "a.csv").write_text("timestamp_ms,time_s,b0x_uT\n5000,1,1\n")
     assert read_text_table(path).header == ["timestamp_ms", "time_s", "b0x_uT"]
 
@@ -436,10 +436,10 @@ def test_a_bad_first_stamp_does_not_decide(tmp_path):
 
 
 @pytest.mark.parametrize("stamp", ["31.12.2025 24:00", "2025-10-9 9h", "20/Oct/2025", "45950.5000{:02d}"])
-def test_a_stamp_that_is_not_understood_is_named_and_what_is_understood(tmp_path, capsys, stamp):
+def test_an_unknown_stamp_is_refused_with_the_accepted_formats(tmp_path, capsys, stamp):
     rows = "".join(f"{stamp.format(i)},{','.join('1' * 15)}\n" for i in range(20))
     (path := tmp_path / "a.csv").write_text(f"timestamp,{','.join(READING_NAMES)}\n{rows}")
     sentence = refused(capsys, "stream", path, tmp_path / "out.csv")
-    assert f"line 2 has {stamp.format(0)!r} in column time_s, which is no time in ISO 8601" in sentence
+    assert f"line 2 has {stamp.format(0)!r} in column time_s, which is not a time in ISO 8601" in sentence
     assert "write it as 2025-10-20 12:00:00.010, or in seconds" in sentence
     assert ("may count days" in sentence) == ("{" in stamp)

@@ -1,4 +1,4 @@
-"""What a recording of a skin leaves out or states wrongly: hypotheses, each with its evidence, sentence and correction.
+"""Diagnosis of recordings: what a recording leaves out or states wrongly, with evidence, a sentence and a correction.
 
     from i2t.recordings.diagnose import corrected_presses, diagnose
     from i2t.recordings.presses import Presses
@@ -8,11 +8,10 @@
     print(*(finding.sentence for finding in findings), sep="\n")
     presses = corrected_presses(presses, findings)
 
-`hypotheses` is the list: `units`, `signs`, `lag`, `height` (of first contact) and `board` (how it lies under the skin).
-`changes` finds what nothing corrects: repeated rows, a skin that changed, a tip of steel.
-Every function is pure and takes arrays; what it returns is a `Finding`, which says whether the recording can tell at
-all. Each fault has one threshold, beside its hypothesis. NumPy and SciPy only, so that readers and converters can use
-it.
+`hypotheses` tests them in order: `units`, `signs`, `lag`, `height` (of first contact) and `board` (its rotation under
+the skin). `changes` finds what nothing corrects: repeated rows, a changed skin and a steel tip. Every function is pure,
+takes arrays and returns a `Finding`, which also records whether the recording can answer the question at all. The
+package needs only NumPy and SciPy, so that readers and converters can use it.
 """
 
 from i2t.recordings.diagnose.board import find_board, turn_board
@@ -20,6 +19,7 @@ from i2t.recordings.diagnose.changes import check_presses, repeated_rows
 from i2t.recordings.diagnose.findings import (
     Correction,
     Finding,
+    FindingName,
     corrected_presses,
     correction_of,
     find,
@@ -36,6 +36,7 @@ from i2t.recordings.diagnose.units import find_units
 __all__ = [
     "Correction",
     "Finding",
+    "FindingName",
     "check_presses",
     "corrected_presses",
     "correction_of",

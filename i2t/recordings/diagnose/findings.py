@@ -1,9 +1,10 @@
-"""Findings on the unknowns of a recording: their corrections, and their way into a data set and back."""
+"""Findings of a diagnosis, the corrections that they imply, and their form in a data set's meta and in metrics."""
 
 import json
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,24 +12,37 @@ from jaxtyping import Float
 
 from i2t.recordings.presses import Presses
 
-META_PREFIX = "unknowns of "  # of a data set's meta: one entry for each session
+
+class FindingName(StrEnum):
+    """Names of the findings, as they stand in data sets and metrics."""
+
+    UNITS = "units"
+    FORCE_SIGN = "sign of the force"
+    DEPTH_SIGN = "sign of the depth"
+    HEIGHT_AXIS = "height axis"
+    LAG = "lag of the labels"
+    HEIGHT_ZERO = "height zero"
+    STAGE = "board on the stage"
+    REPEATED_ROWS = "repeated rows"
+    CHANGED_SKIN = "changed skin"
+    STEEL_TIP = "tip of steel"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Finding of a recording on one of its unknowns.
+    """Result of testing one hypothesis on a recording.
 
     Attributes:
-        name: Of the unknown.
-        sentence: For a person.
-        identifiable: Whether this recording can tell.
-        wrong: Whether the recording contradicts what it states, so that it should be corrected.
-        estimate: The value, in `unit`; None where there is none.
-        low: Lower end of its 90 % interval.
-        high: Upper end.
-        unit: Of these.
-        evidence: Numbers that the sentence stands on, by name.
-        correction: What to do to the recording, as JSON can hold it; empty where nothing is wrong.
+        name: Name of the hypothesis, one of `FindingName` if the library tested it.
+        sentence: Result as a sentence for a person.
+        identifiable: Whether the recording can answer the question.
+        wrong: Whether the recording contradicts what it states and should be corrected.
+        estimate: Estimated value in `unit`; None if there is none.
+        low: Lower end of the estimate's 90 % interval, in `unit`.
+        high: Upper end of the estimate's 90 % interval, in `unit`.
+        unit: Unit of `estimate`, `low` and `high`.
+        evidence: Numbers behind the sentence, by name.
+        correction: Change to make to the recording, in types that JSON can hold; empty if nothing is wrong.
     """
 
     name: str
@@ -43,23 +57,37 @@ class Finding:
     correction: Mapping[str, Any] = field(default_factory=dict)
 
     def to_json(self) -> dict[str, Any]:
-        """The finding as JSON can hold it: what is not finite is null.
+        """Convert the finding to types that JSON can hold.
 
         Returns:
-            Its fields by name.
+            The fields by name; non-finite numbers are None.
         """
-        return {name: _plain(value) for name, value in asdict(self).items()}
+        return {name: _to_json(value) for name, value in asdict(self).items()}
+
+
+def not_identifiable(name: FindingName, reason: str, **evidence: float | int) -> Finding:
+    """Create the finding of a test that the recording cannot answer.
+
+    Args:
+        name: Name of the hypothesis.
+        reason: Clause that completes "not identifiable, because".
+        **evidence: Numbers behind the reason.
+
+    Returns:
+        The finding without an estimate.
+    """
+    return Finding(name, f"{name.capitalize()}: not identifiable, because {reason}.", False, evidence=evidence)
 
 
 def find(findings: Iterable[Finding], name: str) -> Finding | None:
-    """The finding of this name.
+    """Look a finding up by its name.
 
     Args:
-        findings: To look in.
-        name: Of the unknown.
+        findings: Findings to search.
+        name: Name of the hypothesis.
 
     Returns:
-        It, or None.
+        The first finding of that name, or None if there is none.
     """
     return next((finding for finding in findings if finding.name == name), None)
 
@@ -68,7 +96,7 @@ def find(findings: Iterable[Finding], name: str) -> Finding | None:
 
 
 class Correction(NamedTuple):
-    """What to multiply the columns of a recording by, and how to move its labels and turn its board."""
+    """Factors for the columns of a recording, the shift of its labels and the rotation of its board."""
 
     length: float = 1.0
     field: float = 1.0
@@ -79,58 +107,58 @@ class Correction(NamedTuple):
 
 
 def correction_of(findings: Iterable[Finding]) -> Correction:
-    """The corrections of findings together.
+    """Combine the corrections of several findings.
 
     Args:
-        findings: About one recording.
+        findings: Findings about one recording.
 
     Returns:
-        What to do to it.
+        The combined correction.
     """
-    todo = {name: value for finding in findings for name, value in finding.correction.items()}
-    turn = todo.get("board_from_stage")
+    changes = {name: value for finding in findings for name, value in finding.correction.items()}
+    board_from_stage = changes.get("board_from_stage")
     return Correction(
-        length=todo.get("length_factor", 1.0),
-        field=todo.get("field_factor", 1.0),
-        height=todo.get("depth_factor", 1.0) * todo.get("height_sign", 1.0),
-        force=todo.get("force_factor", 1.0) * todo.get("force_sign", 1.0),
-        lag=int(todo.get("label_lag_rows", 0)),
-        board_from_stage=None if turn is None else np.asarray(turn, np.float64),
+        length=changes.get("length_factor", 1.0),
+        field=changes.get("field_factor", 1.0),
+        height=changes.get("depth_factor", 1.0) * changes.get("height_sign", 1.0),
+        force=changes.get("force_factor", 1.0) * changes.get("force_sign", 1.0),
+        lag=int(changes.get("label_lag_rows", 0)),
+        board_from_stage=None if board_from_stage is None else np.asarray(board_from_stage, np.float64),
     )
 
 
 def corrected_presses(presses: Presses, findings: Iterable[Finding]) -> Presses:
-    """A recording with what was found put right: units, signs and lag.
+    """Correct the units, signs and lag of presses.
 
-    Height zero stays where it is: it is a number, not a mistake of a column.
+    Heights keep their origin: first contact is a number that callers read from its finding.
 
     Args:
-        presses: As recorded.
-        findings: About it.
+        presses: Presses as recorded.
+        findings: Findings about these presses.
 
     Returns:
-        The presses; with a lag, fewer.
+        The corrected presses. A lag leaves fewer of them.
     """
-    todo = correction_of(findings)
-    label_rows, reading_rows = lag_rows(len(presses.readings), todo.lag)
+    correction = correction_of(findings)
+    label_rows, reading_rows = lag_rows(len(presses.readings), correction.lag)
     labels = presses.rows(label_rows)
     return labels._replace(
-        position=labels.position * todo.length,
-        readings=presses.readings[reading_rows] * todo.field,
-        height=None if labels.height is None else labels.height * todo.height,
-        force=None if labels.force is None else labels.force * todo.force,
+        position=labels.position * correction.length,
+        readings=presses.readings[reading_rows] * correction.field,
+        height=None if labels.height is None else labels.height * correction.height,
+        force=None if labels.force is None else labels.force * correction.force,
     )
 
 
 def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows that belong together where labels are shifted.
+    """Match the rows of shifted labels with those of the readings.
 
     Args:
-        n: Rows of the recording.
-        lag: Rows: the reading of row i belongs to the labels of row i + lag.
+        n: Number of rows in the recording.
+        lag: Lag in rows: the reading of row i belongs to the labels of row i + lag.
 
     Returns:
-        Rows of the labels, and rows of the readings, of one length.
+        Row numbers of the labels and row numbers of the readings, two arrays of equal length.
     """
     rows = np.arange(max(0, -lag), n - max(0, lag))
     return rows + lag, rows
@@ -140,35 +168,36 @@ def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def findings_to_meta(session: str, findings: Iterable[Finding]) -> dict[str, str]:
-    """Entry of findings in the meta of a data set.
+    """Write findings as an entry of a data set's meta.
 
     Args:
-        session: Name of the session that was looked at.
-        findings: What was found in it.
+        session: Name of the session that was diagnosed.
+        findings: Findings about the session.
 
     Returns:
-        One entry of the data set's meta.
+        A mapping with one entry, whose value is JSON text.
     """
-    return {META_PREFIX + session: json.dumps([finding.to_json() for finding in findings], allow_nan=False)}
+    # `i2t.dataset.card` looks for keys that begin like this.
+    return {f"unknowns of {session}": json.dumps([finding.to_json() for finding in findings], allow_nan=False)}
 
 
 def metrics_of(findings: Iterable[Finding]) -> dict[str, Any]:
-    """Findings for a run's metrics.
+    """Convert findings to entries of a run's metrics.
 
     Args:
-        findings: Of a recording.
+        findings: Findings about one recording.
 
     Returns:
-        Their fields by name, as JSON can hold them.
+        The fields of each finding by its name, in types that JSON can hold.
     """
     return {finding.name: finding.to_json() for finding in findings}
 
 
-def _plain(value: Any) -> Any:
-    """Numbers of NumPy as Python's, what is not finite as None."""
+def _to_json(value: Any) -> Any:
+    """Convert NumPy's numbers to Python's, and non-finite numbers to None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(part) for key, part in value.items()}
+        return {str(key): _to_json(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(part) for part in value]
+        return [_to_json(part) for part in value]
     value = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,26 +1,26 @@
-"""Height zero: where along its approach the tip first meets the skin, from readings alone.
+"""Height zero: the height at which the tip first meets the skin, inferred from readings alone.
 
-A recording that follows the tip shows it row by row: within one approach each channel is
+A recording that follows the tip shows first contact in its rows: within one approach each channel is
 y(z) = b + c t + g ((z0 - z)+)^p + noise: a constant, a slow creep along the rows t, and a growth from first contact on.
-For a given zero and power that is linear; zero and power are those of the least squared error near the contact.
+For a given zero and power this model is linear; zero and power minimise the squared error near the contact.
 
-Single presses tell it together. Above first contact nothing is read; below it a reading grows with the depth
-d = z0 - z, at every place by its own map:
+Single presses show first contact together. Above it nothing is read; below it a reading grows with the depth
+d = z0 - z, at each place by its own map:
 
     reading(x, z) = (d / unit)^p g(x) + w(x, d) + noise.
 
-The maps g and w are Gaussian processes over the skin; w grows with the depth as an integrated Wiener process, which
-begins at first contact with value and slope zero and bends freely afterwards, as no skin grows by a power exactly
-(kernel: Rasmussen and Williams, "Gaussian Processes for Machine Learning", equation 6.28). z0 is where each press is
-best predicted from all others. Presses hardly tell the power p: 0.1 more of it is as good as a zero some 0.03 mm
-higher. A ball sinks by a power of 1.5 into a thick layer (Hertz) and of 2 into a thin one on a hard board (Johnson,
-"Contact Mechanics", section 5.8), so that p is taken as 1.75, and what it leaves open widens the interval. Where all
-presses are below first contact, z0 is extrapolated, and the powers 1.5 to 2 say how far. Where all go to one height, no
-number of them tells.
+The maps g and w are Gaussian processes over the skin. w grows with depth as an integrated Wiener process, which starts
+at first contact with value and slope zero and bends freely below it, as no skin grows exactly by a power (kernel:
+Rasmussen and Williams, "Gaussian Processes for Machine Learning", equation 6.28). z0 maximises the leave-one-out
+density of the presses. They hardly determine the power p: raising it by 0.1 fits as well as a zero some 0.03 mm higher.
+A ball sinks by a power of 1.5 into a thick layer (Hertz) and of 2 into a thin one on a hard board (Johnson, "Contact
+Mechanics", section 5.8), so p is fixed at 1.75, and its uncertainty widens the interval. If all presses are below first
+contact, z0 is extrapolated, and the powers 1.5 to 2 bound it. If all presses go to one height, it is not identifiable.
 
-Heights z (m) are along the skin's outward normal, from anywhere. NumPy and SciPy only.
+Heights z are in metres along the skin's outward normal, from any origin.
 """
 
+from dataclasses import dataclass
 from itertools import product
 from typing import NamedTuple
 
@@ -28,141 +28,194 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
-from i2t.recordings.diagnose.findings import Finding
-from i2t.recordings.diagnose.smooth import left_out, thinned
+from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
+from i2t.recordings.diagnose.smooth import left_out, subsample
 from i2t.recordings.presses import Presses
 
-HEIGHT_ZERO = "height zero"
-MIN_HEIGHT_RANGE_M = 0.1e-3  # between the lowest and the highest tenth of the presses: less is one height
-MIN_ZERO_PRESSES = 30
-ONE_HEIGHT_M = 0.1e-3  # presses whose heights differ by less go to one height
-HEIGHT_SUBSETS = 3  # of many presses, whose estimates are put together
-HEIGHT_SUBSET_PRESSES = 160
-FIRST_PRESSES = 80  # by which the zero is found coarsely
-POWER = 1.75  # by which readings grow with the depth
-USUAL_POWERS = (1.5, 2.0)  # of skins that were measured
-POWER_STD = 0.08
-USABLE_ZERO_M = 0.1e-3  # an interval of at most this half width is used
-SHAPE_ERROR_M = 0.02e-3  # of the zero, as no skin grows by a power exactly
-MIN_SHIFT_M = 0.05e-3  # between the zero found and the one stated
-FREE_SHARE = 0.01  # of the presses that are above first contact, where it shows
-# Of the presses that read although they stand above the stated height: beyond it, what is stated is no first contact.
-READING_ABOVE_SHARE = 0.2
-ZERO_R2 = 0.3  # of readings that depend on position and height
-ZERO_STEP_M = 4e-6
-APPROACH_ROWS = 12  # at least, on one way down
-APPROACH_SHARE = 0.3  # of the recording's range of heights that an approach covers at least
-CONTACT_SHARE = 0.1  # of an approach's largest change: what is beyond says little of the contact
-CONTACT_NOISES = 8.0  # standard deviations of a reading's norm: an onset must rise above its noise
-REST_ROWS = 15  # before the tip moves
-JITTER_M = 2e-5
-ONSET_POWERS = (1.0, 1.25, 1.5, 2.0)
-ONSET_SHARE = 0.5  # of what a straight creep leaves unexplained, which an onset explains at least
+
+@dataclass(frozen=True)
+class ApproachConfig:
+    """Thresholds for first contact within an approach.
+
+    Attributes:
+        min_rows: Number of rows of an approach, at least.
+        min_range_share: Share of the recording's range of heights that an approach covers, at least.
+        max_rest_rows: Number of rows before the motion that belong to an approach, at most.
+        jitter_m: Change of height that counts as rest.
+        max_change_share: Share of an approach's largest change up to which rows show the onset.
+        min_change_stds: Standard deviations of a reading's norm by which the onset must rise above the noise.
+        powers: Powers of growth to try.
+        min_explained_share: Share of the squared error of a straight creep that the growth must explain.
+    """
+
+    min_rows: int = 12
+    min_range_share: float = 0.3
+    max_rest_rows: int = 15
+    jitter_m: float = 2e-5
+    max_change_share: float = 0.1
+    min_change_stds: float = 8.0
+    powers: tuple[float, ...] = (1.0, 1.25, 1.5, 2.0)
+    min_explained_share: float = 0.5
 
 
-class _Shape(NamedTuple):
-    """Parameters that are not asked for but must be chosen."""
+@dataclass(frozen=True)
+class HeightZeroConfig:
+    """Model of single presses, and thresholds for the height of first contact.
 
-    length: float  # m, of the map
-    free: float  # share of the variance that does not grow by the power
-    noise: float  # variance, of that at the deepest presses
-    relative_noise: float  # standard deviation, of the signal's at the same depth
+    Attributes:
+        min_presses: Number of presses below which height zero is not identifiable.
+        min_range_m: Range of heights (5 % to 95 %) below which all presses go to one height.
+        max_subsets: Number of subsets of many presses whose estimates are combined.
+        subset_presses: Number of presses in a subset, at most.
+        coarse_presses: Number of presses in the coarse search, at most.
+        power: Power by which readings grow with depth.
+        power_std: Standard deviation of the power.
+        power_range: Powers of skins that were measured.
+        lengths_m: Length scales of the maps over the skin to try.
+        free_shares: Shares of the variance that do not grow by the power, to try.
+        noises: Noise variances to try, relative to the readings' mean square.
+        relative_noises: Noise standard deviations to try, relative to the signal at the same depth.
+        zero_tolerance_m: Tolerance of the search for the zero.
+        shape_std_m: Standard deviation of the zero because no skin grows exactly by a power.
+        max_half_width_m: Half width of the interval up to which a zero is used.
+        min_shift_m: Difference from the stated height above which that is wrong.
+        min_r2: R2 above which readings depend on position and height.
+        min_free_share: Share of the presses that must lie above first contact for it to be identifiable.
+        max_reading_above_share: Share of the presses that may read although they lie above the stated height of first
+            contact; beyond it the stated height is wrong.
+        approach: Thresholds for recordings that follow the tip.
+    """
+
+    min_presses: int = 30
+    min_range_m: float = 0.1e-3
+    max_subsets: int = 3
+    subset_presses: int = 160
+    coarse_presses: int = 80
+    power: float = 1.75
+    power_std: float = 0.08
+    power_range: tuple[float, float] = (1.5, 2.0)
+    lengths_m: tuple[float, ...] = (3e-3, 6e-3, 12e-3)
+    free_shares: tuple[float, ...] = (0.03, 0.3)
+    noises: tuple[float, ...] = (1e-5, 1e-4, 1e-3, 1e-2)
+    relative_noises: tuple[float, ...] = (0.01, 0.1)
+    zero_tolerance_m: float = 4e-6
+    shape_std_m: float = 0.02e-3
+    max_half_width_m: float = 0.1e-3
+    min_shift_m: float = 0.05e-3
+    min_r2: float = 0.3
+    min_free_share: float = 0.01
+    max_reading_above_share: float = 0.2
+    approach: ApproachConfig = ApproachConfig()
+
+
+class _GrowthModel(NamedTuple):
+    """Parameters of the model of single presses, other than zero and power."""
+
+    length: float  # m, length scale of the maps
+    free_share: float  # share of the variance that does not grow by the power
+    noise: float  # variance, relative to the readings' mean square
+    relative_noise: float  # standard deviation, relative to the signal at the same depth
 
 
 class _Fit(NamedTuple):
+    """Zero of one subset of presses."""
+
     zero: float  # m
     r2: float
-    statistical: float  # m, standard error
-    of_power: float  # m, by which the zero moves with what is left open of the power
-    usual: tuple[float, ...]  # m, the zero at the usual powers
+    statistical_std: float  # m
+    power_std: float  # m, standard deviation of the zero because the power is uncertain
+    range_zeros: tuple[float, ...]  # m, the zero at the ends of the range of powers
 
 
-NOISES = (1e-5, 1e-4, 1e-3, 1e-2)  # variance, of the readings' mean square
-HEIGHT_SHAPES = tuple(_Shape(*values) for values in product((3e-3, 6e-3, 12e-3), (0.03, 0.3), NOISES, (0.01, 0.1)))
-
-
-def find_height_zero(presses: Presses, stated: float | None = None) -> Finding:
+def find_height_zero(
+    presses: Presses, stated: float | None = None, *, config: HeightZeroConfig = HeightZeroConfig()
+) -> Finding:
     """Estimate the height of first contact.
 
     Args:
-        presses: With heights, in the order of time.
-        stated: What the recording says (m), where it does.
+        presses: Presses with heights, in the order of time.
+        stated: Height of first contact that the recording states, in m; None if it states none.
+        config: Model and thresholds.
 
     Returns:
-        The finding; its estimate, in m, is of the scale of the heights. Where it is not identifiable the interval says
-        what is left open, or there is none.
+        The finding. Its estimate, in m, is on the scale of the heights. If it is not identifiable, the interval bounds
+        it where the presses allow, and else there is none.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
-        return Finding(HEIGHT_ZERO, "Height zero is not identifiable: no height of the tip was recorded.", False)
+        return not_identifiable(FindingName.HEIGHT_ZERO, "no height of the tip was recorded")
     if np.isfinite(presses.height).all():
-        zeros = find_approaches(np.asarray(presses.height, np.float64), presses.readings)
+        zeros = find_approaches(np.asarray(presses.height, np.float64), presses.readings, config=config.approach)
         if len(zeros):
-            return _of_approaches(zeros, stated, presses.height)
+            return _combine_approaches(zeros, stated, presses.height, config)
     presses = presses.rows(np.isfinite(presses.height))
     height = np.asarray(presses.height, np.float64)
     span = float(np.subtract(*np.quantile(height, [0.95, 0.05])))
-    if len(height) < MIN_ZERO_PRESSES or span < MIN_HEIGHT_RANGE_M:
-        why = (
-            f"{len(height)} presses are too few ({MIN_ZERO_PRESSES} are enough)"
-            if len(height) < MIN_ZERO_PRESSES
-            else f"all presses go to one height ({1e3 * span:.2g} mm between them)"
-        )
-        said = f"Height zero is not identifiable from this recording: {why}; how deep it was pressed is unknown."
-        return Finding(HEIGHT_ZERO, said, False, evidence={"presses": len(height), "height_range_mm": 1e3 * span})
+    if len(height) < config.min_presses or span < config.min_range_m:
+        reason = f"all presses go to one height (within {1e3 * span:.2g} mm)"
+        if len(height) < config.min_presses:
+            reason = f"{len(height)} presses are too few ({config.min_presses} are enough)"
+        return not_identifiable(FindingName.HEIGHT_ZERO, reason, presses=len(height), height_range_mm=1e3 * span)
     order = np.random.default_rng(0).permutation(len(height))
-    parts = min(HEIGHT_SUBSETS, max(len(height) // HEIGHT_SUBSET_PRESSES, 1))
-    subsets = [presses.rows(np.sort(order[i::parts][:HEIGHT_SUBSET_PRESSES])) for i in range(parts)]
-    return _judge([_fit(subset) for subset in subsets], height, stated)
+    count = min(config.max_subsets, max(len(height) // config.subset_presses, 1))
+    subsets = [presses.rows(np.sort(order[i::count][: config.subset_presses])) for i in range(count)]
+    return _combine_fits([_fit(subset, config) for subset in subsets], height, stated, config)
 
 
 def first_contact(height: Float[np.ndarray, " n"], finding: Finding | None = None) -> float:
-    """The height that depths count from.
+    """Choose the height that depths count from.
 
     Args:
-        height: Of presses along the skin's outward normal (m), corrected; NaN where it is not known.
-        finding: About the height of first contact, if it was looked for.
+        height: `(n,)` heights of presses along the skin's outward normal in m, corrected; NaN where unknown.
+        finding: Finding about the height of first contact, or None if it was not tested.
 
     Returns:
-        Where readings begin (m), if the presses tell; else that of the highest press, from which all depths may be too
-        small by one number; NaN where all presses go to one height, so that nothing is known of a depth.
+        The height of first contact in m if the presses identify it. Otherwise the height of the highest press, from
+        which all depths may be too small by the same amount. NaN if all presses go to one height, so that no depth is
+        known.
     """
     if finding is not None and finding.identifiable and finding.estimate is not None:
         return finding.estimate
-    if not np.isfinite(height).any() or (finding is not None and np.ptp(height[np.isfinite(height)]) < ONE_HEIGHT_M):
+    if not np.isfinite(height).any() or (finding is not None and np.ptp(height[np.isfinite(height)]) < 0.1e-3):
         return float("nan")
     return float(np.nanmax(height))
 
 
-def find_approaches(height: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, " k"]:
-    """First contact in each approach of a recording that follows the tip.
+def find_approaches(
+    height: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"], *, config: ApproachConfig = ApproachConfig()
+) -> Float[np.ndarray, " k"]:
+    """Find first contact in each approach of a recording that follows the tip.
 
     Args:
-        height: Of the tip along the skin's outward normal (m), in the order of time.
-        readings: At these rows (uT).
+        height: `(n,)` heights of the tip along the skin's outward normal in m, in the order of time.
+        readings: `(n, c)` readings of these rows, in uT.
+        config: Thresholds.
 
     Returns:
-        Heights (m) of first contact, one for each approach that shows it; none where rows are single presses.
+        `(k,)` heights of first contact in m, one for each approach that shows it; empty if the rows are single presses.
     """
-    falling = np.diff(height) < JITTER_M
+    falling = np.diff(height) < config.jitter_m
     edges = np.flatnonzero(np.diff(np.concatenate([[False], falling, [False]]).astype(int)))
     zeros = []
     for start, stop in zip(edges[::2].tolist(), (edges[1::2] + 1).tolist(), strict=True):
-        moved = int(np.argmax(height[start:stop] < height[start] - 2 * JITTER_M))
-        way = slice(start + max(moved - REST_ROWS, 0), stop)
-        reach = height[way.start] - height[stop - 1]
-        if stop - way.start >= APPROACH_ROWS and reach >= max(APPROACH_SHARE * np.ptp(height), 1e-4):
-            zeros.append(_onset(height[way], readings[way]))
+        rest_rows = int(np.argmax(height[start:stop] < height[start] - 2 * config.jitter_m))
+        rows = slice(start + max(rest_rows - config.max_rest_rows, 0), stop)
+        descent = height[rows.start] - height[stop - 1]
+        min_descent = max(config.min_range_share * np.ptp(height), 1e-4)
+        if stop - rows.start >= config.min_rows and descent >= min_descent:
+            zeros.append(_onset(height[rows], readings[rows], config))
     return np.array([zero for zero in zeros if zero is not None])
 
 
-def _onset(height: np.ndarray, readings: np.ndarray) -> float | None:
-    """Height at which readings begin to change on one way down, or None where they do not begin within it."""
+def _onset(height: np.ndarray, readings: np.ndarray, config: ApproachConfig) -> float | None:
+    """Find the height at which readings begin to change in one approach; None if they do not begin within it."""
     change = np.linalg.norm(readings - readings[:3].mean(0), axis=1)
-    noise = np.sqrt((np.median(np.diff(readings[: 2 * REST_ROWS], axis=0) ** 2, axis=0) / 0.91).sum())
-    beyond = np.flatnonzero(change > max(CONTACT_SHARE * change.max(), CONTACT_NOISES * noise))
-    end = max(int(beyond[0]) + 1 if len(beyond) else len(height), APPROACH_ROWS)
+    # 0.91 is the median square of the difference of two standard normal variables.
+    differences = np.diff(readings[: 2 * config.max_rest_rows], axis=0)
+    noise = np.sqrt((np.median(differences**2, axis=0) / 0.91).sum())
+    beyond = np.flatnonzero(change > max(config.max_change_share * change.max(), config.min_change_stds * noise))
+    end = max(int(beyond[0]) + 1 if len(beyond) else len(height), config.min_rows)
     z, y = height[:end], readings[:end]
-    if len(z) < APPROACH_ROWS or z[0] - z[-1] < 5e-5:
+    if len(z) < config.min_rows or z[0] - z[-1] < 5e-5:
         return None
     creep = np.column_stack([np.ones(len(z)), np.arange(len(z)) / len(z)])
 
@@ -170,11 +223,11 @@ def _onset(height: np.ndarray, readings: np.ndarray) -> float | None:
         return _squared_error(np.column_stack([creep, np.maximum(zero - z, 0) ** power / 1e-3**power]), y)
 
     candidates = np.linspace(z[-1], z[0], 161)[1:-1]
-    errors = np.array([min(error(zero, power) for power in ONSET_POWERS) for zero in candidates])
+    errors = np.array([min(error(zero, power) for power in config.powers) for zero in candidates])
     zero = float(candidates[errors.argmin()])
     explained = 1 - float(errors.min()) / max(_squared_error(creep, y), 1e-30)
-    # A zero at the end of the way has no row above it that would show readings at rest.
-    return None if explained < ONSET_SHARE or np.sum(z > zero) < 3 else zero
+    # Rows above the zero must show the readings at rest.
+    return None if explained < config.min_explained_share or np.sum(z > zero) < 3 else zero
 
 
 def _squared_error(design: np.ndarray, values: np.ndarray) -> float:
@@ -182,122 +235,133 @@ def _squared_error(design: np.ndarray, values: np.ndarray) -> float:
     return float(((values - q @ (q.T @ values)) ** 2).sum())
 
 
-def _of_approaches(zeros: np.ndarray, stated: float | None, height: np.ndarray) -> Finding:
-    """Finding of the zeros of several approaches in a row."""
+def _combine_approaches(
+    zeros: np.ndarray, stated: float | None, height: np.ndarray, config: HeightZeroConfig
+) -> Finding:
+    """Combine the zeros of several approaches."""
     zero, count = float(np.median(zeros)), len(zeros)
-    spread = float(np.max(np.abs(zeros - zero)))
+    deviation = float(np.max(np.abs(zeros - zero)))
+    # 1.2533 is the ratio of the standard errors of median and mean; 1.645 is the 95 % quantile.
     half = max(0.05e-3, 1.2533 * 1.645 * float(np.std(zeros)) / np.sqrt(count))
-    wrong = bool(stated is not None and abs(zero - stated) > max(half, 2 * MIN_SHIFT_M))
+    wrong = bool(stated is not None and abs(zero - stated) > max(half, 2 * config.min_shift_m))
     first, last = 1e3 * zeros[0], 1e3 * zeros[-1]
     return Finding(
-        HEIGHT_ZERO,
-        f"First contact is at {1e3 * zero:.3f} mm, the median of {count} approaches, up to {1e3 * spread:.2f} mm off "
-        f"it ({int((height > zero).sum())} rows are above it): {first:.2f} mm in the first and {last:.2f} mm in the "
-        "last.",
+        FindingName.HEIGHT_ZERO,
+        f"First contact is at {1e3 * zero:.3f} mm, the median of {count} approaches, which deviate by up to "
+        f"{1e3 * deviation:.2f} mm: {first:.2f} mm in the first and {last:.2f} mm in the last "
+        f"({int((height > zero).sum())} rows are above it).",
         identifiable=True, wrong=wrong, estimate=zero, low=zero - half, high=zero + half, unit="m",
-        evidence={"approaches": count, "largest_deviation_mm": 1e3 * spread, "first_mm": first, "last_mm": last},
+        evidence={"approaches": count, "largest_deviation_mm": 1e3 * deviation, "first_mm": first, "last_mm": last},
         correction={"height_zero_m": zero} if wrong else {},
     )  # fmt: skip
 
 
-def _judge(fits: list[_Fit], height: np.ndarray, stated: float | None) -> Finding:
-    """Put the fits to parts of the presses together."""
+def _combine_fits(fits: list[_Fit], height: np.ndarray, stated: float | None, config: HeightZeroConfig) -> Finding:
+    """Combine the fits to several subsets of presses."""
     zeros, r2 = np.array([fit.zero for fit in fits]), float(np.median([fit.r2 for fit in fits]))
     zero = float(np.median(zeros))
-    statistical = max(float(np.mean([fit.statistical for fit in fits])), float(np.std(zeros))) / np.sqrt(len(fits))
-    of_power = float(np.mean([fit.of_power for fit in fits]))
-    half = 1.645 * float(np.sqrt(statistical**2 + of_power**2 + SHAPE_ERROR_M**2))
-    above = int((height > zero + half).sum())  # beyond doubt
+    statistical_std, power_std = np.mean([(fit.statistical_std, fit.power_std) for fit in fits], axis=0)
+    statistical_std = max(statistical_std, np.std(zeros)) / np.sqrt(len(fits))
+    half = 1.645 * float(np.sqrt(statistical_std**2 + power_std**2 + config.shape_std_m**2))
+    above = int((height > zero + half).sum())
     evidence = {
         "r2": r2, "presses": len(height), "presses_above": above, "spread_between_parts_mm": 1e3 * float(np.ptp(zeros)),
     }  # fmt: skip
-    reaches = above >= max(3, FREE_SHARE * len(height))
-    if reaches and half <= USABLE_ZERO_M and r2 > ZERO_R2:
-        off = 0.0 if stated is None else zero - stated
-        wrong = abs(off) > max(half, MIN_SHIFT_M)
+    enough_above = above >= max(3, config.min_free_share * len(height))
+    if enough_above and half <= config.max_half_width_m and r2 > config.min_r2:
+        shift = 0.0 if stated is None else zero - stated
+        wrong = abs(shift) > max(half, config.min_shift_m)
         return Finding(
-            HEIGHT_ZERO,
+            FindingName.HEIGHT_ZERO,
             f"First contact is at {1e3 * zero:.3f} mm (90 % interval {1e3 * (zero - half):.3f} to "
-            f"{1e3 * (zero + half):.3f}), where readings begin ({above} presses are above it)"
-            f"{f'; {1e3 * off:+.3f} mm from what was stated' if wrong else ''}.",
+            f"{1e3 * (zero + half):.3f} mm), where readings begin ({above} presses are above it)"
+            f"{f'; {1e3 * shift:+.3f} mm from the stated height' if wrong else ''}.",
             identifiable=True, wrong=wrong, estimate=zero, low=zero - half, high=zero + half, unit="m",
             evidence=evidence, correction={"height_zero_m": zero} if wrong else {},
         )  # fmt: skip
-    why = "no press is above first contact" if not reaches else "parts of the presses disagree"
-    if r2 <= ZERO_R2:
-        why = f"readings hardly depend on position and height (R2 {r2:.2f})"
-    usual = [end for fit in fits for end in fit.usual]
-    low, high = min(zero - half, *usual), max(zero + half, *usual)
-    off_top = 1e3 * (np.array([low, high]) - float(np.quantile(height, 0.99)))
-    if stated is not None and r2 > ZERO_R2:
-        reading = float(np.mean((height > stated) & (height < low)))
-        if reading > READING_ABOVE_SHARE:
+    ends = [end for fit in fits for end in fit.range_zeros]
+    low, high = min(zero - half, *ends), max(zero + half, *ends)
+    if stated is not None and r2 > config.min_r2:
+        reading_share = float(np.mean((height > stated) & (height < low)))
+        if reading_share > config.max_reading_above_share:
             top = float(height.max())
-            too_low = f"{1e3 * (top - stated):.2f} mm"
             return Finding(
-                HEIGHT_ZERO,
-                f"The height of first contact that depths count from is too low: {100 * reading:.0f} % of the presses "
-                f"stand above it and read all the same. Depth counts from the highest press, {too_low} "
-                "above it; give the height of first contact if it is known (--z0-mm of the converter).",
+                FindingName.HEIGHT_ZERO,
+                f"The stated height of first contact is too low: {100 * reading_share:.0f} % of the presses lie above "
+                f"it but still read. Depth counts from the highest press, {1e3 * (top - stated):.2f} mm above it; give "
+                "the height of first contact if it is known (--z0-mm of the converter).",
                 identifiable=False, wrong=True, estimate=zero, low=low, high=high, unit="m",
-                evidence=evidence | {"share_reading_above": reading}, correction={"height_zero_m": top},
+                evidence=evidence | {"share_reading_above": reading_share}, correction={"height_zero_m": top},
             )  # fmt: skip
+    reason = "subsets of the presses disagree" if enough_above else "no press is above first contact"
+    if r2 <= config.min_r2:
+        reason = f"readings hardly depend on position and height (R2 {r2:.2f})"
+    powers, from_top = config.power_range, 1e3 * (np.array([low, high]) - float(np.quantile(height, 0.99)))
     return Finding(
-        HEIGHT_ZERO,
-        f"Height zero is not identifiable to {1e3 * USABLE_ZERO_M:g} mm: {why}; if readings grow with the depth to the "
-        f"power {USUAL_POWERS[0]:g} to {USUAL_POWERS[1]:g}, first contact is {off_top[0]:+.2f} to {off_top[1]:+.2f} mm "
-        "from the highest press.",
+        FindingName.HEIGHT_ZERO,
+        f"Height zero is not identifiable to {1e3 * config.max_half_width_m:g} mm: {reason}; if readings grow with a "
+        f"power of {powers[0]:g} to {powers[1]:g} of the depth, first contact is {from_top[0]:+.2f} to "
+        f"{from_top[1]:+.2f} mm from the highest press.",
         identifiable=False, estimate=zero, low=low, high=high, unit="m", evidence=evidence,
     )  # fmt: skip
 
 
-def _fit(presses: Presses) -> _Fit:
-    """Zero of the growth, first coarsely and by few presses, then finely by all."""
+def _fit(presses: Presses, config: HeightZeroConfig) -> _Fit:
+    """Find the zero of the growth, first coarsely with few presses, then finely with all."""
     assert presses.height is not None
     low, high = np.quantile(np.asarray(presses.height, np.float64), [0.05, 1.0])
-    reach = high - low
-    grid = np.concatenate([np.linspace(low + 0.15 * reach, high, 14), high + reach * np.array([0.1, 0.25, 0.5, 1.0])])
-    few, shapes = (
-        presses.rows(thinned(len(presses.height), FIRST_PRESSES)),
-        [_Shape(6e-3, 0.1, n, 0.05) for n in NOISES],
-    )
-    zero = max(product(grid, shapes), key=lambda one: _try(few, one[0], POWER, one[1])[0])[0]
-    for step in (0.12 * reach, 0.03 * reach):
-        shape = max(HEIGHT_SHAPES, key=lambda one: _try(presses, zero, POWER, one)[0])
-        zero = _zero_of(presses, zero, POWER, shape, step)
+    span, power = high - low, config.power
+    grid = np.concatenate([np.linspace(low + 0.15 * span, high, 14), high + span * np.array([0.1, 0.25, 0.5, 1.0])])
+    few = presses.rows(subsample(len(presses.height), config.coarse_presses))
+    coarse = product(grid, (_GrowthModel(6e-3, 0.1, noise, 0.05) for noise in config.noises))
+    zero = max(coarse, key=lambda candidate: _score(few, candidate[0], power, candidate[1])[0])[0]
+    axes = (config.lengths_m, config.free_shares, config.noises, config.relative_noises)
+    models = [_GrowthModel(*values) for values in product(*axes)]
+    for step in (0.12 * span, 0.03 * span):
+        model = max(models, key=lambda candidate: _score(presses, zero, power, candidate)[0])
+        zero = _best_zero(presses, zero, power, model, step, config)
     order = np.random.default_rng(1).permutation(len(presses.height))
-    halves = [_zero_of(presses.rows(np.sort(order[i::2])), zero, POWER, shape, step) for i in (0, 1)]
-    less, more = (_zero_of(presses, zero, POWER + sign * POWER_STD, shape, step) for sign in (-1, 1))
-    usual = tuple(_zero_of(presses, zero, power, shape, 0.2 * reach) for power in USUAL_POWERS)
-    r2 = _try(presses, zero, POWER, shape)[1]
-    return _Fit(zero, r2, statistical=abs(halves[1] - halves[0]) / 2, of_power=abs(more - less) / 2, usual=usual)
+    halves = [_best_zero(presses.rows(np.sort(order[i::2])), zero, power, model, step, config) for i in (0, 1)]
+    lower, higher = (
+        _best_zero(presses, zero, power + sign * config.power_std, model, step, config) for sign in (-1, 1)
+    )
+    return _Fit(
+        zero,
+        _score(presses, zero, power, model)[1],
+        statistical_std=abs(halves[1] - halves[0]) / 2,
+        power_std=abs(higher - lower) / 2,
+        range_zeros=tuple(_best_zero(presses, zero, end, model, 0.2 * span, config) for end in config.power_range),
+    )
 
 
-def _zero_of(presses: Presses, zero: float, power: float, shape: _Shape, step: float) -> float:
-    """The zero of most density within two steps of a given one."""
-    found = minimize_scalar(
-        lambda at: -_try(presses, at, power, shape)[0], bounds=(zero - 2 * step, zero + 2 * step), method="bounded",
-        options={"xatol": ZERO_STEP_M},
+def _best_zero(
+    presses: Presses, zero: float, power: float, model: _GrowthModel, step: float, config: HeightZeroConfig
+) -> float:
+    """Find the zero of highest density within two steps of a given one."""
+    result = minimize_scalar(
+        lambda candidate: -_score(presses, candidate, power, model)[0], bounds=(zero - 2 * step, zero + 2 * step),
+        method="bounded", options={"xatol": config.zero_tolerance_m},
     )  # fmt: skip
-    return float(found.x)
+    return float(result.x)
 
 
-def _try(presses: Presses, zero: float, power: float, shape: _Shape) -> tuple[float, float]:
-    """Log density and R2 of presses that are predicted from each other with this zero and power."""
+def _score(presses: Presses, zero: float, power: float, model: _GrowthModel) -> tuple[float, float]:
+    """Compute log density and R2 of presses that are predicted from each other, given zero and power."""
     assert presses.height is not None
     depth = np.maximum(zero - np.asarray(presses.height, np.float64), 0)
     depth = depth / max(float(np.quantile(depth, 0.9)), 1e-6)
-    grown = depth**power
+    power_law = depth**power
     square = ((presses.position[:, None] - presses.position[None]) ** 2).sum(-1)
-    growth = (1 - shape.free) * grown[:, None] * grown[None] + shape.free * _integrated_wiener(depth)
-    covariance = np.exp(-square / (2 * shape.length**2)) * growth
-    covariance[np.diag_indices_from(covariance)] += shape.noise + (shape.relative_noise * grown) ** 2
+    free = model.free_share
+    growth = (1 - free) * power_law[:, None] * power_law[None] + free * _integrated_wiener(depth)
+    covariance = np.exp(-square / (2 * model.length**2)) * growth
+    covariance[np.diag_indices_from(covariance)] += model.noise + (model.relative_noise * power_law) ** 2
     values = presses.readings / max(np.sqrt(np.mean(presses.readings**2)), 1e-30)
-    found = left_out(covariance, values)
-    return found.log_density, 1 - float((found.error**2).sum() / max((values**2).sum(), 1e-30))
+    prediction = left_out(covariance, values)
+    return prediction.log_density, 1 - float((prediction.error**2).sum() / max((values**2).sum(), 1e-30))
 
 
 def _integrated_wiener(depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:
-    """Covariance of a process that begins at depth zero with value and slope zero, 1 at the depth 1."""
-    least, most = np.minimum(depth[:, None], depth[None]), np.maximum(depth[:, None], depth[None])
-    return 0.5 * least**2 * (3 * most - least)
+    """Compute the covariance of a process that starts at depth zero with value and slope zero, and is 1 at depth 1."""
+    smaller, larger = np.minimum(depth[:, None], depth[None]), np.maximum(depth[:, None], depth[None])
+    return 0.5 * smaller**2 * (3 * larger - smaller)

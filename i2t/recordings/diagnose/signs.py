@@ -1,130 +1,151 @@
-"""Signs: whether forces push, depths count into the skin, and heights grow out of it.
+"""Signs: tests whether forces push, whether depths count into the skin, and whether heights point out of it.
 
-A tip can only push a skin, so that all its presses have one sign of force, and of depth. Where a recording has another
-sign in some of them, it is noise or a force along another axis. Two explanations compete: the sign is that of the
-recording's convention, or the values do not measure the press at all and have signs at random. Signs are turned where
-four in five presses or more are negative and chance would give as many in one of twenty recordings at most. Four in
-five, because noise makes a fifth of the signs wrong where it is as large as the usual force (its standard deviation is
-1.2 times the median): with more wrong signs than that, the numbers hold no load, turned or not. The rule is symmetric:
-between a fifth and four fifths neither sign is right, which is told and nothing is turned.
+A tip can only push a skin, so the forces of all presses have one sign, and so have their depths. Negative loads have
+two explanations: the recording uses the other sign, or its values do not measure the press and have random signs.
+Signs are reversed if at least four in five presses are negative and chance would give as many in at most one of twenty
+recordings. Noise makes a fifth of the signs wrong when its standard deviation is 1.2 times the median force; with more
+wrong signs the numbers hold no load in either direction. Between a fifth and four fifths of negative loads the finding
+reports that neither sign fits, and nothing is reversed.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.stats import binom, rankdata
 
-from i2t.recordings.diagnose.findings import Finding
+from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
 from i2t.recordings.presses import Presses
 
-HEIGHT_AXIS, FORCE_SIGN, DEPTH_SIGN = "height axis", "sign of the force", "sign of the depth"
-TURNED_SHARE = 0.8  # of the presses that must be negative for the sign to be turned (the ground is told above)
-TURNED_CHANCE = 0.05  # at most, of as many negative ones among signs at random: 5 of 5, 7 of 8, 16 of 20
-MIN_PUSH_N = 0.05  # less is no press
-MIN_PUSH_M = 1e-5  # likewise, of a depth
-MIN_PUSH_READING = 0.2  # of the median size of readings: less is no press
-MIN_RANK_ROWS = 20
-SURE_ERRORS = 4.0  # standard errors of a rank correlation
-MIN_RANKS = 0.15  # rank correlation, at least
+
+@dataclass(frozen=True)
+class SignConfig:
+    """Thresholds for the signs of loads and heights.
+
+    Attributes:
+        min_negative_share: Share of negative presses from which a sign is reversed; the module explains the value.
+        max_chance: Highest probability of as many negative presses among random signs, for a sign to be reversed. It
+            allows 5 of 5, 7 of 8 or 16 of 20.
+        min_force_n: Force up to which a row is not a press.
+        min_depth_m: Depth up to which a row is not a press.
+        min_reading_share: Share of the median norm of readings below which a row is not a press.
+        min_rows: Number of presses below which the direction of the height is not identifiable.
+        min_correlation: Rank correlation of readings with depth below which the direction is not identifiable.
+        min_standard_errors: The same threshold in standard errors of the rank correlation; the larger one applies.
+    """
+
+    min_negative_share: float = 0.8
+    max_chance: float = 0.05
+    min_force_n: float = 0.05
+    min_depth_m: float = 1e-5
+    min_reading_share: float = 0.2
+    min_rows: int = 20
+    min_correlation: float = 0.15
+    min_standard_errors: float = 4.0
 
 
-def find_force_sign(force: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"] | None = None) -> Finding:
-    """Ask whether a press pushes: the force along tool z is positive when pressing.
+def find_force_sign(
+    force: Float[np.ndarray, " n"],
+    readings: Float[np.ndarray, "n c"] | None = None,
+    *,
+    config: SignConfig = SignConfig(),
+) -> Finding:
+    """Test whether forces are positive when the tip presses, as forces along tool z should be.
 
     Args:
-        force: Of presses (N); NaN where it was not read.
-        readings: Of the same presses (uT); those that read nothing are no presses.
+        force: `(n,)` forces of the presses, in N; NaN where none was recorded.
+        readings: `(n, c)` readings of the same presses, in uT. Rows with hardly any reading are ignored.
+        config: Thresholds of the test.
 
     Returns:
-        The finding; the estimate is -1 where the forces must be turned.
+        The finding. Its estimate is -1 if the forces must change sign.
     """
-    firm = np.isfinite(force) & (np.abs(force) > MIN_PUSH_N)
-    if readings is not None and firm.any():
+    is_press = np.isfinite(force) & (np.abs(force) > config.min_force_n)
+    if readings is not None and is_press.any():
         norm = np.linalg.norm(np.nan_to_num(readings), axis=1)
-        firm &= norm >= MIN_PUSH_READING * np.median(norm[firm])
-    pressing = force[firm]
+        is_press &= norm >= config.min_reading_share * np.median(norm[is_press])
+    pressing = force[is_press]
     if not len(pressing):
-        return Finding(FORCE_SIGN, "The sign of the force is not identifiable: hardly any force was recorded.", False)
-    pulls, median = float(np.mean(pressing < 0)), float(np.median(pressing))
-    evidence = {"share_negative": pulls, "median_force_N": median, "presses": len(pressing)}
-    negative = f"Forces along tool z are negative in {100 * pulls:.0f} % of the presses (median {median:.2f} N)"
-    if is_turned(pressing < 0):
+        return not_identifiable(FindingName.FORCE_SIGN, "hardly any force was recorded")
+    negative_share, median = float(np.mean(pressing < 0)), float(np.median(pressing))
+    evidence = {"share_negative": negative_share, "median_force_N": median, "presses": len(pressing)}
+    negative = (
+        f"Forces along tool z are negative in {100 * negative_share:.0f} % of the presses (median {median:.2f} N)"
+    )
+    if _is_reversed(pressing < 0, config):
         return Finding(
-            FORCE_SIGN, f"{negative}, as if they pulled: they are turned.", identifiable=True, wrong=True,
-            estimate=-1.0, evidence=evidence, correction={"force_sign": -1.0},
+            FindingName.FORCE_SIGN, f"{negative}, as if they pulled: their sign is reversed.", identifiable=True,
+            wrong=True, estimate=-1.0, evidence=evidence, correction={"force_sign": -1.0},
         )  # fmt: skip
-    if pulls > 1 - TURNED_SHARE:
-        few = pulls >= TURNED_SHARE
-        why = "too few to tell a turned axis from chance" if few else "they are hardly along tool z"
-        return Finding(FORCE_SIGN, f"{negative}: {why}; check the axes that they were recorded in.", False,
-                       evidence=evidence)  # fmt: skip
-    sentence = f"Presses push: the median force along tool z is {median:.2f} N."
-    return Finding(FORCE_SIGN, sentence, identifiable=True, estimate=1.0, evidence=evidence)
+    if negative_share > 1 - config.min_negative_share:
+        is_mostly_negative = negative_share >= config.min_negative_share
+        reason = "too few presses to exclude chance" if is_mostly_negative else "they hardly act along tool z"
+        sentence = f"{negative}: {reason}; check the axes in which they were recorded."
+        return Finding(FindingName.FORCE_SIGN, sentence, False, evidence=evidence)
+    sentence = f"The presses push: the median force along tool z is {median:.2f} N."
+    return Finding(FindingName.FORCE_SIGN, sentence, identifiable=True, estimate=1.0, evidence=evidence)
 
 
-def find_depth_sign(depth: Float[np.ndarray, " n"]) -> Finding:
-    """Ask whether depths count into the skin, as travel past first contact does, or are negative as heights are.
+def find_depth_sign(depth: Float[np.ndarray, " n"], *, config: SignConfig = SignConfig()) -> Finding:
+    """Test whether depths count into the skin, as travel past first contact does, or are negative like heights.
 
     Args:
-        depth: Of presses (m); NaN where it is not known.
+        depth: `(n,)` depths of the presses, in m; NaN where none is known.
+        config: Thresholds of the test.
 
     Returns:
-        The finding; the estimate is -1 where the depths must be turned.
+        The finding. Its estimate is -1 if the depths must change sign.
     """
-    pressed = depth[np.isfinite(depth) & (np.abs(depth) > MIN_PUSH_M)]
+    pressed = depth[np.isfinite(depth) & (np.abs(depth) > config.min_depth_m)]
     negative = pressed < 0
     if not negative.any():
-        return Finding(DEPTH_SIGN, "Depths count into the skin.", bool(len(pressed)), estimate=1.0)
+        return Finding(FindingName.DEPTH_SIGN, "Depths count into the skin.", bool(len(pressed)), estimate=1.0)
     sentence = f"Depths are negative in {100 * negative.mean():.0f} % of the presses"
     evidence = {"share_negative": float(negative.mean()), "presses": len(pressed)}
-    if not is_turned(negative):
-        return Finding(DEPTH_SIGN, f"{sentence}, which is damage.", False, evidence=evidence)
+    if not _is_reversed(negative, config):
+        return Finding(FindingName.DEPTH_SIGN, f"{sentence}: the column is damaged.", False, evidence=evidence)
     return Finding(
-        DEPTH_SIGN, f"{sentence}, as heights are: they are turned.", identifiable=True, wrong=True, estimate=-1.0,
-        evidence=evidence, correction={"height_sign": -1.0},
+        FindingName.DEPTH_SIGN, f"{sentence}, like heights: their sign is reversed.", identifiable=True, wrong=True,
+        estimate=-1.0, evidence=evidence, correction={"height_sign": -1.0},
     )  # fmt: skip
 
 
-def is_turned(negative: Bool[np.ndarray, " n"]) -> bool:
-    """Decide whether loads of presses are counted with the other sign.
+def find_height_axis(presses: Presses, *, config: SignConfig = SignConfig()) -> Finding:
+    """Test whether heights point out of the skin or into it: readings grow with depth.
 
     Args:
-        negative: Which of the loads, all clear of zero, are below it.
+        presses: Presses with heights along the assumed outward normal.
+        config: Thresholds of the test.
 
     Returns:
-        True where nearly all are, and more than chance gives.
-    """
-    n, count = len(negative), int(negative.sum())
-    return bool(count >= TURNED_SHARE * n and n and binom.sf(count - 1, n, 0.5) <= TURNED_CHANCE)
-
-
-def find_height_axis(presses: Presses) -> Finding:
-    """Ask whether the height grows out of the skin or into it: readings grow with the depth.
-
-    Args:
-        presses: With heights along what is taken for the outward normal.
-
-    Returns:
-        The finding; the estimate is 1 where heights point out of the skin and -1 where they point into it.
+        The finding. Its estimate is 1 if heights point out of the skin and -1 if they point into it.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
-        return Finding(HEIGHT_AXIS, "The direction of the height is not identifiable: none was recorded.", False)
-    firm = np.isfinite(presses.height)
-    depth, norm = -presses.height[firm], np.linalg.norm(presses.readings[firm], axis=1)
-    if len(norm) < MIN_RANK_ROWS or np.ptp(depth) == 0 or np.ptp(norm) == 0:
-        few = f"{len(norm)} presses are too few ({MIN_RANK_ROWS} are enough)"
-        why = few if len(norm) < MIN_RANK_ROWS else "all heights, or all readings, are alike"
-        return Finding(HEIGHT_AXIS, f"The direction of the height is not identifiable: {why}.", False)
-    ranks = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
-    evidence = {"rank_correlation": ranks, "presses": len(norm)}
-    found = f"(rank correlation with the depth {ranks:+.2f})"
-    if abs(ranks) < max(SURE_ERRORS / np.sqrt(len(norm) - 1), MIN_RANKS):
-        said = f"The direction of the height is not identifiable: readings hardly change with it {found}."
-        return Finding(HEIGHT_AXIS, said, False, evidence=evidence)
-    if ranks < 0:
-        said = f"Readings grow where the height grows: the height points into the skin and is turned {found}."
+        return not_identifiable(FindingName.HEIGHT_AXIS, "no height was recorded")
+    has_height = np.isfinite(presses.height)
+    depth, norm = -presses.height[has_height], np.linalg.norm(presses.readings[has_height], axis=1)
+    if len(norm) < config.min_rows:
+        reason = f"{len(norm)} presses are too few ({config.min_rows} are enough)"
+        return not_identifiable(FindingName.HEIGHT_AXIS, reason)
+    if np.ptp(depth) == 0 or np.ptp(norm) == 0:
+        return not_identifiable(FindingName.HEIGHT_AXIS, "all heights, or all readings, are equal")
+    correlation = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
+    evidence = {"rank_correlation": correlation, "presses": len(norm)}
+    number = f"(rank correlation with depth {correlation:+.2f})"
+    if abs(correlation) < max(config.min_standard_errors / np.sqrt(len(norm) - 1), config.min_correlation):
+        return not_identifiable(FindingName.HEIGHT_AXIS, f"readings hardly change with height {number}", **evidence)
+    if correlation < 0:
+        sentence = f"Readings grow with height, so the height points into the skin: its sign is reversed {number}."
+        correction = {"height_sign": -1.0}
         return Finding(
-            HEIGHT_AXIS, said, identifiable=True, wrong=True, estimate=-1.0, evidence=evidence,
-            correction={"height_sign": -1.0},
-        )  # fmt: skip
-    said = f"Readings grow as the height falls: the height points out of the skin {found}."
-    return Finding(HEIGHT_AXIS, said, identifiable=True, estimate=1.0, evidence=evidence)
+            FindingName.HEIGHT_AXIS, sentence, True, wrong=True, estimate=-1.0, evidence=evidence, correction=correction
+        )
+    sentence = f"Readings grow as the height falls, so the height points out of the skin {number}."
+    return Finding(FindingName.HEIGHT_AXIS, sentence, identifiable=True, estimate=1.0, evidence=evidence)
+
+
+def _is_reversed(negative: Bool[np.ndarray, " n"], config: SignConfig) -> bool:
+    """Test whether nearly all loads are negative, and more of them than chance gives."""
+    n, count = len(negative), int(negative.sum())
+    is_chance = binom.sf(count - 1, n, 0.5) > config.max_chance
+    return bool(n and count >= config.min_negative_share * n and not is_chance)

@@ -1,7 +1,6 @@
-"""Fit of a smooth model to readings: errors of a Gaussian process, y ~ N(0, s^2 K), on rows left out in closed form
-(`i2t.leave_one_out`).
+"""Smooth models of readings, scored by exact leave-one-out prediction (`i2t.leave_one_out`).
 
-The scale s of all channels together is its most likely value. NumPy only.
+A model is a Gaussian process y ~ N(0, s^2 K). One scale s serves all channels; it takes its most likely value.
 """
 
 from typing import NamedTuple
@@ -12,26 +11,24 @@ from scipy.linalg import LinAlgError, cho_solve, cholesky
 
 from i2t.leave_one_out import leave_out_rows
 
-SMOOTH_LENGTHS = (0.35, 0.7, 1.4, 2.8)  # of the labels' standard deviations
-SMOOTH_NOISES = (3e-3, 3e-2, 0.3)  # of the signal's variance
-
 
 class LeftOut(NamedTuple):
-    """Each row as predicted from all others."""
+    """Leave-one-out predictions of rows."""
 
-    error: Float[np.ndarray, "n c"]
-    log_density: float  # of all rows, each as predicted from all others, over the most likely scale
+    error: Float[np.ndarray, "n c"]  # of each row, predicted from all others
+    log_density: float  # of all rows, each predicted from all others, at the most likely scale
 
 
 def left_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n c"]) -> LeftOut:
     """Predict each row from all others.
 
     Args:
-        covariance: Of the rows, noise included, up to a factor.
-        values: Of the rows, of mean zero.
+        covariance: `(n, n)` covariance of the rows up to a factor, noise included.
+        values: `(n, c)` values of the rows, with mean zero.
 
     Returns:
-        Errors, and the log density of the rows; minus infinity where the covariance is none.
+        The errors and the log density of the rows. If the matrix is not positive definite, they are infinite and
+        minus infinite.
     """
     try:
         factor = cholesky(covariance, lower=True)
@@ -39,20 +36,28 @@ def left_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n 
         return LeftOut(np.full_like(values, np.inf), -np.inf)
     inverse = cho_solve((factor, True), np.eye(len(values)))
     error, variance = leave_out_rows(np.diagonal(inverse), inverse @ values)
-    square = max(float(np.mean(error**2 / variance)), 1e-300)  # the most likely s^2
-    density = -0.5 * values.shape[1] * np.log(variance).sum() - 0.5 * values.size * np.log(square)
+    squared_scale = max(float(np.mean(error**2 / variance)), 1e-300)  # the most likely s^2
+    density = -0.5 * values.shape[1] * np.log(variance).sum() - 0.5 * values.size * np.log(squared_scale)
     return LeftOut(error, float(density))
 
 
-def smooth_r2(labels: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n c"]) -> float:
-    """Share of the values' variance that a smooth function of the labels explains, each row predicted from the others.
+def smooth_r2(
+    labels: Float[np.ndarray, "n k"],
+    values: Float[np.ndarray, "n c"],
+    *,
+    lengths: tuple[float, ...] = (0.35, 0.7, 1.4, 2.8),
+    noises: tuple[float, ...] = (3e-3, 3e-2, 0.3),
+) -> float:
+    """Compute the share of variance that a smooth function of the labels explains in leave-one-out prediction.
 
     Args:
-        labels: Of each row, in any units; columns that do not vary are left out.
-        values: To explain.
+        labels: `(n, k)` labels of the rows, in any units. Constant columns are ignored.
+        values: `(n, c)` values to explain.
+        lengths: Length scales to try, in standard deviations of the labels.
+        noises: Noise variances to try, relative to the signal's.
 
     Returns:
-        R2 of the best of a few lengths and noises, at most 1.
+        R2 with the best length and noise, at most 1.
     """
     spread = labels.std(0)
     varying = spread > 1e-9 * np.maximum(np.abs(labels).max(0), 1e-30)
@@ -62,27 +67,27 @@ def smooth_r2(labels: Float[np.ndarray, "n k"], values: Float[np.ndarray, "n c"]
         return 0.0
     x = labels[:, varying] / spread[varying]
     square = ((x[:, None] - x[None]) ** 2).sum(-1)
-    best = np.inf
-    for length in SMOOTH_LENGTHS:
+    least_error = np.inf
+    for length in lengths:
         eigenvalues, vectors = np.linalg.eigh(np.exp(-square / (2 * length**2)))
-        along = vectors.T @ centred
-        for noise in SMOOTH_NOISES:
+        projected = vectors.T @ centred
+        for noise in noises:
             shrunk = 1 / (np.maximum(eigenvalues, 0) + noise)
-            left_out = leave_out_rows((vectors**2) @ shrunk, vectors @ (shrunk[:, None] * along))
-            best = min(best, float((left_out.error**2).sum()))
-    return 1 - best / float(total)
+            rows = leave_out_rows((vectors**2) @ shrunk, vectors @ (shrunk[:, None] * projected))
+            least_error = min(least_error, float((rows.error**2).sum()))
+    return 1 - least_error / float(total)
 
 
-def thinned(n: int, most: int) -> np.ndarray:
-    """At most so many of n rows, at random and in order.
+def subsample(n: int, max_rows: int) -> np.ndarray:
+    """Choose rows at random, always the same ones for the same numbers.
 
     Args:
-        n: Rows.
-        most: To keep.
+        n: Number of rows.
+        max_rows: Number of rows to keep, at most.
 
     Returns:
-        Their indices.
+        `(min(n, max_rows),)` row numbers in ascending order.
     """
-    if n <= most:
+    if n <= max_rows:
         return np.arange(n)
-    return np.sort(np.random.default_rng(0).choice(n, most, replace=False))
+    return np.sort(np.random.default_rng(0).choice(n, max_rows, replace=False))

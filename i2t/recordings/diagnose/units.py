@@ -1,23 +1,44 @@
-"""Units: whether lengths are metres, fields microtesla and forces newtons, by their sizes."""
+"""Units: tests by size whether lengths are in metres, fields in microtesla and forces in newtons."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
 from i2t.recordings.columns import NEWTONS_PER_GRAM
-from i2t.recordings.diagnose.findings import Finding
-from i2t.recordings.diagnose.smooth import smooth_r2, thinned
+from i2t.recordings.diagnose.findings import Finding, FindingName
+from i2t.recordings.diagnose.smooth import smooth_r2, subsample
 
-UNITS = "units"
-PLACED_ROWS = 300  # that are looked at
-MAX_EXTENT_M = 0.5  # of where a skin was pressed: beyond it are millimetres
-MAX_DEPTH_M = 0.05
-MIN_EXTENT_M = 5e-5  # of places that readings depend on: within it are metres that were taken for millimetres
-MIN_DEPTH_M = 1e-5
-PLACED_R2 = 0.3  # of readings that depend on where was pressed
-MIN_NORM_UT = 2.0  # of the strongest readings: the noise alone of one reading of five chips is 12 uT
-TESLA_BELOW = 2e-3  # in the unit recorded: readings between the two are millitesla
-MAX_NORM_UT = 2e5  # chips end at 1.3e5 uT on each axis
-MAX_FORCE_N = 150.0  # beyond are grams
+
+@dataclass(frozen=True)
+class UnitRanges:
+    """Plausible sizes of lengths, fields and forces.
+
+    Attributes:
+        max_extent_m: Range of positions above which they are in millimetres.
+        min_extent_m: Range of positions below which millimetres were stated for metres, if readings depend on position.
+        max_depth_m: Depth above which depths are in millimetres.
+        min_depth_m: Depth below which millimetres were stated for metres.
+        min_norm_ut: Norm below which strong readings are not in microtesla: the noise of one reading of five chips
+            alone is 12 uT.
+        max_norm_ut: Norm above which strong readings are in nanotesla: chips saturate at 1.3e5 uT on each axis.
+        max_norm_in_tesla: Norm, in the recorded unit, below which strong readings are in tesla; between this and
+            `min_norm_ut` they are in millitesla.
+        max_force_n: Force above which forces are in grams.
+        min_position_r2: R2 of a smooth model above which readings depend on position.
+        max_rows: Number of rows that this model is fitted to, at most.
+    """
+
+    max_extent_m: float = 0.5
+    min_extent_m: float = 5e-5
+    max_depth_m: float = 0.05
+    min_depth_m: float = 1e-5
+    min_norm_ut: float = 2.0
+    max_norm_ut: float = 2e5
+    max_norm_in_tesla: float = 2e-3
+    max_force_n: float = 150.0
+    min_position_r2: float = 0.3
+    max_rows: int = 300
 
 
 def find_units(
@@ -26,64 +47,68 @@ def find_units(
     *,
     depth: Float[np.ndarray, " n"] | None = None,
     force: Float[np.ndarray, " n"] | None = None,
+    ranges: UnitRanges = UnitRanges(),
 ) -> Finding:
-    """Ask whether lengths are metres, fields microtesla and forces newtons, by their sizes.
+    """Test by size whether lengths are in metres, fields in microtesla and forces in newtons.
 
     Args:
-        position: Of the presses, as recorded.
-        readings: As recorded.
-        depth: As recorded, where it was.
-        force: As recorded, where it was.
+        position: `(n, d)` positions of the presses, as recorded.
+        readings: `(n, c)` readings, as recorded.
+        depth: `(n,)` depths as recorded, or None if there are none.
+        force: `(n,)` forces as recorded, or None if there are none.
+        ranges: Plausible sizes.
 
     Returns:
-        The finding; its correction has the factors to metres, microtesla and newtons.
+        The finding. Its correction holds the factors to metres, microtesla and newtons.
     """
     norm = np.linalg.norm(readings[np.isfinite(readings).all(1)], axis=1)
     strong = float(np.quantile(norm, 0.9)) if len(norm) else np.nan
-    there = position[np.isfinite(position).all(1)]
-    extent = float(np.ptp(there, axis=0).max()) if len(there) else np.nan
-    deep, hard = _largest(depth), _largest(force)
-    narrow = 1e-6 < extent < MIN_EXTENT_M and _depends(position, readings)
-    wide = f"positions range over {extent:.3g}"
-    many, few = f"depths reach {deep:.3g}", f"strong readings have the norm {strong:.2g}"
-    unit, to_microtesla = ("tesla", 1e6) if strong < TESLA_BELOW else ("millitesla", 1e3)
-    # What is out of range, what it is in units of, and what is said of it.
-    suspects = (
-        ("length", extent > MAX_EXTENT_M, 1e-3, f"{wide}, which can be no metres: they are read as millimetres"),
-        ("length", narrow, 1e3, f"{wide} m only, and readings depend on them: they are read as a thousand times that"),
-        ("depth", 0 < deep < MIN_DEPTH_M, 1e3, f"{many} m, which is no press: they are read as a thousand times that"),
-        ("depth", deep > MAX_DEPTH_M, 1e-3, f"{many}, which can be no metres: they are read as millimetres"),
+    finite_positions = position[np.isfinite(position).all(1)]
+    extent = float(np.ptp(finite_positions, axis=0).max()) if len(finite_positions) else np.nan
+    largest_depth, largest_force = _largest(depth), _largest(force)
+    too_narrow = 1e-6 < extent < ranges.min_extent_m and _depends_on_position(position, readings, ranges)
+    positions = f"the positions range over {extent:.3g}"
+    depths, forces = f"the depths reach {largest_depth:.3g}", f"the forces reach {largest_force:.3g}"
+    fields = f"strong readings have a norm of {strong:.2g}"
+    unit, to_microtesla = ("tesla", 1e6) if strong < ranges.max_norm_in_tesla else ("millitesla", 1e3)
+    # Quantity, whether its size is implausible, the factor that corrects it, and the reason.
+    tests = (
+        ("length", extent > ranges.max_extent_m, 1e-3, f"{positions}, too large for m: they are in millimetres"),
+        ("length", too_narrow, 1e3, f"{positions} m, although readings depend on them: they are multiplied by 1000"),
+        ("depth", 0 < largest_depth < ranges.min_depth_m, 1e3, f"{depths} m: they are multiplied by 1000"),
+        ("depth", largest_depth > ranges.max_depth_m, 1e-3, f"{depths}, too large for m: they are in millimetres"),
+        ("field", 0 < strong < ranges.min_norm_ut, to_microtesla, f"{fields}, too small for uT: they are in {unit}"),
+        ("field", strong > ranges.max_norm_ut, 1e-3, f"{fields}, too large for uT: they are in nanotesla"),
         (
-            "field", 0 < strong < MIN_NORM_UT, to_microtesla,
-            f"{few}, less than the noise of a chip in uT: they are read as {unit}",
+            "force",
+            largest_force > ranges.max_force_n,
+            NEWTONS_PER_GRAM,
+            f"{forces}, too large for N: they are in grams",
         ),
-        ("field", strong > MAX_NORM_UT, 1e-3, f"{few}, beyond any chip in uT: they are read as nanotesla"),
-        (
-            "force", hard > MAX_FORCE_N, NEWTONS_PER_GRAM,
-            f"forces reach {hard:.3g}, which no skin bears in newtons: they are read as grams",
-        ),
-    )  # fmt: skip
-    wrong = [(name, factor, said) for name, is_so, factor, said in suspects if is_so]
+    )
+    implausible = [(quantity, factor, reason) for quantity, failed, factor, reason in tests if failed]
     sentence = (
-        f"Units are not what was stated: {'; '.join(said for *_, said in wrong)}."
-        if wrong
-        else "Lengths, fields and forces have sizes that fit metres, microtesla and newtons."
+        f"The units are not those stated: {'; '.join(reason for *_, reason in implausible)}."
+        if implausible
+        else "The sizes of lengths, fields and forces fit metres, microtesla and newtons."
     )
     return Finding(
-        UNITS, sentence, identifiable=bool(np.isfinite(strong)), wrong=bool(wrong),
-        evidence={"extent": extent, "strong_norm": strong, "largest_depth": deep, "largest_force": hard},
-        correction={f"{name}_factor": factor for name, factor, _ in wrong},
+        FindingName.UNITS, sentence, identifiable=bool(np.isfinite(strong)), wrong=bool(implausible),
+        evidence={
+            "extent": extent, "strong_norm": strong, "largest_depth": largest_depth, "largest_force": largest_force,
+        },
+        correction={f"{quantity}_factor": factor for quantity, factor, _ in implausible},
     )  # fmt: skip
 
 
-def _depends(position: np.ndarray, readings: np.ndarray) -> bool:
-    """Test whether readings depend on the place of the press."""
+def _depends_on_position(position: np.ndarray, readings: np.ndarray, ranges: UnitRanges) -> bool:
+    """Test whether readings depend on the position of the press."""
     finite = np.flatnonzero(np.isfinite(position).all(1) & np.isfinite(readings).all(1))
-    rows = finite[thinned(len(finite), PLACED_ROWS)]
-    return smooth_r2(position[rows], readings[rows]) > PLACED_R2
+    rows = finite[subsample(len(finite), ranges.max_rows)]
+    return smooth_r2(position[rows], readings[rows]) > ranges.min_position_r2
 
 
 def _largest(values: np.ndarray | None) -> float:
-    """The 90th percentile of the sizes, 0 where nothing was recorded."""
-    known = np.abs(values[np.isfinite(values)]) if values is not None else np.empty(0)
-    return float(np.quantile(known, 0.9)) if len(known) else 0.0
+    """Compute the 90th percentile of the magnitudes, 0 if there are no values."""
+    magnitudes = np.abs(values[np.isfinite(values)]) if values is not None else np.empty(0)
+    return float(np.quantile(magnitudes, 0.9)) if len(magnitudes) else 0.0

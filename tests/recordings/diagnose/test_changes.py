@@ -1,4 +1,4 @@
-"""Known faults of recorded presses are named, and sound ones are not accused."""
+"""Faults of recorded presses are found, and sound presses raise no alarm."""
 
 import numpy as np
 
@@ -28,11 +28,11 @@ def session(rng: np.random.Generator, n: int = 600) -> tuple[np.ndarray, np.ndar
 
 
 def wrong_in(*given, **more):
-    """Sentences of what is wrong."""
+    """List the sentences of the findings that are wrong."""
     return [finding.sentence for finding in check_presses(*given, **more) if finding.wrong]
 
 
-def test_sound_presses_are_not_accused():
+def test_sound_presses_raise_no_alarm():
     for seed in range(10):
         given = session(np.random.default_rng(100 + seed))
         assert wrong_in(*given) == []
@@ -40,7 +40,7 @@ def test_sound_presses_are_not_accused():
     assert wrong_in(*session(np.random.default_rng(0), 20)) == []
 
 
-def test_each_fault_of_a_recording_is_named():
+def test_repeated_rows_and_a_changed_chip_are_found():
     position, load, readings = session(np.random.default_rng(14))
     repeated = readings.copy()
     repeated[[5, 6, 200]] = readings[4], readings[4], readings[199]
@@ -49,27 +49,27 @@ def test_each_fault_of_a_recording_is_named():
 
     changed = readings.copy()
     changed[300:, 6:9] += 35  # as much as one chip of a real board remembered of the press before
-    found = check_presses(position, load, changed)[1]
-    assert found.wrong
-    assert found.evidence["changed_chips"] == [2]
-    assert "Chip 2" in found.sentence
+    finding = check_presses(position, load, changed)[1]
+    assert finding.wrong
+    assert finding.evidence["changed_chips"] == [2]
+    assert "Chip 2" in finding.sentence
 
     moved = position + np.where(np.arange(600)[:, None] < 300, 0, 0.1)  # halves at different places tell nothing
-    found = check_presses(moved, load, readings)[1]
-    assert not found.wrong
-    assert not found.identifiable
-    assert np.isnan(found.estimate)
+    finding = check_presses(moved, load, readings)[1]
+    assert not finding.wrong
+    assert not finding.identifiable
+    assert np.isnan(finding.estimate)
 
 
 def test_a_skin_that_slips_is_found():
     rng = np.random.default_rng(12)
     position, depth = presses(rng, 600)
     slipped = position + np.where(np.arange(600)[:, None] < 300, 0.0, 4e-3)
-    (said,) = wrong_in(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
-    assert "the skin slipped or changed" in said
+    (sentence,) = wrong_in(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
+    assert "the skin slipped or changed" in sentence
 
 
-def test_a_tip_of_steel_is_found_by_its_strength():
+def test_a_steel_tip_is_found_by_its_sensitivity():
     position, depth, readings = session(np.random.default_rng(16), 50)
     force = 300 * depth  # up to 1.2 N
     readings *= 100 / np.median(np.linalg.norm(readings, axis=1) / force)  # uT/N, as real boards

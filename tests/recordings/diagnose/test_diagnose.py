@@ -1,14 +1,12 @@
-"""What is wrong with a recording is found, what it cannot tell is said, and sound recordings raise no alarm."""
+"""Faults are found, unanswerable questions are not identifiable, and sound recordings raise no alarm."""
 
 import numpy as np
 import pytest
 from helpers.damage import VARIANTS, Recorded, press
 
-from i2t.recordings import diagnose as unknowns
-from i2t.recordings.diagnose import Finding
+from i2t.recordings import diagnose
+from i2t.recordings.diagnose import Finding, FindingName
 from i2t.recordings.diagnose.board import STAGES
-from i2t.recordings.diagnose.height import HEIGHT_ZERO
-from i2t.recordings.diagnose.lag import LAG
 from i2t.recordings.presses import Presses
 from i2t.skin.boards import eflesh_board, reskin_board
 
@@ -16,13 +14,13 @@ from i2t.skin.boards import eflesh_board, reskin_board
 @pytest.mark.parametrize(
     ("find", "enough"),
     [
-        (unknowns.find_lag, 28),
-        (unknowns.find_height_axis, 20),
-        (unknowns.find_height_zero, 30),
-        (lambda few: unknowns.find_board(few, reskin_board()), 25),
+        (diagnose.find_lag, 28),
+        (diagnose.find_height_axis, 20),
+        (diagnose.find_height_zero, 30),
+        (lambda few: diagnose.find_board(few, reskin_board()), 25),
     ],
 )
-def test_too_few_presses_say_how_many_are_enough(find, enough):
+def test_a_finding_on_too_few_presses_states_how_many_are_enough(find, enough):
     rng = np.random.default_rng(0)
     place, depth, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
     recorded = {n: Presses(place[:n], readings[:n], height=-depth[:n]) for n in (enough - 1, enough)}
@@ -39,116 +37,119 @@ def damaged(name: str, seed: int = 0, n: int = 140) -> Presses:
     return presses(VARIANTS[name](press(seed, n)))
 
 
-def test_a_lag_of_a_few_rows_is_found_and_put_right():
-    one = presses(press(1, 90))
+def test_a_lag_of_a_few_rows_is_found_and_corrected():
+    recording = presses(press(1, 90))
     for rows in (-3, 0, 1):
-        late = Presses(np.roll(one.position, rows, 0), one.readings, height=np.roll(one.height, rows))
-        found = unknowns.find_lag(late)
-        assert found.identifiable
-        assert (found.estimate, found.wrong) == (rows, rows != 0)
-        put_right = unknowns.corrected_presses(late, [found])
+        late = Presses(np.roll(recording.position, rows, 0), recording.readings, height=np.roll(recording.height, rows))
+        finding = diagnose.find_lag(late)
+        assert finding.identifiable
+        assert (finding.estimate, finding.wrong) == (rows, rows != 0)
+        put_right = diagnose.corrected_presses(late, [finding])
         inner = slice(4, len(put_right.readings) - 4)
-        at = np.abs(put_right.position[inner][:, None] - one.position[None]).sum(-1).argmin(1)
-        np.testing.assert_array_equal(put_right.readings[inner], one.readings[at])
+        at = np.abs(put_right.position[inner][:, None] - recording.position[None]).sum(-1).argmin(1)
+        np.testing.assert_array_equal(put_right.readings[inner], recording.readings[at])
 
 
-def test_signs_and_units_are_found_and_put_right():
+def test_wrong_signs_and_units_are_found_and_corrected():
     sound = damaged("sound")
 
-    def found_in(one: Presses) -> dict[str, Finding]:
+    def findings_in(recording: Presses) -> dict[str, Finding]:
         return {
-            "height": unknowns.find_height_axis(one),
-            "force": unknowns.find_force_sign(one.force, one.readings),
-            "units": unknowns.find_units(one.position, one.readings),
+            "height": diagnose.find_height_axis(recording),
+            "force": diagnose.find_force_sign(recording.force, recording.readings),
+            "units": diagnose.find_units(recording.position, recording.readings),
         }
 
-    assert not any(found.wrong for found in found_in(sound).values())
+    assert not any(finding.wrong for finding in findings_in(sound).values())
     for name, which, field in (
         ("height into the skin", "height", "height"),
         ("force that pulls", "force", "force"),
         ("positions in millimetres", "units", "position"),
         ("readings in millitesla", "units", "readings"),
     ):
-        one = damaged(name)
-        found = found_in(one)[which]
-        assert found.wrong, name
-        put_right = unknowns.corrected_presses(one, [found])
+        recording = damaged(name)
+        finding = findings_in(recording)[which]
+        assert finding.wrong, name
+        put_right = diagnose.corrected_presses(recording, [finding])
         np.testing.assert_allclose(getattr(put_right, field), getattr(sound, field), rtol=1e-12)
 
 
-def test_what_a_recording_cannot_tell_is_said():
-    """Rows that are alike tell no lag, forces that push and pull no sign, and presses to one height no height zero."""
+def test_what_a_recording_cannot_answer_is_not_identifiable():
+    """Similar rows show no lag, forces of both signs no sign, and presses to one height no height zero."""
     height = 1e-3 * np.cos(np.linspace(0, 6 * np.pi, 600))
     readings = np.outer(np.maximum(-height, 0) ** 1.5, np.linspace(-3e6, 3e6, 15))
-    alike = unknowns.find_lag(Presses(np.zeros((600, 2)), readings, height=height))
-    both_ways = unknowns.find_force_sign(np.random.default_rng(0).normal(size=100))
-    one_height = unknowns.find_height_zero(damaged("one height", n=600))
-    no_height = unknowns.find_height_zero(Presses(np.zeros((600, 2)), readings))
-    for found, words in (
+    alike = diagnose.find_lag(Presses(np.zeros((600, 2)), readings, height=height))
+    both_ways = diagnose.find_force_sign(np.random.default_rng(0).normal(size=100))
+    one_height = diagnose.find_height_zero(damaged("one height", n=600))
+    no_height = diagnose.find_height_zero(Presses(np.zeros((600, 2)), readings))
+    for finding, words in (
         (alike, "nearly alike"), (both_ways, "axes"), (one_height, "one height"), (no_height, "no height"),
     ):  # fmt: skip
-        assert not found.identifiable
-        assert not found.wrong
-        assert words in found.sentence
+        assert not finding.identifiable
+        assert not finding.wrong
+        assert words in finding.sentence
     assert one_height.estimate is None
 
 
-def test_too_few_rows_that_are_whole_tell_nothing():
-    one = damaged("sound")
-    lost = np.where(np.arange(140)[:, None] < 3, one.position, np.nan)
-    assert unknowns.diagnose(Presses(lost, one.readings, height=one.height), None) == []
+def test_too_few_complete_rows_give_no_findings():
+    recording = damaged("sound")
+    lost = np.where(np.arange(140)[:, None] < 3, recording.position, np.nan)
+    assert diagnose.diagnose(Presses(lost, recording.readings, height=recording.height), None) == []
 
 
-def test_an_approach_tells_where_the_readings_begin():
+def test_approaches_show_first_contact():
     rng = np.random.default_rng(2)
     down = np.concatenate([np.full(20, 2e-3), np.linspace(2e-3, -3e-3, 120)])
     height = np.concatenate([down, down[::-1]] * 3) + 0.25
     pattern = rng.normal(0, 100, 15)
     readings = np.outer((np.maximum(0.2504 - height, 0) / 1e-3) ** 1.5, pattern) + rng.normal(0, 2, (len(height), 15))
-    approaches = unknowns.find_approaches(height, readings)
+    approaches = diagnose.find_approaches(height, readings)
     assert len(approaches) == 3
     np.testing.assert_allclose(approaches, 0.2504, atol=0.1e-3)
-    one = Presses(np.zeros((len(height), 2)), readings, height=height)
-    found = unknowns.find_height_zero(one)
-    assert found.identifiable
-    assert [unknowns.find_height_zero(one, stated=found.estimate + off).wrong for off in (0, 1e-3)] == [False, True]
-    assert found.estimate == np.median(approaches)
-    assert not len(unknowns.find_approaches(rng.permutation(height), readings))
+    recording = Presses(np.zeros((len(height), 2)), readings, height=height)
+    finding = diagnose.find_height_zero(recording)
+    assert finding.identifiable
+    assert [diagnose.find_height_zero(recording, stated=finding.estimate + off).wrong for off in (0, 1e-3)] == [
+        False,
+        True,
+    ]
+    assert finding.estimate == np.median(approaches)
+    assert not len(diagnose.find_approaches(rng.permutation(height), readings))
 
 
-def test_a_turned_board_keeps_what_its_chips_read_of_one_field():
+def test_a_rotated_board_measures_the_same_field():
     board = reskin_board()
     for matrix in STAGES.values():
-        turned = unknowns.turn_board(board, matrix.astype(float))
+        turned = diagnose.turn_board(board, matrix.astype(float))
         # In the stage's axes a chip lies where the matrix maps to its place on the board.
         np.testing.assert_allclose(turned.chips[:, :2] @ matrix.T, board.chips[:, :2], atol=1e-9)
-        back = unknowns.turn_board(turned, np.linalg.inv(matrix))
+        back = diagnose.turn_board(turned, np.linalg.inv(matrix))
         np.testing.assert_allclose(back.rotations, board.rotations, atol=1e-6)
 
 
 def anyskin_like():
-    """The board of the helper's skin: ReSkin's places, axes as the tool's."""
+    """Describe the board of the helper's skin: positions of ReSkin's chips, with the axes of the tool."""
     board = reskin_board()
     return board._replace(rotations=np.tile(np.eye(3, dtype=np.float32), (5, 1, 1)))
 
 
 @pytest.mark.full
-def test_height_zero_is_found_where_presses_lie_on_both_sides_of_it():
-    one = damaged("another height zero", 0, 320)
-    found = unknowns.find_height_zero(one, stated=0.1430)
-    assert found.identifiable
-    assert found.wrong
-    assert abs(found.estimate - 0.1426) < 0.1e-3
-    below = one.rows(one.height < 0.1426)
-    assert not unknowns.find_height_zero(below).identifiable
+def test_height_zero_is_found_if_presses_lie_on_both_sides():
+    recording = damaged("another height zero", 0, 320)
+    finding = diagnose.find_height_zero(recording, stated=0.1430)
+    assert finding.identifiable
+    assert finding.wrong
+    assert abs(finding.estimate - 0.1426) < 0.1e-3
+    below = recording.rows(recording.height < 0.1426)
+    assert not diagnose.find_height_zero(below).identifiable
 
 
 @pytest.mark.full
-def test_a_mirrored_stage_never_passes_for_right():
-    found = unknowns.find_board(damaged("x mirrored"), reskin_board(), growth=None)
-    assert found.wrong or not found.identifiable
-    if found.wrong:
-        np.testing.assert_array_equal(found.correction["board_from_stage"], STAGES["x mirrored"])
+def test_a_mirrored_stage_is_never_called_correct():
+    finding = diagnose.find_board(damaged("x mirrored"), reskin_board(), growth=None)
+    assert finding.wrong or not finding.identifiable
+    if finding.wrong:
+        np.testing.assert_array_equal(finding.correction["board_from_stage"], STAGES["x mirrored"])
 
 
 @pytest.mark.full
@@ -156,16 +157,16 @@ def test_a_mirrored_stage_never_passes_for_right():
     ("name", "expected"),
     [
         ("sound", set()),
-        ("labels a row late", {LAG}),
+        ("labels a row late", {FindingName.LAG}),
         ("five heights", set()),
     ],
 )
-def test_a_damaged_recording_is_judged_without_falling_over(name, expected):
-    findings = unknowns.diagnose(damaged(name, n=200), anyskin_like())
+def test_a_damaged_recording_is_diagnosed(name, expected):
+    findings = diagnose.diagnose(damaged(name, n=200), anyskin_like())
     wrong = {finding.name for finding in findings if finding.wrong}
     assert expected <= wrong
-    assert expected or wrong <= {HEIGHT_ZERO}
-    assert len(unknowns.metrics_of(findings)) == len(findings)
+    assert expected or wrong <= {FindingName.HEIGHT_ZERO}
+    assert len(diagnose.metrics_of(findings)) == len(findings)
 
 
 @pytest.mark.full
@@ -177,7 +178,7 @@ def test_sound_real_recordings_raise_no_alarm(shared_data, kind):
         )
         at = 1e-3 * states[:, 1:4]
         middle = (at.min(0) + at.max(0)) / 2
-        one = Presses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
-        board = unknowns.turn_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
-        findings = unknowns.diagnose(one, board)
+        recording = Presses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
+        board = diagnose.turn_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
+        findings = diagnose.diagnose(recording, board)
         assert not [finding.sentence for finding in findings if finding.wrong]
