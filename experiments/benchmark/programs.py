@@ -53,7 +53,7 @@ class Program:
         return self.traced + self.lowered + self.compiled
 
 
-class Recorder:
+class ProgramRecorder:
     """Programs in the order in which XLA compiled them."""
 
     def __init__(self) -> None:
@@ -132,7 +132,7 @@ def main(words: Sequence[str]) -> None:
     if words[:1] in ([], ["-h"], ["--help"]) or words == ["-m"]:
         print(__doc__)
         return
-    dump, recorder = Path(tempfile.mkdtemp()), Recorder()
+    dump, recorder = Path(tempfile.mkdtemp()), ProgramRecorder()
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_dump_to={dump} --xla_dump_hlo_as_text"
     os.environ["I2T_COMPILE_CACHE"] = "off"
     os.environ.pop("JAX_COMPILATION_CACHE_DIR", None)

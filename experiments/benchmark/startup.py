@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 TRAINED = "runs/train"  # in the folder in which they run
 
 
-class Command(NamedTuple):
+class TimedCommand(NamedTuple):
     """What a user types, and the goals on two quiet cores."""
 
     line: str  # after `python`
@@ -48,17 +48,17 @@ class StartupRow(NamedTuple):
 
 EXAMPLES = sorted(path.name for path in (ROOT / "examples").glob("[0-9][0-9]_*.py"))
 COMMANDS = (
-    Command("-m i2t.imagine", 8, 4),
-    Command("-m experiments.train --preset debug --out runs/debug", 20, 10),
-    Command("-m experiments.train", 90, 50),
-    Command("-m experiments.recognize", 90, 60, trained=True),
-    Command("-m experiments.reconstruct", 90, 60, until="growing.png"),
-    *(Command(f"examples/{name}", 15, 6) for name in EXAMPLES),
+    TimedCommand("-m i2t.imagine", 8, 4),
+    TimedCommand("-m experiments.train --preset debug --out runs/debug", 20, 10),
+    TimedCommand("-m experiments.train", 90, 50),
+    TimedCommand("-m experiments.recognize", 90, 60, trained=True),
+    TimedCommand("-m experiments.reconstruct", 90, 60, until="growing.png"),
+    *(TimedCommand(f"examples/{name}", 15, 6) for name in EXAMPLES),
 )
 FEW = COMMANDS[:1]  # of the preset debug
 
 
-def startup(commands: Sequence[Command], turns: int) -> Iterator[StartupRow]:
+def startup(commands: Sequence[TimedCommand], turns: int) -> Iterator[StartupRow]:
     """Run commands one after the other.
 
     Args:
@@ -75,7 +75,7 @@ def startup(commands: Sequence[Command], turns: int) -> Iterator[StartupRow]:
         place = Path(folder)
         for command in commands:
             if command.trained and not (place / TRAINED).exists():
-                _run(Command("-m experiments.train", 0, 0), place, place / "other")
+                _run(TimedCommand("-m experiments.train", 0, 0), place, place / "other")
             both = []
             for _ in range(turns):
                 with tempfile.TemporaryDirectory() as compiled:
@@ -102,7 +102,7 @@ def cells(row: StartupRow) -> tuple[str, ...]:
     )
 
 
-def _row(command: Command, turns: Sequence[tuple[tuple[float, float], tuple[float, float]]]) -> StartupRow:
+def _row(command: TimedCommand, turns: Sequence[tuple[tuple[float, float], tuple[float, float]]]) -> StartupRow:
     """A command's row from (wall, processor) seconds of the first and second time in each turn."""
     (first, first_cpu), (second, second_cpu) = (zip(*each, strict=True) for each in zip(*turns, strict=True))
     return StartupRow(
@@ -112,7 +112,7 @@ def _row(command: Command, turns: Sequence[tuple[tuple[float, float], tuple[floa
     )
 
 
-def _run(command: Command, place: Path, compiled: Path) -> tuple[float, float]:
+def _run(command: TimedCommand, place: Path, compiled: Path) -> tuple[float, float]:
     """Wall and processor seconds of one run in a folder."""
     words = shlex.split(command.line)
     if words[0] == "-m" and words[1].startswith("experiments."):

@@ -31,7 +31,7 @@ class PressSplit(NamedTuple):
     pool: np.ndarray
 
 
-class Clusters(NamedTuple):
+class PressClusters(NamedTuple):
     """Presses that lie together; a single cluster where no part of the presses can be left out."""
 
     name: str  # of one cluster
@@ -53,7 +53,7 @@ class HeldOut(NamedTuple):
 
     splits: tuple[PressSplit, ...]
     in_turn: bool  # each press is predicted once, from all others
-    clusters: Clusters  # over which intervals are taken
+    clusters: PressClusters  # over which intervals are taken
     sentences: tuple[str, ...]
 
     @property
@@ -101,16 +101,16 @@ def hold_out(recording: LoadedPresses, cfg: Preset, seed: int, usable: np.ndarra
     return HeldOut(tuple(splits), in_turn, all_clusters, (*sentences, *_about_clusters(clusters)))
 
 
-def _clusters_of(position_mm: np.ndarray, block_mm: float) -> Clusters:
+def _clusters_of(position_mm: np.ndarray, block_mm: float) -> PressClusters:
     """Square blocks of presses at positions (n, 2), or else their places; a single place where one of these holds more
     than half of the presses.
     """
     most = LARGEST_CLUSTER_SHARE * len(position_mm)
     blocks = square_blocks(position_mm, block_mm)
     if np.bincount(blocks).max() <= most:
-        return Clusters(f"block of {block_mm:g} mm", blocks)
+        return PressClusters(f"block of {block_mm:g} mm", blocks)
     places = same_places(position_mm / 1e3)
-    return Clusters(PLACE, places if np.bincount(places).max() <= most else np.zeros_like(places))
+    return PressClusters(PLACE, places if np.bincount(places).max() <= most else np.zeros_like(places))
 
 
 def _about_one_place(position_mm: np.ndarray, load_kind: str) -> str:
@@ -124,7 +124,7 @@ def _about_one_place(position_mm: np.ndarray, load_kind: str) -> str:
     )
 
 
-def _in_turn(rows: np.ndarray, clusters: Clusters) -> tuple[list[PressSplit], list[str]]:
+def _in_turn(rows: np.ndarray, clusters: PressClusters) -> tuple[list[PressSplit], list[str]]:
     """Splits that predict each press from all others, and each cluster of several presses from all other clusters."""
     n, sizes = len(rows), np.bincount(clusters.of_press)
     splits = [PressSplit({EACH_PRESS: rows[[i]]}, np.delete(rows, i)) for i in range(n)]
@@ -147,7 +147,7 @@ def _in_turn(rows: np.ndarray, clusters: Clusters) -> tuple[list[PressSplit], li
     return splits, sentences
 
 
-def _shares(clusters: Clusters, cfg: Preset, seed: int, usable: np.ndarray) -> PressSplit:
+def _shares(clusters: PressClusters, cfg: Preset, seed: int, usable: np.ndarray) -> PressSplit:
     """A split that tests on a share of the presses at random, and on another in whole clusters."""
     held, together = share_masks(clusters.of_press, cfg, seed)
     tests = {RANDOM: np.flatnonzero(held & usable)}
@@ -180,7 +180,7 @@ def share_masks(cluster: np.ndarray, cfg: Preset, seed: int) -> tuple[np.ndarray
     return held, together
 
 
-def _about_clusters(clusters: Clusters) -> list[str]:
+def _about_clusters(clusters: PressClusters) -> list[str]:
     """What few clusters, or clusters near each other, cannot show."""
     count, sentences = clusters.number, []
     if count > 1 and clusters.name == PLACE:

@@ -69,7 +69,7 @@ class TouchSeries(NamedTuple):
     truth: Int[np.ndarray, " e"]
 
 
-class Choice(NamedTuple):
+class ClassifierChoice(NamedTuple):
     """What the folds chose."""
 
     classifier: str
@@ -202,7 +202,7 @@ def judge_folds(train: Labelled, share: float, each: int, most: int, seed: int) 
     return folds
 
 
-def choose(folds: Sequence[Fold], among: Sequence[str] = CANDIDATES) -> Choice:
+def choose(folds: Sequence[Fold], among: Sequence[str] = CANDIDATES) -> ClassifierChoice:
     """Choose the classifier whose calibrated belief has the least log loss in the folds of all groups.
 
     Args:
@@ -220,4 +220,4 @@ def choose(folds: Sequence[Fold], among: Sequence[str] = CANDIDATES) -> Choice:
         losses = [log_loss(calibrated_beliefs(p, temperature), truth) for p, truth in sets]
         found[name] = float(np.concatenate([each.ravel() for each in losses]).mean()), temperature
     best = min(found, key=lambda name: found[name][0])
-    return Choice(best, found[best][1], {name: loss for name, (loss, _) in found.items()})
+    return ClassifierChoice(best, found[best][1], {name: loss for name, (loss, _) in found.items()})

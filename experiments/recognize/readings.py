@@ -38,7 +38,7 @@ from experiments.recognize.arguments import RecordedArgs
 from experiments.recognize.reading_methods import (
     FIXED,
     KNN,
-    Choice,
+    ClassifierChoice,
     Fold,
     Labelled,
     all_log_probabilities,
@@ -69,7 +69,7 @@ class Group(NamedTuple):
     labels: np.ndarray  # index in the table of each of its labels
 
 
-class Episodes(NamedTuple):
+class RecognizedEpisodes(NamedTuple):
     """Episodes of all groups."""
 
     truth: np.ndarray  # (e,) label of the table
@@ -212,7 +212,7 @@ def unknown_draws(table: ReadingTable, args: RecordedArgs) -> list[np.ndarray]:
     return [rng.choice(len(table.labels), count, replace=False) for _ in range(args.draws)] if count else []
 
 
-def recognise(parts: Sequence[Part], choice: Choice, labels: int) -> Episodes:
+def recognise(parts: Sequence[Part], choice: ClassifierChoice, labels: int) -> RecognizedEpisodes:
     """Beliefs of every method about the episodes of every group, of as many touches as all have."""
     count = min(part["log_p"][KNN].shape[1] for part in parts)
     each = []
@@ -228,8 +228,8 @@ def recognise(parts: Sequence[Part], choice: Choice, labels: int) -> Episodes:
         for name, p in beliefs.items():
             wide[name] = np.zeros((*p.shape[:2], labels))
             wide[name][..., part["labels"]] = p
-        each.append(Episodes(part["labels"][part["truth"]], np.full(len(part["truth"]), i), wide))
-    return Episodes(
+        each.append(RecognizedEpisodes(part["labels"][part["truth"]], np.full(len(part["truth"]), i), wide))
+    return RecognizedEpisodes(
         np.concatenate([part.truth for part in each]),
         np.concatenate([part.group for part in each]),
         {name: np.concatenate([part.beliefs[name] for part in each]) for name in each[0].beliefs},
@@ -239,12 +239,12 @@ def recognise(parts: Sequence[Part], choice: Choice, labels: int) -> Episodes:
 # --- scores ---
 
 
-def accuracies(found: Episodes) -> dict[str, metrics.Estimate]:
+def accuracies(found: RecognizedEpisodes) -> dict[str, metrics.Estimate]:
     """Accuracy of each method after each touch, with intervals over labels."""
     return {name: metrics.accuracy(p, found.truth, clusters=[found.truth]) for name, p in found.beliefs.items()}
 
 
-def score(found: Episodes, choice: Choice, table: ReadingTable) -> dict[str, Any]:
+def score(found: RecognizedEpisodes, choice: ClassifierChoice, table: ReadingTable) -> dict[str, Any]:
     """Scores of every method over all groups, and accuracies in each group."""
     session = found.group * len(table.labels) + found.truth
     methods = {}
@@ -272,7 +272,7 @@ def score(found: Episodes, choice: Choice, table: ReadingTable) -> dict[str, Any
     }  # fmt: skip
 
 
-def score_unknown(parts: Sequence[Part], choice: Choice) -> dict[str, Any] | None:
+def score_unknown(parts: Sequence[Part], choice: ClassifierChoice) -> dict[str, Any] | None:
     """Area under the curve of detecting labels that were not taught, by the belief's doubt and by the mean distance of
     touches from what was taught; None where none was held out.
 

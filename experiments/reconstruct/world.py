@@ -68,7 +68,7 @@ class ObjectSplit(NamedTuple):
     train: dict[str, Mesh]
 
 
-class Skin(NamedTuple):
+class ExploringSkin(NamedTuple):
     """A simulated skin, and what it is imagined to read at the library of local surfaces."""
 
     pad: Pad
@@ -81,8 +81,8 @@ class Reality(NamedTuple):
     meshes: list[Mesh]
     surfaces: Surface  # stacked
     library: PatchLibrary
-    skins: list[Callable[[], Skin]]  # each made when it is first asked for
-    fitted_skins: list[Callable[[], Skin]]  # the same, as far as they are known from presses of a ball
+    skins: list[Callable[[], ExploringSkin]]  # each made when it is first asked for
+    fitted_skins: list[Callable[[], ExploringSkin]]  # the same, as far as they are known from presses of a ball
 
 
 class Met(NamedTuple):
@@ -141,17 +141,17 @@ def make_reality(seed: int, split: ObjectSplit, sizes: ReconstructSizes) -> Real
     key = _key(seed, LIBRARY_KEY)
     library = jax.device_put(build_library(key, shapes, sizes.patches, tilt=PATCH_TILT_RAD, limits=None))
 
-    def skin(number: int, fitted: bool) -> Skin:
+    def skin(number: int, fitted: bool) -> ExploringSkin:
         pad = numbered_pad(number)
         if not fitted:
-            return Skin(pad, imagine_presses(pad, library))
+            return ExploringSkin(pad, imagine_presses(pad, library))
         key_fit = jax.random.fold_in(_key(seed, FIT_KEY), number)
-        return Skin(pad, imagine_presses(fit_pad(key_fit, pad, ERRORS, sizes.fit_presses), library))
+        return ExploringSkin(pad, imagine_presses(fit_pad(key_fit, pad, ERRORS, sizes.fit_presses), library))
 
     meshes = [*split.validation.values(), *split.test.values()]
     surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
 
-    def skins(fitted: bool) -> list[Callable[[], Skin]]:
+    def skins(fitted: bool) -> list[Callable[[], ExploringSkin]]:
         return [cache(partial(skin, number, fitted)) for number in range(sizes.pads)]
 
     return Reality(meshes, surfaces, library, skins(fitted=False), skins(fitted=True))

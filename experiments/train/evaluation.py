@@ -31,7 +31,7 @@ class Lead(NamedTuple):
     high: float
 
 
-class Choice(NamedTuple):
+class MethodChoice(NamedTuple):
     """The method that is kept, and how sure that is."""
 
     best: str
@@ -69,7 +69,7 @@ class Evaluation(NamedTuple):
 
     predicted: dict[str, np.ndarray]  # (test touches, 3 chips) uT, by method
     std: dict[str, np.ndarray]  # likewise
-    choice: Choice  # on validation touches
+    choice: MethodChoice  # on validation touches
     coverage: dict[str, float]  # share of validation values in the 90 % range, by method
     predictors: dict[str, Predictor]  # their standard deviations scaled on the validation touches
 
@@ -141,7 +141,7 @@ def choose(
     *,
     baselines: Sequence[str],
     on_pressure: Sequence[str],
-) -> Choice:
+) -> MethodChoice:
     """Choose by the squared error on validation touches.
 
     Args:
@@ -165,7 +165,7 @@ def choose(
     best, baseline, pressed = least(list(predicted)), least(baselines), least(on_pressure)
     if best is None or baseline is None:
         raise ValueError("no method predicts finite readings; look for readings or patches that are not finite")
-    return Choice(
+    return MethodChoice(
         best,
         r2,
         baseline,
@@ -231,7 +231,7 @@ def _is_number(value: float | None) -> bool:
     return value is not None and bool(np.isfinite(value))
 
 
-def position_note(choice: Choice, by_position: Sequence[str]) -> list[str]:
+def position_note(choice: MethodChoice, by_position: Sequence[str]) -> list[str]:
     """A sentence where what is given the position of one tip explains more than the method that is kept.
 
     Args:
@@ -250,7 +250,7 @@ def position_note(choice: Choice, by_position: Sequence[str]) -> list[str]:
     ]
 
 
-def pressure_note(choice: Choice, recorded: Path | None) -> list[str]:
+def pressure_note(choice: MethodChoice, recorded: Path | None) -> list[str]:
     """A sentence where a method on predicted pressure loses to a baseline, and what tells why.
 
     Args:

@@ -136,7 +136,7 @@ def test_the_start_of_a_command_is_timed_with_nothing_compiled_and_once_more(
 
 def test_a_command_that_fails_is_no_time(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=r"-m i2t.imagine nothing ended with exit code 2: .*nothing"):
-        startup._run(startup.Command("-m i2t.imagine nothing", 1, 1), tmp_path, tmp_path / "compiled")
+        startup._run(startup.TimedCommand("-m i2t.imagine nothing", 1, 1), tmp_path, tmp_path / "compiled")
 
 
 def test_every_program_is_told_with_its_size_and_the_line_that_asked_for_it(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from helpers.baselines import placed_dataset
 
 from experiments.train.by_position import CALIBRATED, PLAIN, position_readings
-from experiments.train.evaluation import Choice, Lead, position_note
+from experiments.train.evaluation import Lead, MethodChoice, position_note
 from i2t.dataset import Dataset, Split
 from i2t.prediction.metrics import score
 
@@ -59,7 +59,7 @@ def test_nothing_is_said_of_touches_that_are_not_of_one_tip_at_known_places(chan
 
 def test_the_run_says_where_a_position_tells_more_than_any_method():
     level = Lead(0.1, 0.0, 0.2)
-    choice = Choice("GP", {"GP": 0.93, "mean": 0.0, PLAIN: 0.92, CALIBRATED: 0.95}, "mean", level, "GP", level)
+    choice = MethodChoice("GP", {"GP": 0.93, "mean": 0.0, PLAIN: 0.92, CALIBRATED: 0.95}, "mean", level, "GP", level)
     [note] = position_note(choice, [PLAIN, CALIBRATED])
     assert note.startswith(CALIBRATED)
     assert "(R2 0.950, GP 0.930)" in note
