@@ -13,10 +13,12 @@ from experiments.common.cells import UNSHOWN, Measured, Table
 from tools.reproduce import recognition_tables as recognition
 from tools.reproduce import shape_tables as shapes
 from tools.reproduce import skin_tables as skins
+from tools.reproduce.limits_table import safety_limits
 from tools.reproduce.readme_table import summary
 
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
-README_TABLE = ("all", "summary")  # of all steps
+README_TABLE = ("all", "summary")  # made of all steps
+LIMITS_TABLE = ("safety", "limits")  # made of i2t/hardware/limits.py
 KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss")
 KEPT_OF_STUDIES = ("source", "pads", "runs", "episodes", "touches", "tables")
 DECIMALS = 6  # of what is kept: fewer would be rounded twice in a table, .3146 to .315 and to .32
@@ -63,6 +65,8 @@ def table(docs: Path, step: str, name: str, page: str = "") -> str:
     """
     if (step, name) == README_TABLE:
         return summary({path.stem: json.loads(path.read_text()) for path in (docs / "results").glob("*.json")})
+    if (step, name) == LIMITS_TABLE:
+        return safety_limits()
     if name not in TABLES.get(step, {}):
         raise ValueError(f"{page}: there is no table {name!r} of {step}; there are {', '.join(TABLES.get(step, {}))}")
     path = docs / "results" / f"{step}.json"

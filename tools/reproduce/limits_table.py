@@ -1,0 +1,20 @@
+"""Table of the safety limits of `i2t.hardware.limits`."""
+
+from dataclasses import fields
+from typing import Any
+
+from experiments.common.tables import markdown
+from i2t.hardware.limits import SAFETY
+
+
+def safety_limits() -> str:
+    """List every safety limit with its value and unit, and what it protects."""
+    rows = []
+    for limit in fields(SAFETY):
+        value = f"{_number(getattr(SAFETY, limit.name))} {limit.metadata['unit']}"
+        rows.append([f"`{limit.name}`", value, limit.metadata["protects"]])
+    return markdown(["limit", "value", "it"], rows)
+
+
+def _number(value: Any) -> str:
+    return " to ".join(f"{end:g}" for end in value) if isinstance(value, tuple) else f"{value:.3g}"
