@@ -65,7 +65,7 @@ def test_twists_lie_in_their_ranges_and_sessions_agree_but_where_the_camera_was_
     assert 0.9 < np.median(disagreements) < 1.1
     moved = pool_hand_eye([estimate_of(*measured(rng, rng.normal(size=6), 12)) for _ in range(5)])
     assert moved.disagreement > 4
-    with pytest.raises(ValueError, match="there is none"):
+    with pytest.raises(ValueError, match="the list is empty"):
         pool_hand_eye([])
 
 

@@ -16,7 +16,7 @@ def squares(residual, parameters: int, size: int) -> LeastSquares:
             linearised[1].T @ linearised[1],
             linearised[1].T @ linearised[0],
         ),
-        unseen=(jnp.full(size, 1e6), jnp.zeros((size, parameters))),
+        placeholder=(jnp.full(size, 1e6), jnp.zeros((size, parameters))),
     )
 
 

@@ -314,7 +314,7 @@ def test_what_cannot_be_registered_is_refused():
     small = mesh._replace(vertices=0.3 * mesh.vertices)
     for given, word in (
         ((mesh, far, depth, CAMERA, T_w_c), "points lie within"),
-        ((small, lifted, depth, CAMERA, T_w_c), "near the object fit its surface within 3 mm, of 30 % needed"),
+        ((small, lifted, depth, CAMERA, T_w_c), "near the object fit its surface within 3 mm, but 30 % are needed"),
         ((mesh, far, depth, CAMERA, 2 * T_w_c), "T_w_c: is not a rigid"),
         ((mesh, far, depth[:-1], CAMERA, T_w_c), "has the shape"),
     ):
@@ -324,9 +324,9 @@ def test_what_cannot_be_registered_is_refused():
         register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), jnp.zeros((0, 4, 4)), jnp.zeros(0), **prior)
     poses, unknown = np.tile(np.eye(4), (3, 1, 1)), np.full((4, 4), np.nan)
     poses[1] = np.nan
-    with pytest.raises(ValueError, match="1 touches have a pose or a weight that is not finite, the first in row 1"):
+    with pytest.raises(ValueError, match="1 touches have a non-finite pose or weight, the first in row 1"):
         register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), poses, np.ones(3), **prior)
-    with pytest.raises(ValueError, match="T_w_o has numbers that are not finite"):
+    with pytest.raises(ValueError, match="T_w_o has non-finite numbers"):
         register_by_touch(jax.random.key(0), SURFACES[0], unknown, poses, np.array([1.0, 0.0, 1.0]), **prior)
 
 

@@ -135,7 +135,7 @@ def test_noise_is_measured_and_what_cannot_be_registered_is_refused():
         images, np.zeros((2, 72, 72), np.float32), numbers, np.zeros((2, 15)), numbers, numbers, still, still,
         np.zeros(2, int), np.zeros(2, int), np.arange(2), np.full(2, ReturnCode.AIR),
     )  # fmt: skip
-    with pytest.raises(ValueError, match="of 2 sessions"):
+    with pytest.raises(ValueError, match="from 2 sessions"):
         register_session(touches, SURFACES["hammer"])
     with pytest.raises(ValueError, match="none met the object"):
         register_session(touches._replace(session=np.zeros(2, int)), SURFACES["hammer"])
