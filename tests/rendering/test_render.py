@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from i2t.objects.catalogue import make_object
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 from i2t.rendering.bitset import pack_bits
-from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
-from i2t.rendering.raycast import GROUPS_PER_PASS
+from i2t.rendering.bvh import CLUSTER_SIZES, CLUSTERS_PER_GROUP
+from i2t.rendering.raycast import PASS_SIZES
 from i2t.rendering.render import contact_mask, prepare_surface, render_heights, render_patch, stack_surfaces
 
 NEAR = 1e-7
@@ -161,10 +161,10 @@ def test_dense_meshes_against_embree():
     hooks = trimesh.creation.torus(6e-3, 2e-3, major_sections=120, minor_sections=60)
     hooks.update_faces(np.random.default_rng(6).random(len(hooks.faces)) > 0.1)
     ball = trimesh.creation.icosphere(6, 8e-3)  # 81 920 faces in one window: many passes
-    assert len(prepare_surface(ball).boxes) > GROUPS_PER_PASS
+    assert len(prepare_surface(ball).boxes) > PASS_SIZES.groups
     for thing in (skins, hooks, ball):
         surface = prepare_surface(thing)
-        assert len(surface.triangles) == len(surface.boxes) * CLUSTERS_PER_GROUP * DENSE_CLUSTER_FACES
+        assert len(surface.triangles) == len(surface.boxes) * CLUSTERS_PER_GROUP * CLUSTER_SIZES.dense
     assert_like_embree([skins, hooks, ball], seed=200, count=15)
 
 
@@ -193,7 +193,7 @@ def test_tilted_plane_and_the_axes_of_the_image(cells):
     """
     slope_x, slope_y, offset = 0.3, -0.15, 2e-3
     plane = prepare_surface(sheet(lambda x, y: offset + slope_x * x + slope_y * y, cells, 0.02))
-    dense = len(plane.triangles) == len(plane.boxes) * CLUSTERS_PER_GROUP * DENSE_CLUSTER_FACES
+    dense = len(plane.triangles) == len(plane.boxes) * CLUSTERS_PER_GROUP * CLUSTER_SIZES.dense
     assert dense == (cells == 60)
     views = (PATCH_WINDOW, PATCH_PIXELS, REACH), (0.03, 21, np.inf)
     for window, pixels, reach in views[: 1 if dense else 2]:
