@@ -31,7 +31,7 @@ def test_alone_inside_of_another_program_and_in_a_batch_it_is_the_function() -> 
 
 
 def test_a_compiler_without_the_options_compiles_as_usual(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(compiling.QUICKLY, "xla_of_another_version", True)
+    monkeypatch.setitem(compiling.QUICK_OPTIONS, "xla_of_another_version", True)
     compiling._options.cache_clear()
     assert compiling._options() is None
     np.testing.assert_allclose(jit_quickly(curve, static_argnames="power")(X, power=3), curve(X, 3), rtol=1e-6)
