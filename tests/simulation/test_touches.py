@@ -28,7 +28,6 @@ from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation import sites
 from i2t.simulation.touches import (
     CAMERA_DISTANCE_M,
-    POSE_ERRORS,
     SessionErrors,
     SimulationErrors,
     apply_camera_model,
@@ -114,8 +113,8 @@ def behind(z: np.ndarray, nearest: float) -> np.ndarray:
 def test_every_error_of_the_lab_is_there_unless_there_are_none():
     for errors, are in ((SimulationErrors(), 1), (SimulationErrors.none(), 0), (SimulationErrors().scaled(0.0), 0)):
         sizes = [getattr(errors, each.name) for each in fields(errors)]
-        np.testing.assert_array_equal(np.sign(sizes[:POSE_ERRORS]), are)
-        np.testing.assert_array_equal(np.sign(sizes[POSE_ERRORS:-2]), errors.force > 0)
+        np.testing.assert_array_equal(np.sign(sizes[: SimulationErrors.num_pose_errors]), are)
+        np.testing.assert_array_equal(np.sign(sizes[SimulationErrors.num_pose_errors : -2]), errors.force > 0)
     assert SimulationErrors().scaled(0.0).noise == SimulationErrors().noise != SimulationErrors.none().noise
 
 
