@@ -43,7 +43,7 @@ def lab(tmp_path):
     return tmp_path, really
 
 
-def test_a_view_tells_where_it_stands_and_what_is_missing_is_said(lab, capsys):
+def test_a_view_gives_the_pose_and_missing_options_are_refused(lab, capsys):
     path, really = lab
     rig, views, tool = str(path / "lab.toml"), str(path / "views"), [str(x) for x in TOOL]
     for options, code, why in (
@@ -53,9 +53,9 @@ def test_a_view_tells_where_it_stands_and_what_is_missing_is_said(lab, capsys):
         (["--object", "star", "--tool", "9", *tool[1:], "--views", views], 2, "points lie within"),
     ):
         assert place.main([rig, *options]) == code
-        said = capsys.readouterr().err
-        assert why in said
-        assert said.count("\n") == 1
+        error = capsys.readouterr().err
+        assert why in error
+        assert error.count("\n") == 1
     assert place.main([rig, "--object", "star", "--views", views, "--tool", *tool, "--write"]) == 0
     assert "star is 7." in capsys.readouterr().out
     rig = Rig.read(path / "lab.toml")

@@ -84,7 +84,7 @@ def test_numbers_outside_the_limits_of_their_type_are_refused_by_their_flag(opti
     assert str(error.value) == sentence
 
 
-def test_ctrl_c_says_how_things_stand(capsys):
+def test_ctrl_c_prints_the_state_of_the_work(capsys):
     assert exit_code_of(_raising(KeyboardInterrupt()), "stopped; go on with --resume") == 130
     assert capsys.readouterr().err == "\nstopped; go on with --resume\n"
 

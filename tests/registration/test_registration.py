@@ -63,19 +63,19 @@ def runs(surface: Surface, seed: int, count: int = RUNS):
     """True poses and what was registered."""
     true, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), surface)
     keys = jax.random.split(jax.random.key(seed + 100), RUNS)
-    found = [register(keys[i], surface, jnp.eye(4), contacts[i], hit[i]) for i in range(count)]
-    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+    estimates = [register(keys[i], surface, jnp.eye(4), contacts[i], hit[i]) for i in range(count)]
+    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.stack(leaves), *estimates)
 
 
 def once(contacts, touched):
     """One run on the hexagon."""
-    found = register(jax.random.key(1), SURFACES[0], jnp.eye(4), jnp.asarray(contacts), jnp.asarray(touched))
-    return jax.tree.map(np.asarray, found)
+    estimate = register(jax.random.key(1), SURFACES[0], jnp.eye(4), jnp.asarray(contacts), jnp.asarray(touched))
+    return jax.tree.map(np.asarray, estimate)
 
 
-def errors(found, true) -> np.ndarray:
+def errors(estimated, true) -> np.ndarray:
     """Twists from the true to the found pose; their first order is enough for what is left of a degree."""
-    return to_twist(np.linalg.inv(np.asarray(true, float)) @ np.asarray(found, float))
+    return to_twist(np.linalg.inv(np.asarray(true, float)) @ np.asarray(estimated, float))
 
 
 @pytest.mark.full
@@ -98,17 +98,17 @@ def test_corners_on_a_plane():
         rows.append([*normal, *(np.cross(point, normal) / TWIST_LEVER_M)])
     a = np.array(rows)
     precision = np.diag(SPREAD**-2.0) + (STUDENT_T_DOF + 1) / STUDENT_T_DOF * a.T @ a / NOISE**2
-    found = once(np.float32(poses), np.ones(TOUCHES, bool))
+    estimate = once(np.float32(poses), np.ones(TOUCHES, bool))
     root = np.linalg.cholesky(precision)
-    values = np.linalg.eigvalsh(root.T @ found.covariance.astype(float) @ root)
+    values = np.linalg.eigvalsh(root.T @ estimate.covariance.astype(float) @ root)
     # Ten factors (1 + r^2 / 4)^-2.5 have a variance 50 / 47 of what their curvature says, if all are of one kind; 3 of
     # them share each direction here, which gives up to 15 / 12. From 256 draws it is known to 9 %.
     noise = math.sqrt(2 / 256)
     assert values.min() > 1 - 2 * noise
     assert values.max() < 15 / 12 * (1 + 2 * noise)
-    error = errors(found.T_w_o[None], np.eye(4)[None])[0]
+    error = errors(estimate.T_w_o[None], np.eye(4)[None])[0]
     assert np.abs(root.T @ error).max() < 3 / math.sqrt(256)
-    np.testing.assert_allclose(found.residual, 0, atol=1e-6)
+    np.testing.assert_allclose(estimate.residual, 0, atol=1e-6)
 
 
 @pytest.mark.full
@@ -117,9 +117,9 @@ def test_covariance_is_calibrated(which):
     """Squared errors in units of the covariance are chi square of six degrees: over 12 runs their mean is 6 within
     sqrt(12 / 12) = 1, taken four times. A spanner's edges make posteriors that are not normal.
     """
-    true, found = runs(SURFACES[which], 3)
-    error = errors(found.T_w_o, true)
-    covariance = np.asarray(found.covariance, float)
+    true, estimates = runs(SURFACES[which], 3)
+    error = errors(estimates.T_w_o, true)
+    covariance = np.asarray(estimates.covariance, float)
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     assert abs(squared.mean() - 6) < 4 * math.sqrt(12 / RUNS)
     predicted = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(0)) / SPREAD
@@ -133,21 +133,21 @@ def test_covariance_is_calibrated(which):
 
 
 @pytest.mark.full
-def test_what_is_symmetric_stays_at_the_prior():
+def test_symmetric_directions_keep_the_prior():
     """Touched on its top, a prism tells height and tilts; a cylinder nowhere tells its spin."""
-    _, found = runs(SURFACES[1], 5, 4)
-    spin = np.sqrt(np.asarray(found.covariance)[:, 5, 5]) / SPREAD[5]
+    _, estimates = runs(SURFACES[1], 5, 4)
+    spin = np.sqrt(np.asarray(estimates.covariance)[:, 5, 5]) / SPREAD[5]
     np.testing.assert_allclose(spin, 1, atol=0.02)  # its 71 sides are flat to 60 um
-    assert np.abs(errors(found.T_w_o, np.tile(np.eye(4), (4, 1, 1)))[:, 5]).max() < 0.2 * SPREAD[5]
+    assert np.abs(errors(estimates.T_w_o, np.tile(np.eye(4), (4, 1, 1)))[:, 5]).max() < 0.2 * SPREAD[5]
 
 
 @pytest.mark.full
-def test_air_tells_nothing():
+def test_touches_in_air_keep_the_prior():
     """With no touch left the answer is the prior, whatever the poses hold."""
     nowhere = jnp.full((TOUCHES, 4, 4), jnp.nan, jnp.float32)
-    found = once(nowhere, jnp.zeros(TOUCHES, bool))
-    np.testing.assert_allclose(found.T_w_o, np.eye(4), atol=1e-7)
-    np.testing.assert_allclose(found.covariance, np.diag(SPREAD**2), rtol=1e-4, atol=1e-11)
+    estimate = once(nowhere, jnp.zeros(TOUCHES, bool))
+    np.testing.assert_allclose(estimate.T_w_o, np.eye(4), atol=1e-7)
+    np.testing.assert_allclose(estimate.covariance, np.diag(SPREAD**2), rtol=1e-4, atol=1e-11)
     contacts = draw(jax.random.split(jax.random.key(0), RUNS), SURFACES[0])[1][0]
     some = jnp.arange(TOUCHES) < 6
     kept = once(contacts, some)
@@ -168,7 +168,7 @@ def test_a_wrong_touch_does_not_pull():
     assert (np.abs(apart) < 0.2 * np.sqrt(np.diagonal(without.covariance))).all()
 
 
-def test_faces_that_fill_up_a_surface_are_no_candidates():
+def test_padding_faces_are_not_candidates():
     """Rounding may give a face of three equal corners an area, and such a face was met wherever it was put."""
     surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
     assert len(surface.triangles) > 12
@@ -259,13 +259,13 @@ def test_depth_finds_the_pose(name, at):
     squared = []
     for degrees in (25, 35, 45, 55):
         T_w_c = look_at(np.array([at, 0, 15e-3]), degrees)
-        found = register_by_depth(mesh, off(rng), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c)
-        error = errors(found.T_w_o[None], np.eye(4)[None])[0]
+        estimate = register_by_depth(mesh, off(rng), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c)
+        error = errors(estimate.T_w_o[None], np.eye(4)[None])[0]
         assert np.linalg.norm(error[:3]) < 1e-3
         if name != "dome":
             assert np.linalg.norm(error[3:]) < math.radians(1) * TWIST_LEVER_M
-        squared.append(error @ np.linalg.solve(np.asarray(found.covariance, float), error))
-        assert np.median(np.abs(found.residual)) < 1e-3
+        squared.append(error @ np.linalg.solve(np.asarray(estimate.covariance, float), error))
+        assert np.median(np.abs(estimate.residual)) < 1e-3
     if name != "dome":
         # Chi square of six degrees: the mean of four is 6 within sqrt(12 / 4); edges, where a point may belong to the
         # other face, add as much again.
@@ -279,16 +279,16 @@ def test_covariance_from_depth_includes_the_prior():
     rng, mesh = np.random.default_rng(5), make_object("dome").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 35)
     std, angle = 1e-6, 0.02
-    found = register_by_depth(
+    estimate = register_by_depth(
         mesh, np.eye(4), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c, translation_std=std, rotation_std=angle
     )
-    predicted = np.sqrt(np.diagonal(np.asarray(found.covariance, float)))
+    predicted = np.sqrt(np.diagonal(np.asarray(estimate.covariance, float)))
     np.testing.assert_allclose(predicted[:3], std, rtol=1e-2)
     assert (predicted[3:] < angle * TWIST_LEVER_M * (1 + 1e-6)).all()
     assert predicted[5] > 0.5 * angle * TWIST_LEVER_M
 
 
-def test_an_object_is_as_far_off_as_its_camera():
+def test_errors_of_the_camera_move_the_object():
     rng = np.random.default_rng(0)
     distance, angle, count = 1e-3, math.radians(0.5), 20_000
     T_c_o = np.eye(4)
@@ -298,9 +298,9 @@ def test_an_object_is_as_far_off_as_its_camera():
     moved[:, :3, :3] = Rotation.from_rotvec(angle * rng.normal(size=(count, 3))).as_matrix()
     twists = to_twist(np.linalg.inv(T_c_o) @ moved @ T_c_o)
     before = np.diag(np.arange(1.0, 7.0)) * 1e-7
-    found = camera_covariance(before, T_c_o, distance, angle)
-    scale = np.sqrt(np.diagonal(found))
-    np.testing.assert_allclose((before + np.cov(twists.T) - found) / np.outer(scale, scale), 0, atol=0.05)
+    predicted = camera_covariance(before, T_c_o, distance, angle)
+    scale = np.sqrt(np.diagonal(predicted))
+    np.testing.assert_allclose((before + np.cov(twists.T) - predicted) / np.outer(scale, scale), 0, atol=0.05)
     np.testing.assert_array_equal(camera_covariance(before, T_c_o, 0.0, 0.0), before)
 
 
@@ -342,7 +342,7 @@ def test_depth_of_a_real_camera(shared_data):
         mesh = read_mesh(shared_data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
         camera, depths, _, T_c_o = frames(shared_data / "ycbvideo", item)
         for depth, T in zip(depths[::2], T_c_o[::2], strict=True):
-            found = register_by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table_height=None)
-            error = errors(found.T_w_o[None], T[None])[0]
+            estimate = register_by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table_height=None)
+            error = errors(estimate.T_w_o[None], T[None])[0]
             assert np.linalg.norm(error[:3]) < 2e-3
             assert np.linalg.norm(error[3:]) < math.radians(2) * TWIST_LEVER_M

@@ -214,9 +214,9 @@ def moved(thing, A: np.ndarray) -> SimpleNamespace:
     return SimpleNamespace(vertices=thing.vertices @ A[:3, :3].T + A[:3, 3], faces=thing.faces)
 
 
-def assert_same(one, other, atol: float) -> None:
-    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=atol)
-    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=atol)
+def assert_same(patch, other, atol: float) -> None:
+    np.testing.assert_allclose(patch.depth, other.depth, rtol=0, atol=atol)
+    np.testing.assert_allclose(patch.nearest, other.nearest, rtol=0, atol=atol)
 
 
 @settings(max_examples=30, deadline=None)

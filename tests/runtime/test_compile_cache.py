@@ -36,7 +36,7 @@ def test_the_folder_is_in_the_users_cache_and_bounded(no_settings, tmp_path):
     assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_CACHE_BYTES
 
 
-def test_it_can_be_switched_off_and_who_set_jax_himself_is_left_alone(no_settings, tmp_path):
+def test_it_can_be_disabled_and_respects_settings_of_jax(no_settings, tmp_path):
     no_settings.setenv("XDG_CACHE_HOME", str(tmp_path))
     no_settings.setenv(CACHE_VARIABLE, "OFF")
     assert use_compile_cache() is None
@@ -102,12 +102,12 @@ def test_a_second_process_finds_what_the_first_compiled(tmp_path):
 
 
 @pytest.mark.full
-def test_a_disk_that_fills_up_later_is_not_spoken_of(tmp_path):
+def test_a_disk_that_fills_up_later_causes_no_warning(tmp_path):
     """The folder is gone and cannot be made again once JAX writes into it."""
     spoil = (
         "import os, shutil, pathlib; f = pathlib.Path(os.environ['JAX_COMPILATION_CACHE_DIR']); "
         "jax.jit(lambda x: x + 1)(1.0); shutil.rmtree(f); f.write_text('')"
     )
-    found = _run(tmp_path, spoil)
-    assert found.returncode == 0, found.stderr
-    assert "cache" not in found.stderr
+    process = _run(tmp_path, spoil)
+    assert process.returncode == 0, process.stderr
+    assert "cache" not in process.stderr

@@ -32,10 +32,12 @@ def test_a_terminal_has_a_bar(monkeypatch):
 
 
 def test_the_environment_silences_it():
-    said = "from i2t.runtime.progress import progress; list(progress(range(3), desc='three', mininterval=0))"
-    asked = {**os.environ, "TQDM_DISABLE": "1"}
-    done = subprocess.run([sys.executable, "-c", said], env=asked, capture_output=True, text=True, check=True)
-    assert done.stderr == ""
+    program = "from i2t.runtime.progress import progress; list(progress(range(3), desc='three', mininterval=0))"
+    environment = {**os.environ, "TQDM_DISABLE": "1"}
+    process = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    assert process.stderr == ""
 
 
 @pytest.mark.parametrize("kind", [module._Bar, module._Lines])
