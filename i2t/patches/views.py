@@ -2,8 +2,8 @@
 (`i2t.rendering.render.render_view`, `i2t.depth.patches.view_from_depth`) share this definition.
 
 A patch shows 17 mm, and the skin is 20 mm wide. The surroundings of the patch are therefore pressed too, and the skin
-meets first what stands out there. Depths of the whole view are measured from the nearest point of the *patch*, and are
-negative where the surroundings stand out before that point:
+meets protruding surroundings first. Depths of the whole view are measured from the nearest point of the *patch*, and
+are negative where the surroundings stand out before that point:
 
     wide = min(z - nearest, reach),   patch = its central pixels
 

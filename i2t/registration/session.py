@@ -105,7 +105,7 @@ class SessionEstimate(NamedTuple):
     """
 
     T_w_o: Float[Array, "4 4"]  # the object's estimated pose in the world
-    T_t_camera: Float[Array, "4 4"]  # of the camera in tool axes, relative to the hand-eye calibration
+    T_t_camera: Float[Array, "4 4"]  # pose of the camera in tool axes, relative to the hand-eye calibration
     covariance: Float[Array, "12 12"]  # m^2, of the twists of the object and of the camera (`i2t.geometry.from_twist`)
     contact_residual: Float[Array, " n"]  # m, residual of each contact along the surface's normal
     view_residual: Float[Array, " n"]  # root mean square of each view's residuals, in standard deviations of the noise
@@ -263,7 +263,7 @@ class _SearchEnd(NamedTuple):
 
     twist: Float[Array, "12"]  # m
     covariance: Float[Array, "12 12"]  # m^2
-    cost: Float[Array, ""]  # at the last scale
+    cost: Float[Array, ""]  # cost at the last scale
     linearised: _Linearised
 
 

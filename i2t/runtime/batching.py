@@ -231,5 +231,5 @@ def _program(function: Callable[..., PyTree], static: tuple[tuple[str, Any], ...
 
     # Loops may end sooner on some devices, which do not wait for each other, so types are not checked.
     over = jax.shard_map(local, mesh=mesh, in_specs=(P(CALL_AXIS), P()), out_specs=P(CALL_AXIS), check_vma=False)
-    options = getattr(function, "compiler_options", lambda: None)  # of `i2t.runtime.compiling`
+    options = getattr(function, "compiler_options", lambda: None)  # set by `i2t.runtime.compiling`
     return jax.jit(over, compiler_options=options())

@@ -1,12 +1,12 @@
 """Simulate touches in bulk: (key, objects, pad, errors, n) -> Touches.
 
-A session is what a lab does at a time: the object is placed and registered once (a constant placement error), the
+In a session, the object is placed and registered once (a constant placement error), the
 camera is calibrated once (a constant hand-eye error), and the arm makes a number of touches, each with its own errors
 of repeatability and tilt. Everything that a model may use later has errors:
 
-  patch    what the *camera* measures: a rendering of the object at its true pose, through the wrong hand-eye transform,
+  patch    the *camera*'s view: a rendering of the object at its true pose, through the wrong hand-eye transform,
            with lateral bleeding, depth noise and quantisation;
-  reading  what the skin *truly* meets: a rendering over the whole pad from the pose that the arm truly reaches, pressed
+  reading  the *skin*'s measurement: a rendering over the whole pad from the pose that the arm truly reaches, pressed
            until the skin change or the force first crosses its limit, measured by a skin with hysteresis, creep and
            warming, and read through the board with ambient and noise.
 

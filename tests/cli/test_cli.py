@@ -1,4 +1,4 @@
-"""How a command ends: exit codes, and the one sentence that goes with them."""
+"""Commands end with an exit code and one sentence."""
 
 import errno
 import importlib
@@ -61,7 +61,7 @@ def _raising(error):
 
 
 def test_an_error_is_one_sentence_and_its_exit_code(capsys):
-    """2 for what cannot be done as asked, 1 for what broke on the way."""
+    """The code is 2 for wrong use and 1 for failures."""
     for code, errors in ((2, WRONG), (1, BROKEN)):
         for error in errors:
             assert exit_code_of(_raising(error)) == code, error
@@ -98,7 +98,7 @@ def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
         importlib.import_module("slow_to_start")
         time.sleep(60)
 
-    # Whoever starts the tests in the background of a script has told them to ignore it.
+    # Processes in the background of a script ignore SIGINT, which the tests must not.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         assert exit_code_of(work) == ExitCode.INTERRUPTED
@@ -108,7 +108,7 @@ def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
         signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="other systems say it otherwise")
+@pytest.mark.skipif(os.name != "posix", reason="pipes of other systems differ")
 @pytest.mark.parametrize(("name", "at_once"), [("stdout", True), ("stdout", False), ("stderr", False)])
 def test_a_command_whose_output_has_no_reader_ends_silently(monkeypatch, capsys, name, at_once):
     read, write = os.pipe()
@@ -127,7 +127,7 @@ def test_a_command_whose_output_has_no_reader_ends_silently(monkeypatch, capsys,
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.skipif(os.name != "posix", reason="other systems say it otherwise")
+@pytest.mark.skipif(os.name != "posix", reason="pipes of other systems differ")
 @pytest.mark.parametrize("buffered_bytes", [1, 1 << 20])  # the reader is missed while help is printed, or at its end
 def test_help_that_has_no_reader_ends_silently(monkeypatch, capsys, buffered_bytes):
     read, write = os.pipe()

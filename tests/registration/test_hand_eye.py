@@ -26,13 +26,13 @@ OFFSET = np.array([1.4, -0.9, 0.6, -0.06, 0.08, 0.05]) * 1e-3
 
 
 def measured(rng, true: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Linear measurements of a twist in standard deviations, some directions of which they hardly show."""
+    """Measure a twist linearly, in standard deviations; some of its directions hardly have an effect."""
     design = rng.normal(size=(rows, 6)) * [3, 3, 1, 1, 0.1, 5]
     return design, design @ true + rng.normal(size=rows)
 
 
 def estimate_of(design: np.ndarray, value: np.ndarray) -> SessionEstimate:
-    """What one session says with the prior: a ridge regression."""
+    """Estimate a twist from a session and the prior by ridge regression."""
     covariance = np.linalg.inv(np.eye(6) + design.T @ design)
     twist = covariance @ design.T @ value
     both = np.zeros((12, 12))
@@ -71,7 +71,7 @@ def test_intervals_cover_the_truth_and_a_moved_camera_makes_sessions_disagree():
 
 @pytest.mark.parametrize("looked_from", [(0.0, 0.0, 0.0), (0.01, -0.02, -0.06)])
 def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
-    """A camera that is 1.8 mm aside and turned by half a degree; outside of silhouettes only the noise is left."""
+    """The camera is displaced by 1.8 mm and turned by half a degree. Outside of silhouettes only noise remains."""
     back = np.eye(4)
     back[:3, 3] = looked_from
     offset = np.asarray(from_twist(jnp.float32(OFFSET)), float)

@@ -60,7 +60,7 @@ def draw(keys, surface: Surface):
 
 
 def runs(surface: Surface, seed: int, count: int = RUNS):
-    """True poses and what was registered."""
+    """Draw true poses and register them."""
     true, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), surface)
     keys = jax.random.split(jax.random.key(seed + 100), RUNS)
     estimates = [register(keys[i], surface, jnp.eye(4), contacts[i], hit[i]) for i in range(count)]
@@ -124,8 +124,9 @@ def test_covariance_is_calibrated(which):
     assert abs(squared.mean() - 6) < 4 * math.sqrt(12 / RUNS)
     predicted = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(0)) / SPREAD
     left = np.sqrt((error**2).mean(0)) / SPREAD
-    # Ten touches know the height to 0.1 mm / sqrt(10), and tilts to that over their spread, 10 mm on the hexagon and
-    # lengthwise on the spanner; what meets first is off the middle, which mixes the two: two and a half times as much.
+    # Ten touches determine the height to 0.1 mm / sqrt(10), and tilts to that over their spread, 10 mm on the hexagon
+    # and lengthwise on the spanner; what meets first is off the middle, which mixes the two: two and a half times as
+    # much.
     predicted, left = (part[2:5] if which == 0 else part[[2, 4]] for part in (predicted, left))
     assert predicted[0] < 2.5 * NOISE / math.sqrt(TOUCHES) / DISTANCE
     assert (predicted[1:] < 2.5 * NOISE / math.sqrt(TOUCHES) / 10e-3 / ANGLE).all()
@@ -134,7 +135,7 @@ def test_covariance_is_calibrated(which):
 
 @pytest.mark.full
 def test_symmetric_directions_keep_the_prior():
-    """Touched on its top, a prism tells height and tilts; a cylinder nowhere tells its spin."""
+    """Touches on the top of a prism determine height and tilts, but no touch determines the spin of a cylinder."""
     _, estimates = runs(SURFACES[1], 5, 4)
     spin = np.sqrt(np.asarray(estimates.covariance)[:, 5, 5]) / SPREAD[5]
     np.testing.assert_allclose(spin, 1, atol=0.02)  # its 71 sides are flat to 60 um
@@ -181,10 +182,10 @@ def test_another_edge_of_the_skin_compiles_nothing():
     surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
     T_w_contact = np.diag([1.0, -1.0, -1.0, 1.0])[None] + np.eye(4)[3] * [[0.0], [0.0], [0.021], [0.0]]
     config = touch.TouchRegistrationConfig(num_starts=1, annealing_steps=2, steps=1, draws=16, rounds=1)
-    told = surface, np.eye(4), T_w_contact, np.ones(1)
-    register_by_touch(jax.random.key(0), *told, **prior, config=config)
+    arguments = surface, np.eye(4), T_w_contact, np.ones(1)
+    register_by_touch(jax.random.key(0), *arguments, **prior, config=config)
     with compilations() as compiled:
-        register_by_touch(jax.random.key(0), *told, **prior, config=replace(config, half_edge=5e-3))
+        register_by_touch(jax.random.key(0), *arguments, **prior, config=replace(config, half_edge=5e-3))
     assert compiled == []
 
 
@@ -252,8 +253,8 @@ def off(rng: np.random.Generator, distance: float = 7e-3, degrees: float = 5.0) 
 
 @pytest.mark.parametrize(("name", "at"), [("hexagon", 0.0), ("hammer", 0.06), ("dome", 0.0)])
 def test_depth_finds_the_pose(name, at):
-    """About a thousand points of 1 mm know a face to 0.03 mm; what they see least of, a side in few rows, to ten times
-    that. A dome does not tell how it is turned, and its facets, flat to 60 um, must not say much.
+    """About a thousand points with 1 mm noise determine a face to 0.03 mm, and a side that covers few rows to ten times
+    that. A dome does not show its spin, and its facets, which are flat to 60 um, must have little effect.
     """
     rng, mesh = np.random.default_rng(1), make_object(name).mesh
     squared = []
@@ -273,8 +274,8 @@ def test_depth_finds_the_pose(name, at):
 
 
 def test_covariance_from_depth_includes_the_prior():
-    """Nothing is known less well than before: not how a dome is turned, and not a place that was known to 1 um, of
-    which a thousand points of 1 mm tell nothing.
+    """No direction becomes less certain: neither the spin of a dome, nor a position that was certain to 1 um, to which
+    a thousand points with 1 mm noise add nothing.
     """
     rng, mesh = np.random.default_rng(5), make_object("dome").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 35)

@@ -1,6 +1,6 @@
 """The renderer against closed forms, Embree, an exact float64 ray caster, rigid motion and its own batches.
 
-Coordinates here stay below 0.1 m (0.3 m where said), where one step of float32 is 7e-9 m. A corner on its way to the
+Coordinates here stay below 0.1 m (0.3 m where stated), where one step of float32 is 7e-9 m. A corner on its way to the
 tool frame takes about ten roundings, so it is known to NEAR = 1e-7 m, and a height on a surface of slope s to (1 + s)
 NEAR.
 """

@@ -1,4 +1,4 @@
-"""Batches give what a loop gives; calls laid over devices give what one device gives, to the last bit."""
+"""Batches equal a loop; calls distributed over devices equal those on a single device, to the last bit."""
 
 import os
 import subprocess
@@ -25,7 +25,7 @@ def started(words, devices=1):
     return subprocess.Popen([sys.executable, *words], env=environment, text=True, **pipes)
 
 
-def said(process):
+def output_of(process):
     output = process.communicate(timeout=540)[0]
     assert process.returncode == 0, output
     return output
@@ -80,14 +80,14 @@ print(jax.device_count(), "devices")
 
 
 def test_over_four_devices_every_call_finds_its_own_arguments():
-    assert said(started(["-c", FOUR], devices=4)) == "4 devices\n"
+    assert output_of(started(["-c", FOUR], devices=4)) == "4 devices\n"
 
 
 @pytest.mark.full
 def test_touches_beliefs_and_networks_are_the_same_on_four_devices(tmp_path):
     work = str(ROOT / "tests" / "helpers" / "bulk_work.py")
-    assert said(started([work, str(tmp_path / "one.npz")])) == "1 devices\n"
-    assert said(started([work, str(tmp_path / "four.npz")], devices=4)) == "4 devices\n"
+    assert output_of(started([work, str(tmp_path / "one.npz")])) == "1 devices\n"
+    assert output_of(started([work, str(tmp_path / "four.npz")], devices=4)) == "4 devices\n"
     single, four = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("one", "four"))
     assert len(single) > 60
     assert set(four) == set(single)
@@ -112,7 +112,7 @@ def test_calls_in_threads_keep_their_order_precision_and_exceptions():
     with jax.default_matmul_precision("highest"):
         results = spread(work, calls(), shared=(10.0,))
         assert next(results) == (10.0, True)
-        assert requested == [0]  # asked for as they are needed
+        assert requested == [0]  # requested when they are needed
         assert [next(results) for _ in range(6)] == [(10.0 + i, True) for i in range(1, 7)]
         with pytest.raises(ValueError, match="the seventh"):
             next(results)

@@ -1,4 +1,4 @@
-"""What commands compile is kept, in a folder that is bounded and never stands in the way."""
+"""Programs that commands compile are cached, in a folder of bounded size that never causes a failure."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ SETTINGS = (
 
 @pytest.fixture
 def no_settings(monkeypatch):
-    """As a user's shell is, with JAX not yet imported, and what is set taken back."""
+    """An environment without settings, in which JAX is not imported yet; it is restored after the test."""
     for name in (CACHE_VARIABLE, *SETTINGS):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)

@@ -1,4 +1,4 @@
-"""A program that compiles quickly gives what any does, wherever it is called; a configuration's floats are traced."""
+"""Quickly compiled programs give the usual results everywhere, and floats of configurations are traced."""
 
 from dataclasses import dataclass, field, replace
 

@@ -1,4 +1,4 @@
-"""Progress: a bar on a terminal, a line now and then in a log, and one helper for both."""
+"""Progress is a bar on a terminal and an occasional line in a log."""
 
 import os
 import subprocess
@@ -42,5 +42,5 @@ def test_the_environment_silences_it():
 
 @pytest.mark.parametrize("kind", [module._Bar, module._Lines])
 def test_progress_whose_making_was_interrupted_is_closed_in_silence(kind):
-    """Ctrl-C may come before tqdm has set a field; `__del__` closes what there is all the same."""
+    """Ctrl-C may come before tqdm has set its fields; `__del__` must still succeed."""
     kind.__new__(kind).close()

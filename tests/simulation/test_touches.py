@@ -1,7 +1,7 @@
 """Simulated touches in a world whose only errors are where the object stands and how soft the skin has become; then
 each other error by itself.
 
-True poses are drawn again from the keys, and everything seen and felt is worked out from them by other means.
+True poses are drawn again from the keys, and views and readings are computed from them by other means.
 """
 
 from dataclasses import fields, replace
@@ -69,7 +69,7 @@ def solids() -> list[Surface]:
 
 @pytest.fixture(scope="module")
 def pad() -> Pad:
-    """Of sixteen chips, as any board will do, and without friction, which the rule that ends a press does not know."""
+    """A pad with sixteen chips and without friction, which does not influence the end of a press."""
     return sample_pad(jax.random.key(3), board=make_board("grid-4x4"))._replace(friction=jnp.zeros(()))
 
 
@@ -95,7 +95,7 @@ def along_z(T: np.ndarray, distance: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def first_contact(solids):
-    """How far (m) beyond the given T_o_t the first contact of object i lies."""
+    """Compute the distance (m) from a pose T_o_t to first contact with object i."""
     press = jax.jit(approach.first_contact)
 
     def ahead(i: int, T: np.ndarray) -> float:
@@ -208,7 +208,7 @@ def test_presses_end_at_the_limit_and_are_felt_by_a_skin_that_softens(touches):
 
 @pytest.mark.full
 def test_measured_force_and_travel_err_by_their_sizes_and_a_slant_is_felt_by_friction(solids):
-    """Presses on the top of the box, which is met where it is believed to be, wherever the arm goes."""
+    """The presses are on the top of the box, whose height is the same at all poses of the arm."""
     pad, n = sample_pad(jax.random.key(3)), 12
     T_w_site = jnp.diag(jnp.asarray([1.0, -1.0, -1.0, 1.0])).at[2, 3].set(0.06)
     errors = replace(SimulationErrors.none(), force=0.2, slant=np.radians(2.0).item(), repeatability=0.1e-3)
