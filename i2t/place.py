@@ -1,12 +1,12 @@
-"""Pose of an object, from a depth view of it: the pose goes into the lab's calibration file.
+"""Find the pose of an object from a depth view of it, and write it to the lab's calibration file.
 
     python -m i2t.place lab.toml --object mug.stl --unit mm --host 192.168.0.2 --write    # a RealSense on the arm
     python -m i2t.place lab.toml --object mug.stl --unit mm --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
 
-Look at it obliquely, 25 to 55 degrees from the vertical: from above, a flat top shows nothing sideways. The rig's own
-T_world_object is where the search begins, within centimetres and some degrees; the camera must be calibrated
-(`python -m i2t.hardware.hand_eye`). How it is found is in `i2t.registration.register_by_depth`; the error that is
-reported is that of noise, and knows nothing of a constant error of the camera or of its calibration.
+Look at the object obliquely, 25 to 55 degrees from the vertical: from above, a flat top does not show its sideways
+position. The search begins at the rig's T_world_object, which must be correct within centimetres and some degrees. The
+camera must be calibrated (`python -m i2t.hardware.hand_eye`). The method is `i2t.registration.register_by_depth`. The
+reported error is that of noise and does not include a constant error of the camera or of its calibration.
 """
 
 import math
@@ -37,117 +37,117 @@ PoseVector = tuple[float, float, float, float, float, float]  # position (m) and
 
 @dataclass(frozen=True)
 class PlaceArgs:
-    """Find where an object stands from a depth view of it."""
+    """Find the pose of an object from a depth view of it."""
 
     rig: tyro.conf.Positional[Path]  # the lab's calibration
-    object: str  # a name of the catalogue, or a mesh file
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # of a mesh file; no default
+    object: str  # name in the catalogue, or a mesh file
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of a mesh file; no default
     arm: str = UR
-    """That is asked where it stands and not moved; or another package's: the name that it registers, or
+    """Arm whose pose is read and which is not moved: that of i2t, the name that another package registers, or
     package.module:Class."""
-    host: str | None = None  # its address; a UR arm needs one
-    tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None  # or where the tool was: m, rad
-    views: Path | None = None  # a folder of views, of which the first is taken; else a camera
-    camera: str = REALSENSE  # or another package's
-    serial: str | None = None  # which RealSense, if there are several; the address of another package's camera
-    distance: float = 10e-3  # m, how far off the rig may be (one sigma)
-    angle: float = 6.0  # degrees, the same
+    host: str | None = None  # address of the arm; required for a UR arm
+    tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None  # in place of an arm: m, rad
+    views: Path | None = None  # folder of views, whose first is used, in place of a camera
+    camera: str = REALSENSE  # or that of another package, as for --arm
+    serial: str | None = None  # serial number of the RealSense, if there are several, or address of another camera
+    distance: float = 10e-3  # m, error of the rig's pose (one sigma)
+    angle: float = 6.0  # degrees, error of the rig's pose (one sigma)
     hand_eye: Annotated[tuple[float, float], tyro.conf.arg(metavar="MM DEGREES")] = (1.0, 0.5)
-    """How far off the camera may be on its tool (one sigma), which no view shows."""
+    """Error of the camera's pose on the tool (one sigma), which a view cannot show."""
     no_table: bool = False  # the view shows no table at the world's z = 0
-    write: bool = False  # put the pose into the rig
+    write: bool = False  # write the pose to the rig
 
 
-def place(asked: PlaceArgs) -> str:
+def place(args: PlaceArgs) -> str:
     """Find the object's pose.
 
     Args:
-        asked: The command line.
+        args: Options of the command line.
 
     Returns:
-        What was found, as sentences.
+        The result, as sentences.
 
     Raises:
-        ValueError: What was asked for cannot be read, or the view does not determine the pose.
+        ValueError: A file cannot be understood, or the view does not determine the pose.
         OSError: A file cannot be read or written.
-        DeviceError: Camera or arm do not answer.
+        DeviceError: The camera or the arm does not answer.
     """
-    require_object(asked.object, asked.unit, flag="--object")
-    require_path("--views", asked.views, "folder")
-    _require_devices(asked)
-    rig = Rig.read(asked.rig)
-    pose, arm = _pose_and_arm(asked, rig)
-    # Not above: JAX takes seconds, which --help and a refusal need not wait for.
+    require_object(args.object, args.unit, flag="--object")
+    require_path("--views", args.views, "folder")
+    _require_devices(args)
+    rig = Rig.read(args.rig)
+    pose, arm = _pose_and_arm(args, rig)
+    # Imported here, because JAX takes seconds, for which --help and refusals should not wait.
     from i2t.registration import camera_covariance, register_by_depth
 
-    target = read_object(asked.object, asked.unit)
+    target = read_object(args.object, args.unit)
     with pose as T_b_t:
-        camera, view = _look(asked, rig, arm)
+        camera, view = _look(args, rig, arm)
         T_w_c = rig.T_world_base @ T_b_t @ rig.T_tool_camera
-        found = register_by_depth(
+        estimate = register_by_depth(
             target.mesh,
             rig.T_world_object,
             view.depth,
             camera,
             T_w_c,
-            translation_std=asked.distance,
-            rotation_std=math.radians(asked.angle),
-            table_height=None if asked.no_table else 0.0,
+            translation_std=args.distance,
+            rotation_std=math.radians(args.angle),
+            table_height=None if args.no_table else 0.0,
         )
-    T_w_o = nearest_rigid(found.T_w_o)
-    position_error, angle_error = asked.hand_eye
+    T_w_o = nearest_rigid(estimate.T_w_o)
+    position_error, angle_error = args.hand_eye
     T_c_o = inverse(T_w_c) @ T_w_o
-    covariance = camera_covariance(found.covariance, T_c_o, 1e-3 * position_error, math.radians(angle_error))
-    noise, sigma = (np.sqrt(np.diag(np.asarray(each, float))) for each in (found.covariance, covariance))
+    covariance = camera_covariance(estimate.covariance, T_c_o, 1e-3 * position_error, math.radians(angle_error))
+    noise, sigma = (np.sqrt(np.diag(np.asarray(matrix, float))) for matrix in (estimate.covariance, covariance))
     shift, turn = pose_difference(rig.T_world_object, T_w_o)
-    fit = np.asarray(found.residual)[np.asarray(found.weight) > 0]
+    fit = np.asarray(estimate.residual)[np.asarray(estimate.weight) > 0]
     lines = [
-        f"{asked.object} is {1e3 * shift:.1f} mm and {math.degrees(turn):.1f} degrees from what {asked.rig} says",
-        f"noise leaves {_spread(noise)}, with the camera's own place {_spread(sigma)}; {len(fit)} points fit within "
+        f"{args.object} is {1e3 * shift:.1f} mm and {math.degrees(turn):.1f} degrees from its pose in {args.rig}",
+        f"error from noise: {_spread(noise)}, with the camera's pose {_spread(sigma)}; {len(fit)} points fit within "
         f"{1e3 * float(np.sqrt(np.mean(fit**2))):.2f} mm RMS",
     ]
     if placement := describe_placement(target):
         lines.append(placement)
-    if asked.write:
+    if args.write:
         placed = replace(rig, T_world_object=T_w_o, object_from="registration", object_covariance=covariance)
-        placed.write(asked.rig)
-        lines.append(f"{asked.rig}: written")
+        placed.write(args.rig)
+        lines.append(f"{args.rig}: written")
     return "\n".join(lines)
 
 
-def _require_devices(asked: PlaceArgs) -> None:
-    """Refuse devices that are not known, and a pose of the tool that is missing or given twice."""
-    find_plugin("arm", asked.arm)
-    find_plugin("camera", asked.camera)
-    asks_an_arm = asked.host is not None or asked.arm != UR
-    if asks_an_arm == (asked.tool is not None):
+def _require_devices(args: PlaceArgs) -> None:
+    """Refuse unknown devices, and a pose of the tool that is missing or given twice."""
+    find_plugin("arm", args.arm)
+    find_plugin("camera", args.camera)
+    reads_arm = args.host is not None or args.arm != UR
+    if reads_arm == (args.tool is not None):
         raise ValueError("the pose of the tool is needed: give --host, or --tool with the pendant's six numbers")
-    if asked.views is not None and (asked.camera != REALSENSE or asked.serial):
-        raise ValueError("--views shows a folder in place of a camera; leave out --camera and --serial, or --views")
+    if args.views is not None and (args.camera != REALSENSE or args.serial):
+        raise ValueError("--views replaces the camera by a folder; leave out --camera and --serial, or --views")
 
 
-def _pose_and_arm(asked: PlaceArgs, rig: Rig) -> tuple[AbstractContextManager[Array], GuardedArm | None]:
-    """T_b_t while it is needed, and another package's arm, which its camera may ask."""
-    if asked.tool is not None:
-        return nullcontext(pose_from_vector(asked.tool)), None
-    tool = ToolPose(asked.arm, asked.host, rig)
+def _pose_and_arm(args: PlaceArgs, rig: Rig) -> tuple[AbstractContextManager[Array], GuardedArm | None]:
+    """Get T_b_t for as long as it is needed, and the arm of another package, which its camera may use."""
+    if args.tool is not None:
+        return nullcontext(pose_from_vector(args.tool)), None
+    tool = ToolPose(args.arm, args.host, rig)
     return tool.now(), tool.arm
 
 
-def _look(asked: PlaceArgs, rig: Rig, arm: GuardedArm | None) -> tuple[Camera, View]:
-    if asked.views is not None:
-        return read_view(asked.views)
-    with load_device("camera", asked.camera, DeviceSetup(rig, asked.serial, arm)) as camera:
+def _look(args: PlaceArgs, rig: Rig, arm: GuardedArm | None) -> tuple[Camera, View]:
+    if args.views is not None:
+        return read_view(args.views)
+    with load_device("camera", args.camera, DeviceSetup(rig, args.serial, arm)) as camera:
         return camera.camera, camera.capture()
 
 
 def _spread(sigma: Array) -> str:
-    """Standard deviations (6,) of a twist, for a sentence."""
-    turn = math.degrees(np.linalg.norm(sigma[3:]) / TWIST_LEVER_M)
-    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {turn:.2f} degrees"
+    """Describe standard deviations (6,) of a twist."""
+    angle = math.degrees(np.linalg.norm(sigma[3:]) / TWIST_LEVER_M)
+    return f"{1e3 * np.linalg.norm(sigma[:3]):.2f} mm and {angle:.2f} degrees"
 
 
-main = command(PlaceArgs, lambda asked: print(place(asked)), program="python -m i2t.place", description=__doc__)
+main = command(PlaceArgs, lambda args: print(place(args)), program="python -m i2t.place", description=__doc__)
 
 
 if __name__ == "__main__":

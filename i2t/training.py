@@ -1,18 +1,18 @@
-"""Training as pure functions of explicit state: minibatch Adam over data that stays on the device. What is trained is a
-`Learner`: parameters to begin with, and the loss of a batch.
+"""Training as pure functions of explicit state: minibatch Adam on data that stays on the device. A training task is a
+`Learner`: initial parameters, and the loss of a batch.
 
     epoch = training.compiled(learner, cfg)
     state = training.init(key, learner, cfg, touches)
     while not training.finished(state, cfg):
         state, info = epoch(state, train, validation)
 
-An epoch draws a permutation from `fold_in(key, epoch)`, cuts it into minibatches and takes one AdamW step on the mean
-loss of each; where the batch size does not divide the number of touches the last minibatch is filled up with touches of
-weight zero, so every touch counts once an epoch. After each epoch the validation touches are scored and the best
-parameters so far are kept; `finished` says when no better ones are to be expected (early stopping; Prechelt, "Early
-stopping - but when?", 1998). All of it is in the state: a training that goes on from
-any state repeats the uninterrupted one bit for bit. Members of an ensemble are axis 0 of every array of the state: each
-has its own key, minibatches and best epoch. `descend` is for small problems, a step for each key.
+An epoch draws a permutation from `fold_in(key, epoch)`, divides it into minibatches and takes an AdamW step on the mean
+loss of each. If the batch size does not divide the number of touches, the last minibatch is filled up with touches of
+weight zero, so that every touch counts once in an epoch. After each epoch the validation touches are scored, and the
+best parameters so far are kept. `finished` returns when no better parameters are to be expected (early stopping;
+Prechelt, "Early stopping - but when?", 1998). The state is complete: a training that continues from any state repeats
+the uninterrupted one bit for bit. Members of an ensemble are axis 0 of every array of the state, and each has its own
+key, minibatches and best epoch. `descend` is for small problems and takes a step for each key.
 """
 
 import math
@@ -34,39 +34,39 @@ Tree = TypeVar("Tree")
 
 
 class Losses(NamedTuple):
-    """Parts of the loss, means over a batch or one for each of its examples, all dimensionless."""
+    """Parts of the loss, means over a batch or for each of its examples, all dimensionless."""
 
-    total: Float[Array, "..."]  # what is descended
-    reading: Float[Array, "..."]  # what the best epoch is chosen by, on validation examples
-    squared: Float[Array, "..."]  # squared error of the reading, whatever was trained
-    image: Float[Array, "..."]  # of an auxiliary decoder; 0 without one
+    total: Float[Array, "..."]  # minimised by training
+    reading: Float[Array, "..."]  # determines the best epoch, on validation examples
+    squared: Float[Array, "..."]  # squared error of the reading, independent of the training loss
+    image: Float[Array, "..."]  # loss of an auxiliary decoder; 0 without a decoder
 
     def mean(self, weights: Float[Array, " n"]) -> "tuple[Float[Array, ''], Losses]":
-        """Mean loss, and all parts.
+        """Average the losses of the examples.
 
         Args:
-            weights: Of the examples.
+            weights: `(n,)` weights of the examples.
 
         Returns:
-            Weighted means over the examples.
+            Weighted mean of the total, and weighted means of all parts.
         """
         parts = jax.tree.map(lambda part: part @ weights / weights.sum(), self)
         return parts.total, parts
 
 
 class Batch(NamedTuple):
-    """Examples to learn from, on axis 0."""
+    """Training examples, on axis 0."""
 
     inputs: PyTree
     target: Float[Array, "n c"]
 
 
 class Learner(NamedTuple):
-    """Training task: hashable, so that equal ones are compiled once."""
+    """A training task. It is hashable, so that equal tasks are compiled once."""
 
     cfg: Hashable  # sizes and weights, without arrays
     init: Callable[[Key[Array, ""], Any], PyTree]  # (key, cfg) -> parameters of one member
-    losses: Callable[..., tuple[Array, Losses]]  # (parameters, cfg, batch, weights) -> what is descended, all parts
+    losses: Callable[..., tuple[Array, Losses]]  # (parameters, cfg, batch, weights) -> loss to minimise, all parts
     members: int = 1
 
 
@@ -79,33 +79,33 @@ class Standard(NamedTuple):
 
 
 class TrainState(NamedTuple):
-    """State of a training between epochs; every array has the members as axis 0."""
+    """State of a training between epochs; axis 0 of every array is that of the members."""
 
     params: PyTree
     opt_state: PyTree
     key: Key[Array, " m"]
-    epoch: Int[Array, " m"]  # epochs done
-    best_params: PyTree  # as params
-    best_loss: Float[Array, " m"]  # on validation touches; +inf before the first epoch
+    epoch: Int[Array, " m"]  # number of finished epochs
+    best_params: PyTree  # parameters of the best epoch
+    best_loss: Float[Array, " m"]  # loss of validation touches; +inf before the first epoch
     best_epoch: Int[Array, " m"]
 
 
 class EpochInfo(NamedTuple):
     """Losses of an epoch."""
 
-    train: Losses  # mean over the epoch's minibatches, each before its step
-    validation: Losses  # after the epoch; NaN where there are no validation touches
+    train: Losses  # mean over the epoch's minibatches, evaluated before each step
+    validation: Losses  # after the epoch; NaN without validation touches
 
 
 @dataclass(frozen=True)
 class TrainConfig:
     """Training options."""
 
-    epochs: int = 200  # at most, over which the learning rate falls
+    epochs: int = 200  # largest number, over which the learning rate falls to 0
     batch_size: int = 128
     learning_rate: float = 1e-3
-    # Epochs without a better one after which a training ends. Chosen on three simulated pads with three seeds each, by
-    # R2 on six objects outside the default preset: as good as 30, in 0.63 of the epochs; 7 lost 0.003 on masks.
+    # Epochs without improvement after which training ends. Chosen on three simulated pads with three seeds each, by R2
+    # on six objects outside the default preset: as good as 30, in 0.63 of the epochs; 7 lost 0.003 on masks.
     patience: int = 10
 
     def __post_init__(self) -> None:
@@ -117,56 +117,56 @@ class TrainConfig:
             raise ValueError(f"train.learning_rate is {self.learning_rate}; it must be a number above 0.")
 
     def optimizer(self, touches: int) -> optax.GradientTransformation:
-        """Adam (Kingma and Ba, 2015), whose learning rate falls to 0 by a cosine.
+        """Make Adam (Kingma and Ba, 2015) with a learning rate that falls to 0 along a cosine.
 
         Args:
-            touches: Of the training set, which make an epoch.
+            touches: Number of touches in the training set, which make an epoch.
 
         Returns:
-            The optimizer.
+            The optimizer as a transformation of gradients.
         """
         steps = self.epochs * -(-touches // self.batch_size)
         return optax.adam(optax.cosine_decay_schedule(self.learning_rate, steps))
 
 
 def standard(values: Float[Array, "n k"]) -> Standard:
-    """Mean and standard deviation over a training set; a value that never changes keeps its unit.
+    """Compute mean and standard deviation over a training set. The standard deviation of a constant value is set to 1.
 
     Args:
-        values: In physical units.
+        values: `(n, k)` values in physical units.
 
     Returns:
-        Of each column.
+        Mean and standard deviation of each of the k columns.
     """
     mean, std = values.mean(0), values.std(0)
-    resolution = jnp.finfo(values.dtype).eps * jnp.sqrt(len(values)) * jnp.abs(mean)  # what rounding makes of none
+    resolution = jnp.finfo(values.dtype).eps * jnp.sqrt(len(values)) * jnp.abs(mean)  # rounding error of a constant
     return Standard(mean, jnp.where(std > resolution, std, 1.0))
 
 
 def standardise(scale: Standard, values: Float[Array, " k"]) -> Float[Array, " k"]:
-    """Physical values in standard deviations about their mean.
+    """Convert physical values to standard deviations from their mean.
 
     Args:
         scale: Mean and standard deviation of each value over the training set.
-        values: In their physical units.
+        values: `(k,)` values in physical units.
 
     Returns:
-        Dimensionless values.
+        `(k,)` dimensionless values.
     """
     return (values - scale.mean) / scale.std
 
 
 def init(key: Key[Array, ""], learner: Learner, cfg: TrainConfig, touches: int) -> TrainState:
-    """The state before the first epoch; member i depends on `fold_in(key, i)` only.
+    """Make the state before the first epoch. Member i depends on `fold_in(key, i)` only.
 
     Args:
         key: Random key.
-        learner: What is trained.
-        cfg: How to train.
-        touches: In the training set.
+        learner: The training task.
+        cfg: Training options.
+        touches: Number of touches in the training set.
 
     Returns:
-        The state, members as axis 0.
+        The state; axis 0 of its arrays is that of the members.
     """
 
     def member(index: Int[Array, ""]) -> TrainState:
@@ -189,16 +189,17 @@ def init(key: Key[Array, ""], learner: Learner, cfg: TrainConfig, touches: int) 
 def minibatches(
     key: Key[Array, ""], epoch: Int[Array, ""], touches: int, size: int
 ) -> tuple[Int[Array, "steps size"], Float[Array, "steps size"]]:
-    """Touches that one member meets in an epoch, and their weights.
+    """Draw the minibatches of a member for an epoch.
 
     Args:
-        key: The member's.
-        epoch: Epochs done before.
-        touches: In the training set.
-        size: Of a minibatch.
+        key: Key of the member.
+        epoch: Number of finished epochs.
+        touches: Number of touches in the training set.
+        size: Number of touches in a minibatch.
 
     Returns:
-        Rows of a new permutation for each epoch, and their weights: 1, and 0 where the last minibatch is filled up.
+        `(steps, size)` rows of a permutation that is new in each epoch, and their weights: 1, or 0 for the rows that
+        fill up the last minibatch.
     """
     steps = -(-touches // size)
     permutation = jax.random.permutation(jax.random.fold_in(key, epoch), touches)
@@ -210,24 +211,25 @@ def minibatches(
 def compiled(
     learner: Learner, cfg: TrainConfig
 ) -> Callable[[TrainState, Batch, Batch | None], tuple[TrainState, EpochInfo]]:
-    """An epoch of all members as one program.
+    """Compile an epoch of all members.
 
-    On a CPU they are trained one after the other, as a few cores have no use for several products at once; on several
-    devices each trains its share of them.
+    On a CPU the members are trained in turn, because a few cores do not benefit from several products in parallel. On
+    several devices, each trains some of the members.
 
     Args:
-        learner: What is trained.
-        cfg: How to train.
+        learner: The training task.
+        cfg: Training options.
 
     Returns:
-        `epoch` with its first two arguments, to be called with states, touches and validation touches.
+        A function that takes states, training touches and validation touches, and calls `epoch` for all members.
     """
-    one = partial(epoch, learner, cfg)
-    one = jax.custom_batching.sequential_vmap(one) if jax.default_backend() == "cpu" else one
+    member = partial(epoch, learner, cfg)
+    member = jax.custom_batching.sequential_vmap(member) if jax.default_backend() == "cpu" else member
 
     def members(state: TrainState, train: Batch, validation: Batch | None) -> tuple[TrainState, EpochInfo]:
-        given = state._replace(key=jax.random.clone(state.key))  # epochs fold their number in, and may be repeated
-        after, info = jax.vmap(one, in_axes=(0, None, None))(given, train, validation)
+        # The key may be used again, because each epoch folds its number in.
+        before = state._replace(key=jax.random.clone(state.key))
+        after, info = jax.vmap(member, in_axes=(0, None, None))(before, train, validation)
         return after._replace(key=jax.random.clone(state.key)), info
 
     program = jax.jit(members)
@@ -235,24 +237,24 @@ def compiled(
 
 
 def _spread(program: Callable, state: TrainState, *shared: Batch | None) -> tuple[TrainState, EpochInfo]:
-    made: tuple[TrainState, EpochInfo] = spread_rows(program, (state,), shared=shared)
-    return made
+    result: tuple[TrainState, EpochInfo] = spread_rows(program, (state,), shared=shared)
+    return result
 
 
 def epoch(
     learner: Learner, cfg: TrainConfig, state: TrainState, train: Batch, validation: Batch | None
 ) -> tuple[TrainState, EpochInfo]:
-    """One epoch of one member.
+    """Train a member for an epoch.
 
     Args:
-        learner: What is trained.
-        cfg: How to train.
-        state: Of the member.
-        train: Prepared touches to learn from.
-        validation: Prepared touches that choose the best epoch; without them it is the last.
+        learner: The training task.
+        cfg: Training options.
+        state: State of the member.
+        train: Prepared training touches.
+        validation: Prepared touches that determine the best epoch; without them, the last epoch is the best.
 
     Returns:
-        The state after the epoch, and its losses.
+        The state after the epoch, and the losses of the epoch.
     """
     touches = len(train.target)
     rows, weights = minibatches(state.key, state.epoch, touches, cfg.batch_size)
@@ -279,29 +281,29 @@ def epoch(
 
 
 def finished(state: TrainState, cfg: TrainConfig) -> bool:
-    """Tell whether a training has had its epochs, or all its members have waited long enough for a better one.
+    """Test whether each member of a training has finished its epochs or has not improved for `patience` epochs.
 
     Args:
-        state: Between epochs.
-        cfg: How to train.
+        state: State between epochs.
+        cfg: Training options.
 
     Returns:
-        Whether it has.
+        True if all members are finished.
     """
     epoch, best = np.asarray(state.epoch), np.asarray(state.best_epoch)
     return bool(np.all((epoch >= cfg.epochs) | (epoch - best >= cfg.patience)))
 
 
 def evaluate(params: PyTree, learner: Learner, batch: Batch) -> Losses:
-    """Mean losses of one member over prepared examples.
+    """Compute the mean losses of a member over prepared examples.
 
     Args:
-        params: Of one member.
-        learner: What was trained.
+        params: Parameters of the member.
+        learner: The training task.
         batch: Prepared examples.
 
     Returns:
-        Means over the examples.
+        Losses as means over the examples.
     """
     return learner.losses(params, learner.cfg, batch, jnp.ones(len(batch.target)))[1]
 
@@ -312,13 +314,13 @@ def descend(
     optimizer: optax.GradientTransformation,
     keys: Key[Array, " steps"],
 ) -> tuple[Tree, Float[Array, " steps"]]:
-    """Descend a loss, one step for each key; pure, to be jitted by the caller.
+    """Minimise a loss, with a step for each key. The function is pure; the caller compiles it.
 
     Args:
-        params: Where to start: any tree of arrays that the loss takes.
-        loss: `loss(params, key)`; a full-batch loss ignores the key, another draws its minibatch with it.
-        optimizer: Optax's rule of a step.
-        keys: A key for each step, for instance `jax.random.split(key, steps)`.
+        params: Initial parameters, any tree of arrays that the loss takes.
+        loss: Function `loss(params, key)`. A full-batch loss ignores the key, others draw a minibatch with it.
+        optimizer: An optimizer of Optax.
+        keys: A key for each step, such as `jax.random.split(key, steps)`.
 
     Returns:
         The parameters after the last step, and the loss before each step.
@@ -327,10 +329,10 @@ def descend(
     def step(
         carry: tuple[Tree, optax.OptState], key: Key[Array, ""]
     ) -> tuple[tuple[Tree, optax.OptState], Float[Array, ""]]:
-        now, moments = carry
-        value, gradient = jax.value_and_grad(loss)(now, key)
-        updates, moments = optimizer.update(gradient, moments, now)
-        return (optax.apply_updates(now, updates), moments), value
+        current, moments = carry
+        value, gradient = jax.value_and_grad(loss)(current, key)
+        updates, moments = optimizer.update(gradient, moments, current)
+        return (optax.apply_updates(current, updates), moments), value
 
     (params, _), path = jax.lax.scan(step, (params, optimizer.init(params)), keys)
     return params, path
@@ -343,12 +345,12 @@ def _step(
     carry: tuple[PyTree, PyTree],
     rows_weights: tuple[Array, Array],
 ) -> tuple[tuple[PyTree, PyTree], tuple[Losses, Array]]:
-    """Step on one minibatch: new (params, opt_state), the mean losses and the number of their touches."""
+    """Take a step on a minibatch. Return new (params, opt_state), the mean losses and the number of touches."""
     (params, opt_state), (rows, weights) = carry, rows_weights
     batch = jax.tree.map(lambda leaf: leaf[rows], train)
     gradient, parts = jax.grad(learner.losses, has_aux=True)(params, learner.cfg, batch, weights)
-    # Without the barrier XLA may update a matrix while its old value is still needed for other gradients, at the price
-    # of a copy of it in each step.
+    # Without the barrier, XLA may update a matrix while its old value is still needed for other gradients, which costs
+    # a copy in each step.
     gradient, params = jax.lax.optimization_barrier((gradient, params))
     updates, opt_state = optimizer.update(gradient, opt_state, params)
     return (optax.apply_updates(params, updates), opt_state), (parts, weights.sum())

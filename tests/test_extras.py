@@ -59,5 +59,5 @@ def test_where_results_go_is_looked_at(tmp_path, monkeypatch):
         require_path("--views", tmp_path / "file", "folder")
     require_writable("--out", tmp_path / "new" / "it.png")
     monkeypatch.setattr("os.access", lambda path, mode: False)  # whoever tests may be allowed everything
-    with pytest.raises(ValueError, match="may not be written; name a place"):
+    with pytest.raises(ValueError, match="is write-protected; name another place"):
         require_writable("--out", tmp_path / "new" / "it.png")

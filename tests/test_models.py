@@ -106,12 +106,12 @@ def test_the_board_is_the_one_that_the_predictor_was_trained_on(capsys):
     assert name_of_board(ready.board) == "reskin"
     assert same_board(imagine._board(imagine.ImagineArgs(), ready), ready.board)
     assert same_board(imagine._board(imagine.ImagineArgs(board="reskin"), ready), ready.board)
-    with pytest.raises(ValueError, match=r"--board eflesh is another board than that of .*nominal, reskin"):
+    with pytest.raises(ValueError, match=r"--board eflesh differs from the board of .*nominal, reskin"):
         imagine._board(imagine.ImagineArgs(board="eflesh"), ready)
     assert not capsys.readouterr().out
     before = replace(ready, metadata={})  # as an earlier version wrote it
     assert same_board(imagine._board(imagine.ImagineArgs(board="eflesh"), before), make_board("eflesh"))
-    assert "does not say its board; its readings are drawn at the chips of eflesh" in capsys.readouterr().out
+    assert "does not name its board; its readings are drawn at the chips of eflesh" in capsys.readouterr().out
 
 
 def test_a_slip_in_the_name_of_a_ready_model_is_named(tmp_path, monkeypatch):

@@ -21,7 +21,7 @@ def pose(turn, at):
     return T
 
 
-# The camera looks at the object from 40 degrees beside the vertical, 0.2 m away.
+# The camera looks at the object at 40 degrees from the vertical, 0.2 m away.
 T_B_C = Rig().T_base_world @ pose([0, 0, 0], [0, 0, 0.015]) @ pose([np.pi - 0.7, 0, 0], [0, 0, 0])
 T_B_C = T_B_C @ pose([0, 0, 0], [0, 0, -0.2])
 TOOL = pose_to_vector(T_B_C @ np.linalg.inv(Rig().T_tool_camera))
@@ -29,7 +29,7 @@ TOOL = pose_to_vector(T_B_C @ np.linalg.inv(Rig().T_tool_camera))
 
 @pytest.fixture
 def lab(tmp_path):
-    """A rig, a view of a star that stands elsewhere, and where it stands."""
+    """Write a rig and a view of a star at another pose than the rig's, and return the folder and that pose."""
     rig = Rig()
     rig.write(tmp_path / "lab.toml")
     really = pose([0, 0, 0.06], [0.004, -0.006, 0.0])  # T_w_o
@@ -43,7 +43,7 @@ def lab(tmp_path):
     return tmp_path, really
 
 
-def test_a_view_tells_where_it_stands_and_what_is_missing_is_said(lab, capsys):
+def test_a_view_gives_the_pose_and_missing_options_are_refused(lab, capsys):
     path, really = lab
     rig, views, tool = str(path / "lab.toml"), str(path / "views"), [str(x) for x in TOOL]
     for options, code, why in (
@@ -53,9 +53,9 @@ def test_a_view_tells_where_it_stands_and_what_is_missing_is_said(lab, capsys):
         (["--object", "star", "--tool", "9", *tool[1:], "--views", views], 2, "points lie within"),
     ):
         assert place.main([rig, *options]) == code
-        said = capsys.readouterr().err
-        assert why in said
-        assert said.count("\n") == 1
+        error = capsys.readouterr().err
+        assert why in error
+        assert error.count("\n") == 1
     assert place.main([rig, "--object", "star", "--views", views, "--tool", *tool, "--write"]) == 0
     assert "star is 7." in capsys.readouterr().out
     rig = Rig.read(path / "lab.toml")

@@ -42,7 +42,7 @@ class Case(NamedTuple):
 def case() -> Case:
     raw = touches(40)  # two minibatches of 16 and one of 8
     norm = net.normalisation(raw)
-    return Case(norm, *(net.prepared(MODEL, norm, one) for one in (raw, touches(24, 1))))
+    return Case(norm, *(net.prepared(MODEL, norm, batch) for batch in (raw, touches(24, 1))))
 
 
 def begin(model: ModelConfig, cfg: TrainConfig, n: int) -> TrainState:

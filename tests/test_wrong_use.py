@@ -38,7 +38,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 # What is typed after `python -m`, and a word of the answer. Files that exist: mesh.stl (mm), other/mesh.stl, table.csv,
 # text.txt, empty/ (a folder), one/ (presses of one shape).
 COMMANDS = [
-    ("i2t nonsense", "is no command"),
+    ("i2t nonsense", "is not a command"),
     ("i2t colect", "did you mean i2t.collect?"),
     ("i2t.collect --object hamer", "did you mean hammer?"),
     ("i2t.collect --rig mesh.stl", "is the mesh of an object, not a text file"),

@@ -1,10 +1,10 @@
-"""Start and end of a command: its exit code, and the sentence that goes with it.
+"""Run a command and end it with an exit code and, after an error, one sentence.
 
-0    it did what was asked
-1    it began and failed: a device, the disk, or a goal that was missed
-2    it was used wrongly: options, files or folders with which it cannot do what was asked
+0    success
+1    failure: a device, the disk, or a missed goal
+2    wrong use: options, files or folders must change
 130  Ctrl-C
-141  whoever read what it prints has gone, as `head` does: it ends without a word
+141  the reader of the output has ended, as `head` does; the command ends silently
 """
 
 import errno
@@ -18,14 +18,11 @@ from types import FrameType
 from typing import Any
 
 from i2t.cli.options import check_options, read_options
-from i2t.cli.pipes import NOBODY_READS, nobody_reads
+from i2t.cli.pipes import ExitCode, output_is_closed
 from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError, printable
 from i2t.runtime.compile_cache import use_compile_cache
 
-FAILED, WRONG_USE, INTERRUPTED_BY_USER = 1, 2, 130  # exit codes
-SENT_AGAIN_S = 0.05
-NO_ROOM = {errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC)}  # errors of a disk
-REMEDIES: dict[type[OSError], str] = {  # of the system's errors that name a file
+REMEDIES: dict[type[OSError], str] = {  # for the system's errors that name a file
     FileNotFoundError: "check the name",
     FileExistsError: "give another name",
     NotADirectoryError: "name a folder",
@@ -35,40 +32,39 @@ REMEDIES: dict[type[OSError], str] = {  # of the system's errors that name a fil
 
 
 def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] = "interrupted") -> int:
-    """Do a command's work and return its exit code; errors for its user become one sentence, Ctrl-C a report of the
-    state.
+    """Do a command's work and return its exit code. Print errors that the user can correct as one sentence.
 
     Args:
-        work: Of the command; an int that it returns is the exit code.
-        interrupted: The sentence after Ctrl-C, or what makes it then.
+        work: The work of the command. If it returns an int, that is the exit code.
+        interrupted: The sentence to print after Ctrl-C, or a function that returns it.
 
     Returns:
-        0 if it did what was asked; 2 if that cannot be done (a ValueError, or a file or folder that is not as the
-        command line has it), 1 if a device or the disk failed, 130 after Ctrl-C, 141 without a word if nobody reads its
-        output any more.
+        0 after success; 2 if the work cannot be done as requested (a ValueError, or a file or folder that does not fit
+        the command line); 1 if a device or the disk failed; 130 after Ctrl-C; 141 if the reader of the output has
+        ended.
     """
     use_compile_cache()
-    shown, warnings.showwarning = warnings.showwarning, _show_warning
+    show_warning, warnings.showwarning = warnings.showwarning, _show_warning
     try:
-        with _interrupts_in_good_time():
+        with _delayed_interrupts():
             result = work()
         if sys.stdout is not None and not sys.stdout.closed:
-            sys.stdout.flush()  # here, where it is known what to say if that fails
+            sys.stdout.flush()  # here, where a failure can be reported
         return result if isinstance(result, int) else 0
     except (DeviceError, ValueError, OSError) as error:  # DataError is a ValueError
-        if isinstance(error, BrokenPipeError) and nobody_reads():
-            return NOBODY_READS
+        if isinstance(error, BrokenPipeError) and output_is_closed():
+            return ExitCode.OUTPUT_CLOSED
         print(f"error: {printable(_sentence(error))}", file=sys.stderr)
-        mendable = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
-        return WRONG_USE if mendable else FAILED
+        wrong_use = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
+        return ExitCode.WRONG_USE if wrong_use else ExitCode.FAILED
     except KeyboardInterrupt:
         print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
-        return INTERRUPTED_BY_USER
+        return ExitCode.INTERRUPTED
     except MemoryError:
-        print("error: the memory of this machine is used up; ask for less at a time", file=sys.stderr)
-        return FAILED
+        print("error: this machine is out of memory; process less at a time", file=sys.stderr)
+        return ExitCode.FAILED
     finally:
-        warnings.showwarning = shown
+        warnings.showwarning = show_warning
 
 
 def command(
@@ -82,24 +78,24 @@ def command(
     """Make the `main` of a command that reads options, checks their numbers and does its work.
 
     Args:
-        kind: A dataclass, or a union of those of sub-commands.
-        work: Takes the options; an int that it returns is the exit code.
-        program: What a user types to run the command.
-        description: For the help, as in `read_options`.
-        interrupted: The sentence after Ctrl-C.
+        kind: A dataclass of options, or a union of those of the sub-commands.
+        work: Function that takes the options. If it returns an int, that is the exit code.
+        program: The command as a user types it.
+        description: Text of the help, as in `read_options`.
+        interrupted: The sentence to print after Ctrl-C.
 
     Returns:
-        A function that takes the words without the program's name, by default those of this process, and returns the
-        exit code.
+        A function that takes the words after the program's name, by default those of this process, and returns the exit
+        code.
     """
 
     def main(arguments: Sequence[str] | None = None) -> int:
         """Run the command line."""
-        asked = read_options(kind, arguments, program=program, description=description or "")
+        options = read_options(kind, arguments, program=program, description=description or "")
 
         def checked() -> Any:
-            check_options(asked)
-            return work(asked)
+            check_options(options)
+            return work(options)
 
         return exit_code_of(checked, interrupted)
 
@@ -107,23 +103,24 @@ def command(
 
 
 def _sentence(error: Exception) -> str:
-    """Message of an error; for the system's own errors, the file and the remedy."""
-    if isinstance(error, OSError) and error.filename is None and error.errno in NO_ROOM:
+    """Write the message of an error; for the system's own errors, with the file and the remedy."""
+    no_room = (errno.ENOSPC, errno.EFBIG, errno.EIO, getattr(errno, "EDQUOT", errno.ENOSPC))
+    if isinstance(error, OSError) and error.filename is None and error.errno in no_room:
         return f"a file cannot be written ({error.strerror}); make room on its disk, or name another (--out)"
     if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
         return str(error)
-    remedy = next((f"; {said}" for kind, said in REMEDIES.items() if isinstance(error, kind)), "")
+    remedy = next((f"; {advice}" for kind, advice in REMEDIES.items() if isinstance(error, kind)), "")
     return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}{remedy}"
 
 
 @contextmanager
-def _interrupts_in_good_time() -> Iterator[None]:
-    """Delay Ctrl-C a little where it would be lost or do harm.
+def _delayed_interrupts() -> Iterator[None]:
+    """Delay Ctrl-C briefly where it would be lost or do harm.
 
-    Python drops what is raised in a callback of its garbage collector, and JAX has one. A compiled module that is
-    interrupted while it is imported may take the whole process down, and jaxlib does.
+    Python drops exceptions in callbacks of its garbage collector, and JAX has such a callback. A compiled module that
+    is interrupted during its import may crash the process, as jaxlib does.
     """
-    raised, unraisable_hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    previous, unraisable_hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
 
     def handler(number: int, frame: FrameType | None) -> None:
         if _importing():
@@ -137,35 +134,36 @@ def _interrupts_in_good_time() -> Iterator[None]:
         else:
             unraisable_hook(unraisable)
 
-    ours = raised is signal.default_int_handler and threading.current_thread() is threading.main_thread()
+    is_default = previous is signal.default_int_handler and threading.current_thread() is threading.main_thread()
     sys.unraisablehook = hook
-    if ours:
+    if is_default:
         signal.signal(signal.SIGINT, handler)
     try:
         yield
     finally:
         sys.unraisablehook = unraisable_hook
-        if ours:
-            signal.signal(signal.SIGINT, raised)
+        if is_default:
+            signal.signal(signal.SIGINT, previous)
 
 
 def _importing() -> bool:
-    """Test whether a module is being imported now."""
+    """Test whether a module is being imported."""
     specs = (getattr(module, "__dict__", {}).get("__spec__") for module in list(sys.modules.values()))
     return any(getattr(spec, "_initializing", False) for spec in specs)
 
 
-def _send_again() -> None:
-    if hasattr(signal, "pthread_kill"):  # which ends the main thread's waiting too
-        timer = threading.Timer(SENT_AGAIN_S, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
+def _send_again(delay_s: float = 0.05) -> None:
+    """Send Ctrl-C again after a delay."""
+    if hasattr(signal, "pthread_kill"):  # wakes up a waiting main thread as well
+        timer = threading.Timer(delay_s, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
     else:
-        timer = threading.Timer(SENT_AGAIN_S, signal.raise_signal, (signal.SIGINT,))
+        timer = threading.Timer(delay_s, signal.raise_signal, (signal.SIGINT,))
     timer.daemon = True
     timer.start()
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **_: Any) -> None:
-    """Show a warning in one line; warnings of other libraries keep their origin."""
+    """Print a warning in one line; warnings of other libraries keep their origin."""
     if issubclass(category, UserWarning):
         print(f"warning: {printable(message)}", file=sys.stderr)
     else:

@@ -1,7 +1,7 @@
-"""Options of a command: limits of their numbers, and refusals before anything large is imported.
+"""Options of a command: limits of their numbers, and refusals before any large import.
 
-Options are fields of a dataclass. What numbers a field allows is part of its type (`Count`, `Seed`, `Probability` or
-`Annotated[float, Limits(...)]`), so that `check_options` can refuse others.
+Options are the fields of a dataclass. The limits of a number are part of its type (`Count`, `Seed`, `Probability` or
+`Annotated[float, Limits(...)]`), so that `check_options` can refuse other numbers.
 """
 
 import ast
@@ -17,18 +17,18 @@ from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
 
-from i2t.cli.pipes import NOBODY_READS, nobody_reads
+from i2t.cli.pipes import ExitCode, output_is_closed
 
-T = TypeVar("T")
+Options = TypeVar("Options")
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Numbers that an option allows, part of its type."""
+    """Limits of the numbers that an option allows, as a part of its type."""
 
-    least: int | float = -math.inf
-    most: int | float = math.inf
-    above: bool = False  # whether the least itself is too small
+    minimum: int | float = -math.inf
+    maximum: int | float = math.inf
+    above: bool = False  # whether the minimum itself is excluded
 
     def allow(self, value: int | float) -> bool:
         """Test a number against the limits.
@@ -37,18 +37,18 @@ class Limits:
             value: Any number.
 
         Returns:
-            Whether it is; NaN never is.
+            Whether the number is within the limits; never for NaN.
         """
-        return (value > self.least if self.above else value >= self.least) and value <= self.most
+        return (value > self.minimum if self.above else value >= self.minimum) and value <= self.maximum
 
     def __str__(self) -> str:
-        if self.most < math.inf:
+        if self.maximum < math.inf:
             return (
-                f"more than {self.least:g} and at most {self.most:.10g}"
+                f"more than {self.minimum:g} and at most {self.maximum:.10g}"
                 if self.above
-                else f"{self.least:g} to {self.most:.10g}"
+                else f"{self.minimum:g} to {self.maximum:.10g}"
             )
-        return f"more than {self.least:g}" if self.above else f"at least {self.least:g}"
+        return f"more than {self.minimum:g}" if self.above else f"at least {self.minimum:g}"
 
 
 Count: TypeAlias = Annotated[int, Limits(1)]
@@ -58,53 +58,53 @@ Probability: TypeAlias = Annotated[float, Limits(0, 1)]
 
 
 def read_options(
-    kind: Callable[..., T],
+    kind: Callable[..., Options],
     words: Sequence[str] | None,
     *,
     program: str,
     description: str = "",
     config: Sequence[Any] | None = None,
-) -> T:
+) -> Options:
     """Read a command line into a dataclass.
 
     Args:
-        kind: The dataclass, or a union of those of sub-commands.
-        words: The command line without the program's name; None takes the process's.
-        program: What a user types to run the command.
-        description: For the help; where it is empty the docstring of the dataclass.
-        config: Of tyro; by default a flag that is off has no other that turns it off.
+        kind: The dataclass of options, or a union of those of the sub-commands.
+        words: The words after the program's name; None takes those of this process.
+        program: The command as a user types it.
+        description: Text of the help; if it is empty, the docstring of the dataclass.
+        config: Configuration of tyro. By default, flags that are off have no counterpart that turns them off.
 
     Returns:
-        The options.
+        The options as an instance of the dataclass.
 
     Raises:
-        SystemExit: After help, or with tyro's answer on stderr where a word makes no sense; 141 without a word if
-            nobody reads the help to its end.
+        SystemExit: After the help, or with tyro's message on stderr after a wrong word; with code 141 if the reader of
+            the help has ended.
     """
-    import tyro  # here, as functions that check options need it not
+    import tyro  # here, because functions that check options do not need it
 
     config = (tyro.conf.FlagCreatePairsOff,) if config is None else config
     try:
         try:
             return tyro.cli(kind, args=words, prog=program, description=description or None, config=config)
         except SystemExit:
-            sys.stdout.flush()  # here, where it is known what to say if that fails
+            sys.stdout.flush()  # here, where a failure can be handled
             raise
     except BrokenPipeError:
-        nobody_reads()
-        raise SystemExit(NOBODY_READS) from None
+        output_is_closed()
+        raise SystemExit(ExitCode.OUTPUT_CLOSED) from None
 
 
 def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -> None:
-    """Refuse numbers outside their limits, and lists that were named and left empty.
+    """Refuse numbers outside their limits, and lists that were given without values.
 
     Args:
-        options: A dataclass as a command line was read into it; groups of options are dataclasses in it.
+        options: A dataclass that was read from a command line; groups of options are dataclasses within it.
         given: The words of the command line.
-        group: Of the options, such as `settings.`.
+        group: Prefix of the flags of a group of options, such as `settings.`.
 
     Raises:
-        ValueError: A number, NaN or an empty list; the message names its flag.
+        ValueError: A number is outside its limits or NaN, or a list is empty; the message names its flag.
     """
     for flag, hint, value in _options(options, group):
         limits = _limits(hint)
@@ -116,7 +116,7 @@ def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -
             if math.isnan(number):
                 raise ValueError(f"--{flag} is not a number; give one")
         if isinstance(value, tuple) and not value and any(word.replace("_", "-") == f"--{flag}" for word in given):
-            raise ValueError(f"--{flag} names nothing; give one value at least, or leave it out")
+            raise ValueError(f"--{flag} has no values; give at least one, or leave it out")
 
 
 def require_path(flag: str, path: Path | None, what: str = "file or folder") -> None:
@@ -124,31 +124,31 @@ def require_path(flag: str, path: Path | None, what: str = "file or folder") -> 
 
     Args:
         flag: The option that names it, such as `--pad`.
-        path: As given; None where the option was left out.
-        what: What should be there; only a folder is a "folder".
+        path: The given path; None if the option was left out.
+        what: Kind of the path in the message; "folder" accepts folders only.
 
     Raises:
-        ValueError: It is not there.
+        ValueError: The path does not exist.
     """
     if path is not None and not (path.is_dir() if what == "folder" else path.exists()):
         raise ValueError(f"{flag} {path}: there is no such {what}; check the name")
 
 
 def require_writable(flag: str, path: Path) -> None:
-    """Refuse a file or folder that cannot be made or written, before the work of which it is the result.
+    """Refuse a file or folder that cannot be created or written, before the work whose result it will hold.
 
     Args:
         flag: The option that names it, such as `--out`.
-        path: As given; it and folders above it need not be there yet.
+        path: The given path; it and the folders above it need not exist yet.
 
     Raises:
-        ValueError: A file stands where a folder should, or nothing may be written there.
+        ValueError: A file is where a folder should be, or writing there is not permitted.
     """
-    there = next((each for each in (path, *path.parents) if each.exists()), Path())
-    if there != path and not there.is_dir():
-        raise ValueError(f"{flag} {path}: {there} is a file; name a folder")
-    if not os.access(there, os.W_OK | (os.X_OK if there.is_dir() else 0)):
-        raise ValueError(f"{flag} {path}: {there} may not be written; name a place where you may write")
+    existing = next((place for place in (path, *path.parents) if place.exists()), Path())
+    if existing != path and not existing.is_dir():
+        raise ValueError(f"{flag} {path}: {existing} is a file; name a folder")
+    if not os.access(existing, os.W_OK | (os.X_OK if existing.is_dir() else 0)):
+        raise ValueError(f"{flag} {path}: {existing} is write-protected; name another place")
 
 
 def require_with(flag: str, given: bool, needed: str, holds: bool) -> None:
@@ -157,8 +157,8 @@ def require_with(flag: str, given: bool, needed: str, holds: bool) -> None:
     Args:
         flag: The option.
         given: Whether it was given.
-        needed: The option without which it has no effect, as a user types it.
-        holds: Whether that was given.
+        needed: The option without which the first one has no effect, as a user types it.
+        holds: Whether the needed option was given.
 
     Raises:
         ValueError: The option has no effect.
@@ -169,13 +169,13 @@ def require_with(flag: str, given: bool, needed: str, holds: bool) -> None:
 
 @cache
 def docstring_of(module: str) -> str:
-    """The docstring of a module that is not imported.
+    """Read the docstring of a module without importing it.
 
     Args:
-        module: Its name.
+        module: Name of the module.
 
     Returns:
-        The text, "" where it has none.
+        The docstring, or "" if the module has none.
     """
     spec = importlib.util.find_spec(module)
     if spec is None or spec.origin is None:
@@ -184,20 +184,20 @@ def docstring_of(module: str) -> str:
 
 
 def _options(options: Any, group: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Flag, type and value of every option, those of groups as `settings.press`; as `press` where a group is FLAT."""
+    """List flag, type and value of every option. Flags of groups are `settings.press`, or `press` in a FLAT group."""
     hints = typing.get_type_hints(type(options), include_extras=True)
-    for each in fields(options):
-        value = getattr(options, each.name)
-        flag = group + each.name.replace("_", "-")
+    for field in fields(options):
+        value = getattr(options, field.name)
+        flag = group + field.name.replace("_", "-")
         if is_dataclass(value):
             yield from _options(value, group if getattr(value, "FLAT", False) else f"{flag}.")
         else:
-            yield flag, hints[each.name], value
+            yield flag, hints[field.name], value
 
 
 def _limits(hint: Any) -> Limits | None:
-    """The limits in a type, or in one that it is made of."""
+    """Find the limits in a type or in its parts."""
     for note in getattr(hint, "__metadata__", ()):
         if isinstance(note, Limits):
             return note
-    return next((found for part in typing.get_args(hint) if (found := _limits(part)) is not None), None)
+    return next((limits for part in typing.get_args(hint) if (limits := _limits(part)) is not None), None)

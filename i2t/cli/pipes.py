@@ -1,36 +1,44 @@
-"""Output that nobody reads any more, as in `python -m i2t.place --help | head -1`."""
+"""Exit codes of commands, and output pipes whose reader has ended, as in `python -m i2t.place --help | head -1`."""
 
 import os
 import select
 import sys
+from enum import IntEnum
 from typing import Any
 
-NOBODY_READS = 141  # exit code; as shells give it for programs that end by SIGPIPE
+
+class ExitCode(IntEnum):
+    """Exit codes of commands that did not do what was asked."""
+
+    FAILED = 1
+    WRONG_USE = 2
+    INTERRUPTED = 130  # as shells report it for programs that end by SIGINT
+    OUTPUT_CLOSED = 141  # as shells report it for programs that end by SIGPIPE
 
 
-def nobody_reads() -> bool:
-    """Test for an output pipe without a reader; further output to it is then dropped.
+def output_is_closed() -> bool:
+    """Test for an output pipe without a reader, and discard further output to it.
 
-    A connection to a device breaks with the same error, and is no reason to say nothing.
+    The connection to a device breaks with the same error, which must be reported.
 
     Returns:
         Whether stdout or stderr has lost its reader.
     """
-    gone = [stream for stream in (sys.stdout, sys.stderr) if _has_no_reader(stream)]
-    for stream in gone:  # Python would complain again when it writes what is left at its end
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
-    return bool(gone)
+    closed = [stream for stream in (sys.stdout, sys.stderr) if _has_no_reader(stream)]
+    for stream in closed:  # otherwise Python would complain again when it writes its buffer at exit
+        null_device = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null_device, stream.fileno())
+        os.close(null_device)
+    return bool(closed)
 
 
 def _has_no_reader(stream: Any) -> bool:
     try:
         descriptor = stream.fileno()
-    except (AttributeError, OSError, ValueError):  # none, replaced by what is no file, or closed
+    except (AttributeError, OSError, ValueError):  # missing, closed, or replaced by an object that is not a file
         return False
     if not hasattr(select, "poll"):  # Windows
         return False
     poll = select.poll()
     poll.register(descriptor, 0)  # errors are reported anyway
-    return any(what & (select.POLLERR | select.POLLHUP) for _, what in poll.poll(0))
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in poll.poll(0))

@@ -1,1 +1,1 @@
-"""Depth patches: their size, and what surrounds them."""
+"""Depth patches: their size and their surroundings."""

@@ -1,14 +1,14 @@
-"""Heights that are seen 25.5 mm wide become a patch and its surroundings, in one way for renderers and cameras:
-`i2t.rendering.render.render_view`, `i2t.depth.patches.view_from_depth` and the simulated camera.
+"""Patches and their surroundings from heights that are seen 25.5 mm wide. Renderers, cameras and the simulated camera
+(`i2t.rendering.render.render_view`, `i2t.depth.patches.view_from_depth`) share this definition.
 
-A patch shows 17 mm, and the skin is 20 mm wide: what lies around the patch is pressed too, and what stands out there
-is met first. So a view counts from the *patch's* nearest point on all its pixels, and is negative where the
-surroundings stand out before that point:
+A patch shows 17 mm, and the skin is 20 mm wide. The surroundings of the patch are therefore pressed too, and the skin
+meets protruding surroundings first. Depths of the whole view are measured from the nearest point of the *patch*, and
+are negative where the surroundings stand out before that point:
 
     wide = min(z - nearest, reach),   patch = its central pixels
 
-Heights z are metres along tool z. They are clipped after the shift, so the middle of a view is always its patch,
-whatever stands beside it; and not from below, since what is met first keeps its shape.
+Heights z are metres along tool z. They are clipped after the shift, so the centre of a view is always its patch,
+whatever stands next to it. Negative depths are not clipped, so that protruding surroundings keep their shape.
 """
 
 from functools import reduce
@@ -22,14 +22,13 @@ from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, REACH
 from i2t.types import Array as AnyArray
 from i2t.types import Patch, in_one_line
 
-SAME_SURFACE_M = 1.5e-3  # m, five times a camera's depth noise: pixels closer in depth are taken for one surface
-FILTER_PIXELS = 5  # edge of the square over which a camera's nearest surface is averaged
-MIN_SURFACE_PIXELS = 10  # of that square, that must lie on the surface; few pixels would be the noisiest
+# m, five times a camera's depth noise: pixels whose depths differ by less are taken for one surface
+SAME_SURFACE_M = 1.5e-3
 
 
 @in_one_line
 class WideView(NamedTuple):
-    """View in front of the skin, and around it.
+    """A depth patch in front of the skin, with its surroundings.
 
     Example:
         view = render_view(surface, T_o_t)
@@ -37,7 +36,7 @@ class WideView(NamedTuple):
     """
 
     patch: Patch  # the central pixels
-    wide: Float[Array, "*batch w w"]  # m behind the patch's nearest point, at most the reach; negative: it stands out
+    wide: Float[Array, "*batch w w"]  # m behind the patch's nearest point, at most the reach; negative before it
 
 
 def view_of_heights(
@@ -46,46 +45,50 @@ def view_of_heights(
     *,
     reach: float = REACH,
     noise: float = 0.0,
-    least: Float[Array, ""] | float = -jnp.inf,
+    lowest: Float[Array, ""] | float = -jnp.inf,
 ) -> WideView:
-    """A patch and its surroundings from heights.
+    """Compute a patch and its surroundings from heights.
 
     Args:
-        z: m along tool z from the tool origin, +inf where nothing is seen; the patch is its central 48 x 48 pixels.
-        nearest: m, height of the patch's nearest point, from which depths count; left out, its nearest pixel. Where
-            there is none (+inf) they count from the tool origin.
-        reach: m, at which depths are clipped.
-        noise: m; what stands out by less is taken for the camera's noise and reads 0.
-        least: m, height of the nearest surface anywhere; what is nearer is taken for noise on it.
+        z: `(w, w)` heights (m) along tool z from the tool origin, +inf where nothing is seen. The patch is the central
+            48 x 48 pixels.
+        nearest: Height (m) from which depths are measured, by default that of the patch's nearest pixel. If it is +inf,
+            depths are measured from the tool origin.
+        reach: Depth (m) at which the view is clipped.
+        noise: Largest protrusion (m) that is taken for the camera's noise and reads 0.
+        lowest: Height (m) of the nearest surface anywhere; smaller heights are noise and are raised to it.
 
     Returns:
-        The view.
+        The patch, and its surroundings as `(w, w)` depths (m).
     """
     nearest = jnp.min(centre(z, PATCH_PIXELS)) if nearest is None else nearest
     start = jnp.where(jnp.isfinite(nearest), nearest, 0)
-    behind = jnp.minimum(jnp.maximum(z, least) - start, reach)
+    behind = jnp.minimum(jnp.maximum(z, lowest) - start, reach)
     wide = jnp.where(behind < -noise, behind, jnp.maximum(behind, 0))
     patch = jnp.maximum(centre(wide, PATCH_PIXELS), 0)
     margin = (z.shape[-1] - PATCH_PIXELS) // 2
     return WideView(Patch(patch, nearest), jax.lax.dynamic_update_slice(wide, patch, (margin, margin)))
 
 
-def camera_view(z: Float[Array, "w w"]) -> WideView:
-    """A view from the heights of a noisy camera, of the default sizes.
+def camera_view(z: Float[Array, "w w"], *, filter_pixels: int = 5, min_surface_pixels: int = 10) -> WideView:
+    """Compute a view of the default size from the heights of a noisy camera.
 
-    Its nearest surface is not its nearest pixel. It is the least mean over squares of 5 x 5 pixels, of which those on
-    the square's nearest surface count (a sigma filter; Lee, CVGIP 24, 1983). These must be at least ten, or as many as
-    there are anywhere: few pixels would be the noisiest rather than the nearest.
+    The nearest pixel of a noisy image is not its nearest surface. That surface is the lowest mean over small squares of
+    pixels, where each mean includes only pixels on the square's nearest surface (a sigma filter; Lee, CVGIP 24, 1983).
 
     Args:
-        z: m along tool z from the tool origin, +inf where nothing is seen.
+        z: `(w, w)` heights (m) along tool z from the tool origin, +inf where nothing is seen.
+        filter_pixels: Edge of a square in pixels.
+        min_surface_pixels: Number of pixels of a square that must lie on its surface, or the largest number in any
+            square if that is smaller. The mean of fewer pixels would be dominated by noise.
 
     Returns:
-        The view, behind the patch's nearest surface. What stands out by less than `SAME_SURFACE_M` is noise.
+        The view, whose depths are measured from the patch's nearest surface. Protrusions below `SAME_SURFACE_M` are
+        taken for noise.
     """
-    inner = z.shape[-1] - FILTER_PIXELS + 1
-    # Written out: a reduction over an axis of 25 squares takes a CPU twenty times as long as a chain of sums.
-    squares = [z[i : i + inner, j : j + inner] for i in range(FILTER_PIXELS) for j in range(FILTER_PIXELS)]
+    inner = z.shape[-1] - filter_pixels + 1
+    # Sums are written out, because a reduction over an axis of 25 squares takes a CPU twenty times as long.
+    squares = [z[i : i + inner, j : j + inner] for i in range(filter_pixels) for j in range(filter_pixels)]
     lowest = reduce(jnp.minimum, squares)
     limit = jnp.where(jnp.isfinite(lowest), lowest + SAME_SURFACE_M, -jnp.inf)
     same = [square <= limit for square in squares]
@@ -94,37 +97,37 @@ def camera_view(z: Float[Array, "w w"]) -> WideView:
     mean = total / jnp.maximum(count, 1)
 
     def nearest(pixels: int) -> Float[Array, ""]:
-        """Least height (m) of the squares in the middle; +inf where nothing is seen."""
-        found = centre(count, pixels - FILTER_PIXELS + 1)
-        enough = found >= jnp.clip(jnp.max(found), 1, MIN_SURFACE_PIXELS)
-        return jnp.min(jnp.where(enough, centre(mean, pixels - FILTER_PIXELS + 1), jnp.inf))
+        """Find the lowest height (m) of the central squares; +inf if nothing is seen."""
+        surface_pixels = centre(count, pixels - filter_pixels + 1)
+        enough = surface_pixels >= jnp.clip(jnp.max(surface_pixels), 1, min_surface_pixels)
+        return jnp.min(jnp.where(enough, centre(mean, pixels - filter_pixels + 1), jnp.inf))
 
-    of_patch = nearest(PATCH_PIXELS)
-    least = jnp.minimum(of_patch, nearest(z.shape[-1]))
-    return view_of_heights(z, of_patch, noise=SAME_SURFACE_M, least=least)
+    patch_nearest = nearest(PATCH_PIXELS)
+    lowest = jnp.minimum(patch_nearest, nearest(z.shape[-1]))
+    return view_of_heights(z, patch_nearest, noise=SAME_SURFACE_M, lowest=lowest)
 
 
 def pixels_on_skin(pitch: float) -> int:
-    """Pixels along the middle of a view whose centres lie on the skin.
+    """Count the pixels along the middle of a view whose centres lie on the skin.
 
     Args:
-        pitch: m, edge of a pixel.
+        pitch: Edge (m) of a pixel.
 
     Returns:
-        An even number.
+        The number of pixels, which is even.
     """
     return 2 * int(PAD_WINDOW / pitch / 2)
 
 
 def centre(view: AnyArray, pixels: int) -> AnyArray:
-    """The central pixels of views.
+    """Crop views to their central pixels.
 
     Args:
-        view: (..., w, w).
-        pixels: Along the edge of what is kept; w less an even number.
+        view: `(..., w, w)` pixels.
+        pixels: Number of pixels along the edge to keep; it differs from w by an even number.
 
     Returns:
-        (..., pixels, pixels), a view of NumPy's arrays.
+        `(..., pixels, pixels)` central pixels; of a NumPy array a view, not a copy.
     """
     margin = (view.shape[-1] - pixels) // 2
     return view[..., margin : margin + pixels, margin : margin + pixels]

@@ -1,4 +1,4 @@
-"""Pose of an object, of a tool or of the camera, from touches or from a depth image."""
+"""Estimate the pose of an object or of the camera from touches or from a depth image."""
 
 from i2t.registration.contacts import contact_poses
 from i2t.registration.depth import DepthRegistrationConfig, camera_covariance, register_by_depth

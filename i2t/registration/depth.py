@@ -1,13 +1,13 @@
-"""An object's pose from a depth image, with its covariance. NumPy, for the host.
+"""Estimate an object's pose and its covariance from a depth image. NumPy, for the host.
 
-Points of the image that lie near the believed object, and not on the table, are drawn to the planes of the surface's
-nearest samples, over and over (iterative closest points; Besl and McKay, "A method for registration of 3-D shapes",
-1992; to planes: Chen and Medioni, "Object modelling by registration of multiple range images", 1992). Samples that face
-away from the camera are no candidates, the distance at which a pair counts shrinks, and Tukey's biweight with a scale
-of 1.48 median absolute residuals leaves out what is still something else (Holland and Welsch, "Robust regression using
+Points of the image that lie near the believed object and above the table are fitted to the planes of the surface's
+nearest samples by iterative closest points (Besl and McKay, "A method for registration of 3-D shapes", 1992; with
+planes: Chen and Medioni, "Object modelling by registration of multiple range images", 1992). Samples that face away
+from the camera are excluded, and the largest distance of a pair shrinks from step to step. Tukey's biweight, with a
+scale of 1.48 median absolute residuals, rejects points of other objects (Holland and Welsch, "Robust regression using
 iteratively reweighted least-squares", 1977).
 
-The object stands at `T_w_o from_twist(x)` (`i2t.geometry`): x (6,) m in its own frame.
+The object is at `T_w_o from_twist(x)` (`i2t.geometry`), where x (6,) is a twist (m) in its own frame.
 """
 
 from dataclasses import dataclass
@@ -27,46 +27,46 @@ from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.registration.estimate import PoseEstimate
 
-SURFACE_SAMPLES = 40_000  # half a millimetre apart on an object of a decimetre
-BIWEIGHT_CUTOFF = 4.685  # scales beyond which Tukey's weight is zero (95 % efficient where all is normal)
-STD_PER_MAD = 1.4826  # of a normal distribution: standard deviation over median absolute deviation
+BIWEIGHT_CUTOFF = 4.685  # scales beyond which Tukey's weight is zero, for 95 % efficiency on normal residuals
+STD_PER_MAD = 1.4826  # ratio of the standard deviation of a normal distribution to its median absolute deviation
 
 
 @dataclass(frozen=True)
 class DepthRegistrationConfig:
-    """Options of pose search by depth image."""
+    """Options of a pose search by depth image."""
 
-    initial_reach: float = 15e-3  # m from the believed object within which a point counts, at first
-    final_reach: float = 3e-3  # m, and at the end
-    reach_factor: float = 0.8  # from step to step
+    initial_reach: float = 15e-3  # m, largest distance of a point from the believed object at first
+    final_reach: float = 3e-3  # m, the same at the end
+    reach_factor: float = 0.8  # factor of the distance from step to step
     max_steps: int = 40
-    tolerance: float = 1e-6  # m, ends when a step is shorter
-    max_points: int = 5000  # drawn from the image
-    table_clearance: float = 2e-3  # m above the table below which a point may be the table's
+    tolerance: float = 1e-6  # m, step length at which the search ends
+    max_points: int = 5000  # points drawn from the image
+    table_clearance: float = 2e-3  # m above the table, below which points are ignored
     min_points: int = 50
-    min_overlap: float = 0.3  # share of the points that must end close to the surface
-    min_residual_scale: float = 1e-5  # m, below it residuals are rounding
+    min_overlap: float = 0.3  # smallest fraction of the points that must end within `final_reach` of the surface
+    min_residual_scale: float = 1e-5  # m, smallest scale of the residuals, so that it exceeds their rounding
+    surface_samples: int = 40_000  # half a millimetre apart on an object of a decimetre
     seed: int = 0
 
 
 class _Scene(NamedTuple):
-    """Data to be matched."""
+    """Points of the image and samples of the surface, which are to be matched."""
 
-    points: Float[np.ndarray, "n 3"]  # m, in W, from the image
-    samples: Float[np.ndarray, "s 3"]  # m, in O, of the surface
-    normals: Float[np.ndarray, "s 3"]  # of the samples, outward
-    tree: cKDTree  # of the samples
-    points_per_measurement: float  # neighbours that share their noise
+    points: Float[np.ndarray, "n 3"]  # m, points of the image in W
+    samples: Float[np.ndarray, "s 3"]  # m, points of the surface in O
+    normals: Float[np.ndarray, "s 3"]  # outward normals of the samples
+    tree: cKDTree  # search tree of the samples
+    points_per_measurement: float  # number of neighbours that share their noise
 
 
 class _Pairs(NamedTuple):
     """Points and the planes of their nearest samples at one pose."""
 
-    residual: Float[np.ndarray, " n"]  # m, from the plane
-    jacobian: Float[np.ndarray, "n 6"]  # by a twist of the object
-    weight: Float[np.ndarray, " n"]  # Tukey's
-    near: Bool[np.ndarray, " n"]  # close enough to count
-    variance: float  # m^2, of a residual, times the points that share one measurement's noise
+    residual: Float[np.ndarray, " n"]  # m, distance from the plane
+    jacobian: Float[np.ndarray, "n 6"]  # derivative by a twist (m) of the object
+    weight: Float[np.ndarray, " n"]  # Tukey's biweight
+    near: Bool[np.ndarray, " n"]  # whether a point is close enough to count
+    variance: float  # m^2, variance of a residual times the number of points that share their noise
 
 
 def register_by_depth(
@@ -82,31 +82,31 @@ def register_by_depth(
     points_per_measurement: float = 1.0,
     config: DepthRegistrationConfig = DepthRegistrationConfig(),
 ) -> PoseEstimate:
-    """The most probable pose of an object in a depth image.
+    """Estimate the most probable pose of an object in a depth image.
 
-    Noise is measured, from the residuals; the covariance knows nothing of a bias of the camera (`camera_covariance`
-    adds that of its pose).
+    The noise is estimated from the residuals. The covariance does not include errors of the camera's pose, which
+    `camera_covariance` adds, or a bias of its depths.
 
     Args:
         mesh: The object, in its own frame (m).
-        T_w_o: Where it is believed to be.
-        depth: Depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask` knows them.
+        T_w_o: Believed pose of the object.
+        depth: Depth image (m) along the camera's axis, with holes as described at `i2t.depth.camera.measured_mask`.
         camera: The camera.
-        T_w_c: Where it stands.
-        translation_std: Standard deviation (m) of the belief along each axis.
-        rotation_std: Standard deviation (rad) of the belief about each axis.
-        table_height: Height (m) in W of the plane the object stands on; None where the image shows none.
-        points_per_measurement: How many neighbouring points share their noise, as in stereo cameras; they count as one
-            in the covariance.
-        config: How to search.
+        T_w_c: Pose of the camera.
+        translation_std: Standard deviation (m) of the believed position along each axis.
+        rotation_std: Standard deviation (rad) of the believed orientation about each axis.
+        table_height: Height (m) in W of the plane on which the object stands; None if the image shows no plane.
+        points_per_measurement: Number of neighbouring points that share their noise, as in stereo cameras. They count
+            as a single point in the covariance.
+        config: Options of the search.
 
     Returns:
-        The estimate; covariance, residuals, weights and cost are those of the pose returned.
+        The estimate. Its covariance, residuals, weights and cost are those at the returned pose.
 
     Raises:
-        ValueError: The image is not the camera's, a pose is not rigid, too few points lie near the object, or too few
-            of those fit its surface.
-        TypeError: An argument holds no real numbers.
+        ValueError: The size of the image differs from the camera's, a pose is not rigid, too few points lie near the
+            object, or too few of these points fit its surface.
+        TypeError: An argument is not real numbers.
 
     Example:
         estimate = i2t.register_by_depth(mesh, T_w_o, image, camera, T_w_c)
@@ -132,15 +132,15 @@ def register_by_depth(
             break
         reach = max(reach * config.reach_factor, config.final_reach)
 
-    pairs = _pairs(scene, T, reach, config)  # at the pose returned, which the last step has moved
+    pairs = _pairs(scene, T, reach, config)  # again, because the last step moved the pose
     if pairs.near.mean() < config.min_overlap:
         raise ValueError(
             f"depth: {100 * pairs.near.mean():.0f} % of {len(scene.points)} points near the object fit its surface "
-            f"within {1e3 * config.final_reach:g} mm, of {100 * config.min_overlap:.0f} % needed; check the mesh and "
-            "its believed pose"
+            f"within {1e3 * config.final_reach:g} mm, but {100 * config.min_overlap:.0f} % are needed; check the mesh "
+            "and its believed pose"
         )
-    off = to_twist(compose(inverse(start), T))
-    cost = 0.5 * off @ prior_information @ off + 0.5 * np.sum(pairs.weight * pairs.residual**2) / pairs.variance
+    twist = to_twist(compose(inverse(start), T))
+    cost = 0.5 * twist @ prior_information @ twist + 0.5 * np.sum(pairs.weight * pairs.residual**2) / pairs.variance
     covariance = np.linalg.inv(_information(pairs, prior_information))
     fields = (T, covariance, pairs.residual, pairs.weight, cost)
     return PoseEstimate(*(jnp.asarray(field, jnp.float32) for field in fields))
@@ -152,20 +152,20 @@ def camera_covariance(
     translation_std: float,
     rotation_std: float,
 ) -> Float[np.ndarray, "6 6"]:
-    """Add the uncertainty of the camera's pose to an object's: the object moves with the camera that found it.
+    """Add the uncertainty of the camera's pose to that of an object, which moves with the camera that located it.
 
     Args:
-        covariance: Of the object's twist (m^2), as of `register_by_depth`.
-        T_c_o: Where the camera found the object.
-        translation_std: Standard deviation (m) of the camera along each axis.
-        rotation_std: Standard deviation (rad) of the camera about each axis.
+        covariance: `(6, 6)` covariance (m^2) of the object's twist, such as from `register_by_depth`.
+        T_c_o: Pose of the object in the camera's frame.
+        translation_std: Standard deviation (m) of the camera's position along each axis.
+        rotation_std: Standard deviation (rad) of the camera's orientation about each axis.
 
     Returns:
-        The covariance (m^2) of the object's twist with both.
+        `(6, 6)` covariance (m^2) of the object's twist that includes the camera's errors.
     """
     T = np.asarray(T_c_o, float)
     R, (x, y, z) = T[:3, :3], T[:3, 3]
-    about = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])  # times a small turn: how the object's origin moves
+    about = np.array([[0, z, -y], [-z, 0, x], [y, -x, 0]])  # times a small rotation: motion of the object's origin
     moved = np.block([[R.T, R.T @ about], [np.zeros((3, 3)), TWIST_LEVER_M * R.T]])
     spread = np.diag([translation_std**2] * 3 + [rotation_std**2] * 3)
     return np.asarray(covariance, float) + moved @ spread @ moved.T
@@ -174,7 +174,7 @@ def camera_covariance(
 def _points(
     depth: np.ndarray, camera: Camera, T_w_c: np.ndarray, table_height: float | None, config: DepthRegistrationConfig
 ) -> np.ndarray:
-    """Points measured above the table, in W (n, 3)."""
+    """Compute the measured points above the table, (n, 3) m in W."""
     x, y = np.asarray(pixel_rays(camera), float)
     points = np.stack([x, y, np.ones_like(x)], axis=-1) * np.where(measured_mask(depth), depth, np.nan)[..., None]
     points = apply(T_w_c, points[np.isfinite(points).all(axis=-1)])
@@ -184,9 +184,9 @@ def _points(
 def _scene(
     mesh: Mesh, start: np.ndarray, points: np.ndarray, T_w_c: np.ndarray, config: DepthRegistrationConfig
 ) -> _Scene:
-    """Samples of the surface that face the camera, and the points near them, thinned to `max_points`."""
+    """Sample the surface where it faces the camera, and select at most `max_points` points near the samples."""
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
-    samples, faces = trimesh.sample.sample_surface(whole, SURFACE_SAMPLES, seed=config.seed)
+    samples, faces = trimesh.sample.sample_surface(whole, config.surface_samples, seed=config.seed)
     normals = whole.face_normals[faces]
     eye = compose(inverse(start), T_w_c)[:3, 3]
     facing = np.sum((eye - samples) * normals, axis=1) > 0
@@ -196,13 +196,13 @@ def _scene(
     points = points[away < config.initial_reach]
     if len(points) < config.min_points:
         raise ValueError(
-            f"depth: {len(points)} points lie within {1e3 * config.initial_reach:g} mm of the believed object, of "
-            f"{config.min_points} needed; correct T_w_o or T_w_c, or look from nearer"
+            f"depth: {len(points)} points lie within {1e3 * config.initial_reach:g} mm of the believed object, but "
+            f"{config.min_points} are needed; correct T_w_o or T_w_c, or move the camera closer"
         )
-    thinned = min(1.0, config.max_points / len(points))  # those that are drawn lie further apart
+    kept_fraction = min(1.0, config.max_points / len(points))
     if len(points) > config.max_points:
         points = np.random.default_rng(config.seed).choice(points, config.max_points, replace=False)
-    return _Scene(points, samples, normals, tree, thinned)
+    return _Scene(points, samples, normals, tree, kept_fraction)
 
 
 def _pairs(scene: _Scene, T_w_o: np.ndarray, reach: float, config: DepthRegistrationConfig) -> _Pairs:
@@ -220,12 +220,12 @@ def _pairs(scene: _Scene, T_w_o: np.ndarray, reach: float, config: DepthRegistra
 
 
 def _information(pairs: _Pairs, prior_information: np.ndarray) -> np.ndarray:
-    """The inverse covariance (1/m^2) of the twist: that of the points plus that of the prior."""
+    """Compute the inverse covariance (1/m^2) of the twist, the sum of those of the points and of the prior."""
     return pairs.jacobian.T @ (pairs.weight[:, None] * pairs.jacobian) / pairs.variance + prior_information
 
 
 def _residual_scale(residual: np.ndarray, config: DepthRegistrationConfig) -> float:
-    """Standard deviation (m) of the residuals, were they normal."""
+    """Estimate the standard deviation (m) of the residuals from their median absolute value."""
     if not len(residual):
         return config.final_reach
     return max(STD_PER_MAD * float(np.median(np.abs(residual))), config.min_residual_scale)

@@ -1,4 +1,4 @@
-"""Result of registration: an object's pose with its covariance."""
+"""The result of a registration: an object's pose with its covariance."""
 
 from typing import NamedTuple
 
@@ -17,7 +17,8 @@ class PoseEstimate(NamedTuple):
     """
 
     T_w_o: Float[Array, "4 4"]  # the object's estimated pose in the world
-    covariance: Float[Array, "6 6"]  # m^2, of the twist x (`i2t.geometry.from_twist`) in T_w_o exp(x), prior included
-    residual: Float[Array, " n"]  # m, of each touch or point
-    weight: Float[Array, " n"]  # of each, from 0 for an outlier to about 1
+    # m^2, of the twist x (`i2t.geometry.from_twist`) in T_w_o from_twist(x), prior included
+    covariance: Float[Array, "6 6"]
+    residual: Float[Array, " n"]  # m, residual of each touch or point
+    weight: Float[Array, " n"]  # weight of each residual, from 0 for an outlier to about 1
     cost: Float[Array, ""]  # minus the logarithm of the posterior density, up to a constant

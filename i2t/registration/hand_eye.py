@@ -1,13 +1,13 @@
-"""The offset of a camera that stays as it is mounted, from several registered sessions, and views without it.
+"""Estimate the offset of a camera that stays mounted, from several registered sessions, and correct its views.
 
     estimates = register_sessions(dataset, {"mug": surface})  # sessions on objects whose mesh is known
     hand_eye = pool_hand_eye(list(estimates.values()))
-    dataset = with_hand_eye(dataset, hand_eye.T_t_camera)  # all sessions, those on unknown objects too
+    dataset = with_hand_eye(dataset, hand_eye.T_t_camera)  # all sessions, including those on unknown objects
 
-The pose of an object errs anew in each session, but the camera's does not as long as nobody takes it off. Sessions on
-known objects then tell where it looks from, and views of unknown objects can be corrected. Estimates of sessions are
-normal distributions with one prior in common, which counts once: the product of the likelihoods and that prior is the
-posterior.
+The error of an object's pose is new in each session, but that of the camera's pose stays as long as the camera is not
+removed. Sessions on known objects therefore determine the camera's pose, with which views of unknown objects can be
+corrected. The estimates of the sessions are normal distributions with a common prior, which counts once: the posterior
+is the product of all likelihoods and this prior.
 """
 
 from collections.abc import Sequence
@@ -28,31 +28,27 @@ from i2t.registration.session import SessionEstimate, SessionRegistrationConfig
 from i2t.runtime.batching import filled_batches
 from i2t.types import Array as AnyArray
 
-VIEWS_AT_ONCE = 36  # that are corrected by one program
-FIXED_POINT_STEPS = 4  # of a pixel's origin: each divides its error by the ratio of a pixel to the slope's reach
-COUNTED_INFORMATION = 1.0  # in units of the prior's: of directions that touches tell less of, sessions cannot disagree
-
 
 class HandEye(NamedTuple):
-    """Where the camera looks from in all sessions.
+    """The pose of the camera in all sessions.
 
     Example:
         hand_eye = pool_hand_eye(list(estimates.values()))
-        hand_eye.T_t_camera[:3, 3]  # m, by which the camera sits aside
+        hand_eye.T_t_camera[:3, 3]  # m, offset of the camera
     """
 
-    T_t_camera: Float[np.ndarray, "4 4"]  # in tool axes, seen from where the hand-eye calibration puts it
-    covariance: Float[np.ndarray, "6 6"]  # m^2, of its twist (`i2t.geometry.from_twist`)
+    T_t_camera: Float[np.ndarray, "4 4"]  # pose of the camera in tool axes, relative to the hand-eye calibration
+    covariance: Float[np.ndarray, "6 6"]  # m^2, covariance of its twist (`i2t.geometry.from_twist`)
     disagreement: float  # root mean square difference of the sessions, in standard deviations of their errors; about 1
-    sessions: int  # that were pooled
+    sessions: int  # number of pooled sessions
 
 
 def pool_hand_eye(estimates: Sequence[SessionEstimate], *, config: SessionRegistrationConfig | None = None) -> HandEye:
-    """Pool what registered sessions say of a camera that was mounted alike in all of them.
+    """Pool the estimates of a camera that was mounted in the same way in all sessions.
 
     Args:
-        estimates: Of sessions, by `register_session`.
-        config: With which they were registered; its prior of the camera is theirs.
+        estimates: Estimates of sessions by `register_session`.
+        config: The configuration with which they were registered, for its prior of the camera.
 
     Returns:
         The camera's offset. Where sessions differ by more than their covariances allow, the covariance is widened by
@@ -62,26 +58,25 @@ def pool_hand_eye(estimates: Sequence[SessionEstimate], *, config: SessionRegist
         ValueError: There is no estimate.
     """
     if not estimates:
-        raise ValueError("estimates: there is none; register sessions on objects whose mesh is known")
+        raise ValueError("estimates: the list is empty; register sessions on objects whose mesh is known")
     std = np.asarray((config or SessionRegistrationConfig()).std, np.float64)[6:]
-    # Twists in standard deviations of the prior, which is the unit matrix then.
-    found = np.array([np.asarray(to_twist(each.T_t_camera), np.float64) / std for each in estimates])
-    covariance = np.array([np.asarray(each.covariance, np.float64)[6:, 6:] / np.outer(std, std) for each in estimates])
+    # In standard deviations of the prior, whose covariance is then the unit matrix.
+    twists = np.array([np.asarray(to_twist(session.T_t_camera), np.float64) / std for session in estimates])
+    scale = np.outer(std, std)
+    covariance = np.array([np.asarray(session.covariance, np.float64)[6:, 6:] / scale for session in estimates])
     posterior = np.linalg.inv(covariance)
-    told, size = np.linalg.eigh(posterior - np.eye(6)), np.einsum("sij,sj->si", posterior, found)
-    values = np.maximum(told.eigenvalues, 0)
-    information = np.einsum("sik,sk,sjk->sij", told.eigenvectors, values, told.eigenvectors)
+    likelihood, weighted = np.linalg.eigh(posterior - np.eye(6)), np.einsum("sij,sj->si", posterior, twists)
+    values = np.maximum(likelihood.eigenvalues, 0)
+    information = np.einsum("sik,sk,sjk->sij", likelihood.eigenvectors, values, likelihood.eigenvectors)
     total = np.eye(6) + information.sum(0)
-    mean = np.linalg.solve(total, size.sum(0))
-    left = np.einsum("sik,si->sk", told.eigenvectors, size - information @ mean)
-    counted = values > COUNTED_INFORMATION
-    chi_square = float(np.sum(left[counted] ** 2 / values[counted]))
+    mean = np.linalg.solve(total, weighted.sum(0))
+    residual = np.einsum("sik,si->sk", likelihood.eigenvectors, weighted - information @ mean)
+    counted = values > 1  # directions in which the touches hold more information than the prior
+    chi_square = float(np.sum(residual[counted] ** 2 / values[counted]))
     freedom = int(counted.sum()) - 6
     disagreement = float(np.sqrt(chi_square / freedom)) if freedom > 0 else 1.0
     widened = np.linalg.inv(total) * max(1.0, disagreement) ** 2
-    return HandEye(
-        np.asarray(from_twist(std * mean), np.float64), np.outer(std, std) * widened, disagreement, len(estimates)
-    )
+    return HandEye(np.asarray(from_twist(std * mean), np.float64), scale * widened, disagreement, len(estimates))
 
 
 def with_hand_eye(
@@ -90,19 +85,19 @@ def with_hand_eye(
     *,
     looked_from: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Dataset:
-    """Correct all views of a data set by the camera's offset, as far as they show what lies there.
+    """Correct all views of a data set for the camera's offset, as far as the view covers the corrected pixels.
 
-    Each pixel of a corrected view takes the height that the camera saw on its line of sight, found by iterating a
-    fixed point and interpolated between pixels. Beyond the edge of a view its last pixels are continued.
+    Each pixel of a corrected view takes the height that the camera measured on its line of sight, found by fixed-point
+    iteration and interpolated between pixels. Pixels at the edge of a view are repeated beyond it.
 
     Args:
         dataset: Touches with views.
-        T_t_camera: Pose of the camera in tool axes, seen from where the hand-eye calibration puts it.
-        looked_from: m, where the tool was when the camera looked, in its axes at the end of the press, as in
+        T_t_camera: Pose of the camera in tool axes, relative to the hand-eye calibration.
+        looked_from: Position (m) of the tool when the camera looked, in its axes at the end of the press, as in
             `SessionRegistrationConfig`.
 
     Returns:
-        The data set with corrected views; those that showed nothing stay as they were.
+        The data set with corrected views. Empty views stay unchanged.
     """
     touches = dataset.touches
     back = np.eye(4)
@@ -111,41 +106,42 @@ def with_hand_eye(
     patch, wide, nearest = (np.array(part) for part in (touches.patch, touches.wide, touches.nearest))
     seen = np.flatnonzero(np.isfinite(nearest))
     pitch = dataset.window / PATCH_PIXELS
-    for some in filled_batches(seen, VIEWS_AT_ONCE):
-        height = nearest[some, None, None] + _continued(wide[some], patch[some])
+    for rows in filled_batches(seen, 36):  # a single size, so that the program is compiled once
+        height = nearest[rows, None, None] + _continued(wide[rows], patch[rows])
         view = jax.device_get(_moved(jnp.float32(height), offset, pitch))
-        patch[some], nearest[some] = np.minimum(view.patch.depth, dataset.reach), view.patch.nearest
-        wide[some] = np.where(np.isnan(wide[some]), np.nan, np.minimum(view.wide, dataset.reach))
+        patch[rows], nearest[rows] = np.minimum(view.patch.depth, dataset.reach), view.patch.nearest
+        wide[rows] = np.where(np.isnan(wide[rows]), np.nan, np.minimum(view.wide, dataset.reach))
     return replace(dataset, touches=touches._replace(patch=patch, wide=wide, nearest=nearest))
 
 
 def _continued(wide: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
-    """Depths of views with their patches in the middle; what was cropped is the patch's edge continued."""
+    """Complete views by their patches in the middle, and by the repeated edge of the patch where they were cropped."""
     margin = (wide.shape[-1] - patch.shape[-1]) // 2
-    known = np.array(wide)
-    middle = centre(known, patch.shape[-1])
+    view = np.array(wide)
+    middle = centre(view, patch.shape[-1])
     middle[...] = np.where(np.isnan(middle), patch, middle)
     edges = np.pad(patch, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
-    return np.where(np.isnan(known), edges, known)
+    return np.where(np.isnan(view), edges, view)
 
 
 @jax.jit
 @full_precision
 def _moved(height: Float[Array, "n w w"], T_t_camera: Float[Array, "4 4"], pitch: Float[Array, ""]) -> WideView:
-    """Views from the tool of heights that were seen from the camera."""
+    """Compute views from the tool of heights that were measured from the camera."""
     n = height.shape[-1]
-    at = (jnp.arange(n) - (n - 1) / 2) * pitch
-    target = jnp.stack(jnp.meshgrid(at, at), -1)  # (w, w, 2): x along columns, y along rows
+    centres = (jnp.arange(n) - (n - 1) / 2) * pitch
+    target = jnp.stack(jnp.meshgrid(centres, centres), -1)  # (w, w, 2): x along columns, y along rows
 
-    def one(seen: Float[Array, "w w"]) -> WideView:
+    def move(seen: Float[Array, "w w"]) -> WideView:
         def point(source: Float[Array, "w w 2"]) -> Float[Array, "w w 3"]:
             column, row = jnp.moveaxis(source / pitch + (n - 1) / 2, -1, 0)
             z = map_coordinates(seen, [row, column], order=1, mode="nearest")
             return apply(T_t_camera, jnp.concatenate([source, z[..., None]], -1))
 
         source = target
-        for _ in range(FIXED_POINT_STEPS):
+        # Each step divides the error by the ratio of a pixel to the distance over which the slope changes.
+        for _ in range(4):
             source = source + target - point(source)[..., :2]
         return camera_view(point(source)[..., 2])
 
-    return jax.vmap(one)(height)
+    return jax.vmap(move)(height)

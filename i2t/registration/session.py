@@ -1,12 +1,11 @@
-"""Where a known object and the camera really are, from the touches of one session.
+"""Estimate the true poses of an object with a known mesh and of the camera from the touches of a session.
 
-Within a session two errors are constant: the object stands at `T_w_o from_twist(x)` instead of `T_w_o`, and the camera
-looks from `from_twist(h)` instead of where the hand-eye calibration puts it. Each touch measures both twists, twelve
-numbers in all:
+Within a session two errors are constant: the object is at `T_w_o from_twist(x)` instead of `T_w_o`, and the camera's
+pose differs by `from_twist(h)` from the hand-eye calibration. Each touch measures both twists, twelve numbers in all:
 
-* at first contact the skin's face meets the surface (`i2t.registration.contacts`), which depends on x alone;
-* the view shows the surface from `T_o_c = (T_w_o from_twist(x))^-1 T_w_t B from_twist(h) B^-1`, where B moves the tool
-  back to where it was when the camera looked.
+* At first contact the skin's face meets the surface (`i2t.registration.contacts`), which depends on x alone.
+* The view shows the surface from `T_o_c = (T_w_o from_twist(x))^-1 T_w_t B from_twist(h) B^-1`, where B moves the tool
+  back to its pose when the camera looked.
 
 Views are compared with renderings as in direct image alignment (Lucas and Kanade, "An iterative image registration
 technique with an application to stereo vision", 1981; Kerl, Sturm and Cremers, "Robust odometry estimation for RGB-D
@@ -14,14 +13,14 @@ cameras", 2013). Heights Z(u, v) of a camera that moves by a small translation t
 
     Z + Z_u d_u + Z_v d_v - d_z,    d = t + w x (u, v, Z),
 
-with Z_u and Z_v the differences of neighbouring pixels. These see silhouettes too, which are all that a flat face shows
-of where it ends. Both images and the derivatives are blurred, widely in the first search and by little more than what
-the camera smears in the last; the first starts from several draws of the prior. A residual's variance is that of the
+where Z_u and Z_v are differences of neighbouring pixels. These include silhouettes, which alone show where a flat face
+ends. Both images and the derivatives are blurred, widely in the first search and by little more than the camera's own
+blur in the last. The first search starts from several draws of the prior. The variance of a residual is the sum of the
 camera's noise and of a sideways error of its pixels, which is as large as the blur until the last search. The arm's
-repeatability moves each view by a small motion of its own, which is taken off.
+repeatability adds a small motion to each view, which is eliminated.
 
-Residuals are Student's t, and the most probable twists are sought by Levenberg-Marquardt steps while the scale of the
-residuals shrinks, as in `i2t.registration.touch`. The covariance is that of Laplace's method.
+Residuals are distributed as Student's t. The most probable twists are found by Levenberg-Marquardt steps while the
+scale of the residuals shrinks, as in `i2t.registration.touch`. The covariance is that of Laplace's method.
 """
 
 from dataclasses import dataclass, field, replace
@@ -55,46 +54,43 @@ from i2t.runtime.compiling import jit_quickly, traced_floats
 from i2t.types import Array as AnyArray
 from i2t.types import Surface, Touches, in_one_line
 
-FIRST_SCALE = 10.0  # of the residuals, in standard deviations: the prior's errors against the noise
-UNSEEN_RESIDUAL = 1e6  # of a motion that was not looked at yet, in standard deviations: worse than any
-KEPT_STARTS = 2  # with the least cost, that go on to the next search
-TOUCHES_PER_CLASS = 36  # sessions are filled up to a multiple of it
-MAX_TOUCHES = 144  # of a session that are looked at
-MIN_NOISE_M = 1e-6  # of a depth pixel, for divisions
-
 
 @traced_floats
 @dataclass(frozen=True)
 class SessionRegistrationConfig:
-    """What is known of a lab's errors before a session, as standard deviations, and how to search.
+    """Errors of a lab before a session, as standard deviations, and options of the search.
 
     Example:
         config = i2t.SessionRegistrationConfig(hand_eye=3e-3, depth_noise=0.5e-3)  # a camera that was mounted by eye
         estimate = i2t.register_session(touches, surface, config=config)
     """
 
-    placement: float = 1e-3  # m, of the object along each axis
-    placement_angle: float = float(np.radians(1.0))  # rad, about each axis
-    hand_eye: float = 1e-3  # m, of the camera in the tool frame along each axis
-    hand_eye_angle: float = float(np.radians(0.5))  # rad, about each axis
-    contact: float = 0.1e-3  # m, of a first contact
-    repeatability: float = 0.05e-3  # m, of the arm along each axis, in each view
-    repeatability_angle: float = float(np.radians(0.03))  # rad, about each axis
-    # m, where the tool was when the camera looked, in its axes at the end of the press: hand-eye errors act there
+    placement: float = 1e-3  # m, position of the object along each axis
+    placement_angle: float = float(np.radians(1.0))  # rad, orientation of the object about each axis
+    hand_eye: float = 1e-3  # m, position of the camera in the tool frame along each axis
+    hand_eye_angle: float = float(np.radians(0.5))  # rad, orientation of the camera about each axis
+    contact: float = 0.1e-3  # m, position of a first contact
+    repeatability: float = 0.05e-3  # m, position of the arm along each axis, in each view
+    repeatability_angle: float = float(np.radians(0.03))  # rad, orientation of the arm about each axis
+    # m, position of the tool when the camera looked, in its axes at the end of the press: hand-eye errors act there
     looked_from: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    depth_noise: float = 0.3e-3  # m, of a depth pixel
-    depth_bleed: float = 1.0  # pixels by which a depth is displaced sideways
+    depth_noise: float = 0.3e-3  # m, depth of a pixel
+    depth_bleed: float = 1.0  # pixels, sideways displacement of a depth
     window: float = field(default=PATCH_WINDOW, metadata={"static": True})  # m, edge of a patch
-    reach: float = field(default=REACH, metadata={"static": True})  # m, at which views are clipped
-    num_starts: int = 8  # of the first search, draws of the prior; the first is its mean
+    reach: float = field(default=REACH, metadata={"static": True})  # m, depth at which views are clipped
+    num_starts: int = 8  # starts of the first search: the prior's mean and draws of the prior
+    kept_starts: int = 2  # ends with the lowest cost from which the next search starts
     blurs: tuple[float, ...] = (8.0, 4.0, 1.5)  # pixels, standard deviation of the blur in each search
-    steps: int = 12  # of each search
-    half_edge: float = PAD_WINDOW / 2  # m, of the skin's face
-    candidate_faces: int = 128  # of the surface at each touch: those that could come nearest
+    # standard deviations, scale of the residuals at first: the prior's errors relative to the noise
+    first_scale: float = field(default=10.0, metadata={"static": True})
+    steps: int = 12  # steps of each search
+    half_edge: float = PAD_WINDOW / 2  # m, half the edge of the skin's face
+    candidate_faces: int = 128  # number of faces that are considered for each touch
+    max_touches: int = 144  # number of touches of a session that are used
 
     @property
     def std(self) -> Float[Array, "12"]:
-        """Standard deviations (m) of the twists of the object and of the camera."""
+        """Standard deviations (m) of the object's twist, followed by those of the camera's."""
         turned = self.placement_angle * TWIST_LEVER_M, self.hand_eye_angle * TWIST_LEVER_M
         return jnp.repeat(jnp.stack([self.placement, turned[0], self.hand_eye, turned[1]]), 3)
 
@@ -105,27 +101,27 @@ class SessionEstimate(NamedTuple):
 
     Example:
         estimate = i2t.register_session(touches, surface)
-        estimate.T_t_camera[:3, 3]  # m, by which the camera sits aside
+        estimate.T_t_camera[:3, 3]  # m, offset of the camera
     """
 
     T_w_o: Float[Array, "4 4"]  # the object's estimated pose in the world
-    T_t_camera: Float[Array, "4 4"]  # of the camera in tool axes, seen from where the hand-eye calibration puts it
+    T_t_camera: Float[Array, "4 4"]  # pose of the camera in tool axes, relative to the hand-eye calibration
     covariance: Float[Array, "12 12"]  # m^2, of the twists of the object and of the camera (`i2t.geometry.from_twist`)
-    contact_residual: Float[Array, " n"]  # m, of each touch along the surface's normal
+    contact_residual: Float[Array, " n"]  # m, residual of each contact along the surface's normal
     view_residual: Float[Array, " n"]  # root mean square of each view's residuals, in standard deviations of the noise
 
 
 class _Views(NamedTuple):
-    """Heights that the camera saw, with the tool's poses."""
+    """Heights that the camera measured, with the tool's poses."""
 
     T_w_t: Float[AnyArray, "*n 4 4"]
-    height: Float[AnyArray, "*n w w"]  # m along tool z, clipped; 0 where nothing is known
-    known: Float[AnyArray, "*n w w"]  # 1 where a height is known, else 0
-    nearest: Float[AnyArray, "*n"]  # m, of the patch's nearest surface
+    height: Float[AnyArray, "*n w w"]  # m along tool z, clipped; 0 where not measured
+    measured: Float[AnyArray, "*n w w"]  # 1 where a height was measured, else 0
+    nearest: Float[AnyArray, "*n"]  # m, height of the patch's nearest surface
 
 
 class _Session(NamedTuple):
-    """The data of a registration."""
+    """Data of a registration."""
 
     surface: Surface
     T_w_o: Float[Array, "4 4"]
@@ -138,7 +134,7 @@ class _LinearisedViews(NamedTuple):
 
     residual: Float[Array, "n k"]
     jacobian: Float[Array, "n k 12"]
-    motion: Float[Array, " n"]  # half the squared motion of the arm in each view, in standard deviations
+    motion: Float[Array, " n"]  # half the squared norm of the arm's motion in each view, in standard deviations
 
 
 class _Linearised(NamedTuple):
@@ -150,56 +146,56 @@ class _Linearised(NamedTuple):
 def register_session(
     touches: Touches, surface: Surface, *, config: SessionRegistrationConfig = SessionRegistrationConfig()
 ) -> SessionEstimate:
-    """Estimate where the object and the camera really were in one session.
+    """Estimate the true poses of the object and of the camera in one session.
 
     Args:
-        touches: n touches of one session; of more than `MAX_TOUCHES`, as many evenly spread ones count. Those that met
-            nothing count by their views alone, cropped views by their patches, and touches without a view by their
-            contacts alone.
+        touches: Touches of one session. Of more than `max_touches`, evenly spread ones are used. Touches that did not
+            meet the object count by their views alone, cropped views by their patches, and touches without a view by
+            their contacts alone.
         surface: The object, in its own frame.
-        config: What is known before, and how to search.
+        config: Errors of the lab and options of the search.
 
     Returns:
-        The estimate. What the touches do not tell keeps the prior, and the covariance shows it.
+        The estimate. Directions that the touches do not determine keep the prior, as the covariance shows.
 
     Raises:
-        ValueError: The touches are of several sessions, none met the object, or a pose is not rigid.
-        TypeError: The touches or the surface are something else.
+        ValueError: The touches are from several sessions, none met the object, or a pose is not rigid.
+        TypeError: The touches or the surface have another type.
 
     Example:
         estimate = i2t.register_session(dataset.touches, i2t.prepare_surface(mesh))
     """
     if not isinstance(touches, Touches):
-        raise TypeError(f"touches: a {type(touches).__name__} is none; give `i2t.Touches` of one session")
+        raise TypeError(f"touches: {type(touches).__name__} is the wrong type; give `i2t.Touches` of one session")
     if not isinstance(surface, Surface):
-        raise TypeError(f"surface: a {type(surface).__name__} is none; make it with i2t.prepare_surface")
+        raise TypeError(f"surface: {type(surface).__name__} is the wrong type; make it with i2t.prepare_surface")
     sessions = np.unique(touches.session)
     if len(sessions) != 1:
-        raise ValueError(f"touches: they are of {len(sessions)} sessions; register one session at a time")
-    if len(touches.session) > MAX_TOUCHES:
-        touches = select_rows(touches, np.linspace(0, len(touches.session) - 1, MAX_TOUCHES).astype(int))
+        raise ValueError(f"touches: they are from {len(sessions)} sessions; register one session at a time")
+    if len(touches.session) > config.max_touches:
+        touches = select_rows(touches, np.linspace(0, len(touches.session) - 1, config.max_touches).astype(int))
     T_w_contact, met = contact_poses(touches)
     if not met.any():
-        raise ValueError("touches: none met the object, so that nothing says where it is; give some that did")
+        raise ValueError("touches: none met the object, so its pose cannot be estimated; give some that did")
     check_contacts(*(jnp.asarray(x, jnp.float32) for x in (touches.T_w_o[0], T_w_contact, met)))
-    session = _session(surface, touches.T_w_o[0], *_filled_up(T_w_contact, met, _views_of(touches)), config)
+    session = _prepare(surface, touches.T_w_o[0], *_padded(T_w_contact, met, _measured_views(touches)), config)
     draws = np.random.default_rng(0).normal(size=(config.num_starts, 12)).astype(np.float32)
     starts, searches = [draw * (number > 0) * config.std for number, draw in enumerate(draws)], len(config.blurs)
     for search, blur in enumerate(config.blurs):
         done = (search + np.minimum(2 * np.arange(config.steps) / config.steps, 1)) / searches
         blurring = _blurring(session.views.height.shape[-1], blur, config.blurs[-1])
-        # Samples of a wider blur share their noise: together they tell as much as fewer would.
+        # Samples of a wider blur share their noise, so they hold as much information as fewer samples would.
         shared = jnp.float32(blur / config.blurs[-1])
-        scales = jnp.float32(FIRST_SCALE ** (1 - done))
-        # Until the last search, edges may lie as far aside as the images are blurred.
-        aside = config.depth_bleed if blur == config.blurs[-1] else max(config.depth_bleed, blur)
-        errors = replace(config, depth_bleed=aside)
+        scales = jnp.float32(config.first_scale ** (1 - done))
+        # Until the last search, edges may be displaced by as much as the images are blurred.
+        bleed = config.depth_bleed if blur == config.blurs[-1] else max(config.depth_bleed, blur)
+        errors = replace(config, depth_bleed=bleed)
         ends = [_search(session, start, blurring, scales, shared, errors) for start in starts]
-        found = sorted(ends, key=lambda end: float(end.cost))
-        starts = [end.twist for end in found[:KEPT_STARTS]]
-    residual = np.sqrt(np.mean(np.square(found[0].linearised.views.residual), axis=1))[: len(met)]
-    # Noise that is larger than stated, or shared by neighbouring pixels, makes views tell less (McCullagh and Nelder,
-    # "Generalized linear models", 1989, section 4.5).
+        ends.sort(key=lambda end: float(end.cost))
+        starts = [end.twist for end in ends[: config.kept_starts]]
+    residual = np.sqrt(np.mean(np.square(ends[0].linearised.views.residual), axis=1))[: len(met)]
+    # Views hold less information if their noise is larger than stated or shared by neighbouring pixels (McCullagh and
+    # Nelder, "Generalized linear models", 1989, section 4.5).
     spread = jnp.float32(max(1.0, np.median(residual)))
     best = _search(session, starts[0], blurring, jnp.ones(config.steps), spread, config)
     return SessionEstimate(
@@ -211,22 +207,22 @@ def register_session(
     )
 
 
-def _filled_up(
-    T_w_contact: Float[np.ndarray, "n 4 4"], met: Bool[np.ndarray, " n"], views: _Views
+def _padded(
+    T_w_contact: Float[np.ndarray, "n 4 4"], met: Bool[np.ndarray, " n"], views: _Views, multiple: int = 36
 ) -> tuple[Float[np.ndarray, "m 4 4"], Bool[np.ndarray, " m"], _Views]:
-    """Contacts and views with repeated ones that do not count, up to a whole number of `TOUCHES_PER_CLASS`: one
-    compilation serves most sessions.
+    """Pad contacts and views to a multiple of touches, so that one compilation serves most sessions. The padding
+    repeats touches without weight.
     """
     n = len(met)
-    rows = np.resize(np.arange(n), TOUCHES_PER_CLASS * -(-n // TOUCHES_PER_CLASS))
+    rows = np.resize(np.arange(n), multiple * -(-n // multiple))
     counts = np.arange(len(rows)) < n
     views = select_rows(views, rows)
-    return T_w_contact[rows], met[rows] & counts, views._replace(known=views.known * counts[:, None, None])
+    return T_w_contact[rows], met[rows] & counts, views._replace(measured=views.measured * counts[:, None, None])
 
 
 @jit_quickly
 @full_precision
-def _session(
+def _prepare(
     surface: Surface, T_w_o: Array, T_w_contact: Array, met: Array, views: _Views, config: SessionRegistrationConfig
 ) -> _Session:
     T_w_o, T_w_contact, weight = (jnp.asarray(part, jnp.float32) for part in (T_w_o, T_w_contact, met))
@@ -238,23 +234,23 @@ def _session(
     return _Session(surface, T_w_o, contacts, views)
 
 
-def _views_of(touches: Touches) -> _Views:
-    """Heights that the camera saw; of a cropped view those of its patch."""
+def _measured_views(touches: Touches) -> _Views:
+    """Collect the heights that the camera measured; a cropped view has those of its patch."""
     behind, patch = np.array(touches.wide, np.float32), np.asarray(touches.patch, np.float32)
     margin = (behind.shape[-1] - patch.shape[-1]) // 2
     middle = behind[:, margin : margin + patch.shape[-1], margin : margin + patch.shape[-1]]
     middle[...] = np.where(np.isnan(middle), patch, middle)
     seen = np.isfinite(touches.nearest)
     nearest = np.where(seen, touches.nearest, 0).astype(np.float32)
-    known = np.isfinite(behind) & seen[:, None, None]
-    height = np.where(known, nearest[:, None, None] + behind, 0)
+    measured = np.isfinite(behind) & seen[:, None, None]
+    height = np.where(measured, nearest[:, None, None] + behind, 0)
     T_w_t = np.where(seen[:, None, None], touches.T_w_t, np.eye(4)).astype(np.float32)
-    return _Views(T_w_t, height, known.astype(np.float32), nearest)
+    return _Views(T_w_t, height, measured.astype(np.float32), nearest)
 
 
 def _blurring(pixels: int, blur: float, finest: float) -> Float[np.ndarray, "k pixels"]:
-    """Gaussian weights of the pixels along one axis, for samples two of the finest deviations apart: so far apart they
-    hardly share noise.
+    """Compute Gaussian weights of the pixels along one axis. Samples are two standard deviations of the finest blur
+    apart, so that they hardly share noise.
     """
     stride = max(round(2 * finest), 1)
     at = np.arange(pixels)[(pixels - 1) % stride // 2 :: stride]
@@ -262,12 +258,12 @@ def _blurring(pixels: int, blur: float, finest: float) -> Float[np.ndarray, "k p
     return (weights / weights.sum(1, keepdims=True)).astype(np.float32)
 
 
-class _Found(NamedTuple):
+class _SearchEnd(NamedTuple):
     """The end of a search."""
 
     twist: Float[Array, "12"]  # m
     covariance: Float[Array, "12 12"]  # m^2
-    cost: Float[Array, ""]  # at the last scale
+    cost: Float[Array, ""]  # cost at the last scale
     linearised: _Linearised
 
 
@@ -280,14 +276,14 @@ def _search(
     scales: Float[Array, " steps"],
     shared: Float[Array, ""],
     config: SessionRegistrationConfig,
-) -> _Found:
-    """Search the most probable twists from a start (m)."""
+) -> _SearchEnd:
+    """Search for the most probable twists from a start (m)."""
     std = config.std
     problem = _problem(session, std, blurring, shared, config)
     z, linearised = levenberg_marquardt(problem, start / std, scales)
     information, _ = problem.normal_equations(z, linearised, jnp.float32(1))
     covariance = std[:, None] * jnp.linalg.inv(information) * std[None]
-    return _Found(std * z, covariance, problem.cost(z, linearised, scales[-1]), linearised)
+    return _SearchEnd(std * z, covariance, problem.cost(z, linearised, scales[-1]), linearised)
 
 
 def _problem(
@@ -297,67 +293,78 @@ def _problem(
     shared: Float[Array, ""],
     config: SessionRegistrationConfig,
 ) -> LeastSquares:
-    """Problem of the most probable twists, over their prior's standard deviations; scales are factors of the noise."""
+    """State the problem of the most probable twists, in standard deviations of the prior. Scales are factors of the
+    noise.
+    """
     contacts = session.contacts
     back = jnp.eye(4).at[:3, 3].set(jnp.array(config.looked_from))
 
-    def look(z: Float[Array, "12"], view: _Views) -> _LinearisedViews:
+    def linearise_view(z: Float[Array, "12"], view: _Views) -> _LinearisedViews:
         def camera(z: Float[Array, "12"]) -> Float[Array, "4 4"]:
             offset = back @ from_twist(std[6:] * z[6:]) @ inverse(back)
             return inverse(session.T_w_o @ from_twist(std[:6] * z[:6])) @ view.T_w_t @ offset
 
         T_o_c = camera(z)
         moved = jax.jacfwd(lambda z: to_twist(inverse(T_o_c) @ camera(z)))(z)  # (6, 12)
-        r, jacobian = _compare(view, T_o_c, session.surface, blurring, shared, config)
-        # The arm moves each view by a motion with a normal prior; the best one is taken off.
+        r, jacobian = _view_residuals(view, T_o_c, session.surface, blurring, shared, config)
+        # The arm adds a motion with a normal prior to each view; the most probable one is eliminated.
         angle = config.repeatability_angle * TWIST_LEVER_M
         by_motion = jacobian * jnp.stack([config.repeatability] * 3 + [angle] * 3)[None]
         both = jnp.concatenate([r[:, None], jacobian @ moved], 1)
         motion = jnp.linalg.solve(by_motion.T @ by_motion + jnp.eye(6), by_motion.T @ both)
-        left = both - by_motion @ motion
-        return _LinearisedViews(left[:, 0], left[:, 1:], 0.5 * motion[:, 0] @ motion[:, 0])
+        rest = both - by_motion @ motion
+        return _LinearisedViews(rest[:, 0], rest[:, 1:], 0.5 * motion[:, 0] @ motion[:, 0])
 
-    def linearised(z: Float[Array, "12"]) -> _Linearised:
-        seen = jax.vmap(look, (None, 0))(z, session.views)
+    def linearise(z: Float[Array, "12"]) -> _Linearised:
+        seen = jax.vmap(linearise_view, (None, 0))(z, session.views)
         return _Linearised(linearise_contacts(z[:6], contacts, config.half_edge), seen)
 
     return LeastSquares(
-        residual_and_jacobian=linearised,
+        residual_and_jacobian=linearise,
         cost=partial(_cost, contacts, config.contact),
         normal_equations=partial(_normal_equations, contacts, config.contact),
-        unseen=_unseen(len(contacts.weight), len(blurring) ** 2),
+        placeholder=_placeholder(len(contacts.weight), len(blurring) ** 2),
     )
 
 
 def _cost(
-    contacts: Contacts, contact_std: float | Array, z: Float[Array, "12"], found: _Linearised, scale: Float[Array, ""]
+    contacts: Contacts,
+    contact_std: float | Array,
+    z: Float[Array, "12"],
+    linearised: _Linearised,
+    scale: Float[Array, ""],
 ) -> Float[Array, ""]:
-    """Minus the logarithm of the posterior, up to a constant."""
-    seen = jnp.sum(t_cost(found.views.residual / scale)) + jnp.sum(found.views.motion)
-    return contact_cost(z[:6], found.contacts, contacts.weight, scale * contact_std) + seen + 0.5 * z[6:] @ z[6:]
+    """Compute minus the logarithm of the posterior density, up to a constant."""
+    seen = jnp.sum(t_cost(linearised.views.residual / scale)) + jnp.sum(linearised.views.motion)
+    return contact_cost(z[:6], linearised.contacts, contacts.weight, scale * contact_std) + seen + 0.5 * z[6:] @ z[6:]
 
 
 def _normal_equations(
-    contacts: Contacts, contact_std: float | Array, z: Float[Array, "12"], found: _Linearised, scale: Float[Array, ""]
+    contacts: Contacts,
+    contact_std: float | Array,
+    z: Float[Array, "12"],
+    linearised: _Linearised,
+    scale: Float[Array, ""],
 ) -> tuple[Float[Array, "12 12"], Float[Array, "12"]]:
-    """The Gauss-Newton matrix and the gradient of the posterior."""
-    of_contacts, slope = contact_normal_equations(z[:6], found.contacts, contacts.weight, scale * contact_std)
-    residual, jacobian, _ = found.views
+    """Compute the Gauss-Newton matrix and the gradient of the posterior."""
+    contact_matrix, slope = contact_normal_equations(z[:6], linearised.contacts, contacts.weight, scale * contact_std)
+    residual, jacobian, _ = linearised.views
     share = t_weights(residual / scale) / scale**2
     matrix = jnp.einsum("nk,nki,nkj->ij", share, jacobian, jacobian)
     gradient = jnp.einsum("nk,nki,nk->i", share, jacobian, residual)
-    matrix = matrix.at[:6, :6].add(of_contacts).at[6:, 6:].add(jnp.eye(6))
+    matrix = matrix.at[:6, :6].add(contact_matrix).at[6:, 6:].add(jnp.eye(6))
     return matrix, gradient.at[:6].add(slope).at[6:].add(z[6:])
 
 
-def _unseen(n: int, k: int) -> _Linearised:
+def _placeholder(n: int, k: int, residual: float = 1e6) -> _Linearised:
+    """Make a linearisation with residuals, in standard deviations, that are worse than any real ones."""
     return _Linearised(
-        LinearisedContacts(jnp.full(n, UNSEEN_RESIDUAL), jnp.zeros((n, 6)), jnp.ones(n)),
-        _LinearisedViews(jnp.full((n, k), UNSEEN_RESIDUAL), jnp.zeros((n, k, 12)), jnp.zeros(n)),
+        LinearisedContacts(jnp.full(n, residual), jnp.zeros((n, 6)), jnp.ones(n)),
+        _LinearisedViews(jnp.full((n, k), residual), jnp.zeros((n, k, 12)), jnp.zeros(n)),
     )
 
 
-def _compare(
+def _view_residuals(
     view: _Views,
     T_o_c: Float[Array, "4 4"],
     surface: Surface,
@@ -365,25 +372,26 @@ def _compare(
     shared: Float[Array, ""],
     config: SessionRegistrationConfig,
 ) -> tuple[Float[Array, " kk"], Float[Array, "kk 6"]]:
-    """Blurred differences of a view and the rendering at a camera's pose, in standard deviations of the noise, with
-    their derivatives by the twist of that pose.
+    """Compute the blurred differences of a view and the rendering at a camera's pose, in standard deviations of the
+    noise, and their derivatives by the twist of that pose.
     """
     pixels, pitch, limit = view.height.shape[-1], config.window / PATCH_PIXELS, view.nearest + config.reach
     height = jnp.minimum(render_heights(surface, inverse(T_o_c), pitch * pixels, pixels), limit)
     by_twist, square_slope = _by_camera_twist(height, limit, pitch)
-    recorded, share = _as_recorded(height, view.nearest, config.depth_noise)
+    noise = jnp.maximum(config.depth_noise, 1e-6)  # m, for divisions
+    recorded, share = _mean_recorded(height, view.nearest, noise)
     residual = jnp.minimum(view.height, limit) - recorded
-    images = jnp.concatenate([residual[None], -share[None] * by_twist]) * view.known[None]
+    images = jnp.concatenate([residual[None], -share[None] * by_twist]) * view.measured[None]
     blurred = jnp.einsum("ai,cij,bj->cab", blurring, images, blurring).reshape(7, -1)
-    variance = jnp.maximum(config.depth_noise, MIN_NOISE_M) ** 2 + (config.depth_bleed * pitch) ** 2 * square_slope
-    noise = shared * jnp.sqrt(jnp.einsum("ai,ij,bj->ab", blurring**2, variance, blurring**2)).reshape(-1)
-    return blurred[0] / noise, (blurred[1:] / noise[None]).T
+    variance = noise**2 + (config.depth_bleed * pitch) ** 2 * square_slope
+    std = shared * jnp.sqrt(jnp.einsum("ai,ij,bj->ab", blurring**2, variance, blurring**2)).reshape(-1)
+    return blurred[0] / std, (blurred[1:] / std[None]).T
 
 
 def _by_camera_twist(
     height: Float[Array, "w w"], limit: Float[Array, ""], pitch: float
 ) -> tuple[Float[Array, "6 w w"], Float[Array, "w w"]]:
-    """Derivatives of clipped heights by the twist of the camera, and their squared slope."""
+    """Compute the derivatives of clipped heights by the twist of the camera, and the squared slope of the heights."""
     n, padded = height.shape[-1], jnp.pad(height, 1, mode="edge")
     across = (padded[1:-1, 2:] - padded[1:-1, :-2]) / (2 * pitch)
     along = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / (2 * pitch)
@@ -393,13 +401,12 @@ def _by_camera_twist(
     return jnp.stack([across, along, -seen, *(part / TWIST_LEVER_M for part in turned)]), across**2 + along**2
 
 
-def _as_recorded(
-    height: Float[Array, "w w"], nearest: Float[Array, ""], noise: float | Array
+def _mean_recorded(
+    height: Float[Array, "w w"], nearest: Float[Array, ""], std: float | Array
 ) -> tuple[Float[Array, "w w"], Float[Array, "w w"]]:
-    """Mean of what is recorded of noisy heights, and its derivative by the height: what stands out before the nearest
-    surface by less than `SAME_SURFACE_M` is recorded as lying on it (`i2t.patches.views`).
+    """Compute the mean recorded height of noisy pixels, and its derivative by the true height. Protrusions before the
+    nearest surface by less than `SAME_SURFACE_M` are recorded as lying on it (`i2t.patches.views`).
     """
-    std = jnp.maximum(noise, MIN_NOISE_M)
     behind = (height - nearest) / std
     share = jax.scipy.stats.norm.cdf(behind)
     mean = nearest + std * (jax.scipy.stats.norm.pdf(behind) + behind * share)

@@ -1,18 +1,18 @@
-"""An object's pose from touches, with its covariance.
+"""Estimate an object's pose and its covariance from touches.
 
-The object is believed at `T_w_o` and stands at `T_w_o from_twist(x)`, where x (6,) is a twist in its own frame
+The object is believed to be at `T_w_o` and is at `T_w_o from_twist(x)`, where x (6,) is a twist in its own frame
 (`i2t.geometry.from_twist`): three translations (m), then three rotations times `TWIST_LEVER_M`, all in metres.
 
 Each contact measures the distance of the skin's face from the surface along its normal, with noise of Student's t
-(`i2t.registration.contacts`). With x normal before, the most probable x is sought by Levenberg-Marquardt steps on the
-reweighted squares, while the noise shrinks from the size of the prior's own errors to what it is (deterministic
+(`i2t.registration.contacts`). The prior of x is normal. The most probable x is found by Levenberg-Marquardt steps on
+the reweighted squares, while the noise shrinks from the size of the prior's errors to its true size (deterministic
 annealing; Rose, "Deterministic annealing for clustering, compression, classification, regression, and related
 optimization problems", 1998). The contact of edges and corners is not smooth, so the search starts from several draws
-of the prior and keeps the most probable end. Nor are posteriors normal there: from the mode and the inverse of the
-Gauss-Newton matrix (Laplace's method) on, mean and covariance are corrected by rounds of importance sampling
-(`importance_covariance`). What no touch tells keeps the prior's.
+of the prior and keeps the most probable end. There the posterior is not normal either. Starting from the mode and the
+inverse of the Gauss-Newton matrix (Laplace's method), mean and covariance are therefore corrected by rounds of
+importance sampling (`importance_covariance`). Directions that no touch determines keep the prior.
 
-Inside, the unknown is z = x over the prior's standard deviations, so that its prior is standard normal.
+Inside, the unknown is z, which is x divided by the prior's standard deviations, so that its prior is standard normal.
 """
 
 from collections.abc import Callable
@@ -42,25 +42,20 @@ from i2t.runtime.batching import map_batches
 from i2t.runtime.compiling import jit_quickly, traced_floats
 from i2t.types import Surface
 
-UNSEEN_CONTACT_RESIDUAL_M = 1e3  # of a motion that was not looked at yet: worse than any
-PROPOSAL_DOF = 5  # of what is drawn: heavier tails than any posterior's
-MIN_PROPOSAL_STD = 1e-3  # of draws, in standard deviations of the prior, for float32's sake
-MIN_VARIANCE_FACTOR = 0.1  # by which one round of draws may shrink the variance along any direction
-DRAWS_AT_A_TIME = 16  # whose densities are found together
-
 
 @traced_floats
 @dataclass(frozen=True)
 class TouchRegistrationConfig:
-    """Options of pose search by touches."""
+    """Options of a pose search by touches."""
 
-    num_starts: int = 12  # draws of the prior; the first is its mean
-    annealing_steps: int = 10  # while the noise shrinks
-    steps: int = 10  # at its true size
-    draws: int = 256  # for the moments of the posterior
-    rounds: int = 4  # of drawing; 0 leaves mode and curvature
-    half_edge: float = PAD_WINDOW / 2  # m, of the skin's face
-    candidate_faces: int = 128  # of the surface at each touch: those that could come nearest
+    num_starts: int = 12  # starts of the search: the prior's mean and draws of the prior
+    annealing_steps: int = 10  # steps while the noise shrinks
+    steps: int = 10  # steps at the true noise
+    draws: int = 256  # draws in each round of importance sampling
+    rounds: int = 4  # rounds of importance sampling; 0 keeps the result of Laplace's method
+    proposal_dof: int = 5  # degrees of freedom of the draws, whose tails must be heavier than any posterior's
+    half_edge: float = PAD_WINDOW / 2  # m, half the edge of the skin's face
+    candidate_faces: int = 128  # number of faces that are considered for each touch
 
 
 @full_precision
@@ -77,28 +72,29 @@ def register_by_touch(
     config: TouchRegistrationConfig = TouchRegistrationConfig(),
     often: bool = False,
 ) -> PoseEstimate:
-    """The mean pose of an object that was met at known tool poses.
+    """Estimate the mean pose of an object that was touched at known tool poses.
 
     Args:
-        key: A JAX key, for the starts and the draws.
+        key: A JAX key for the starts and the draws.
         surface: The object, in its own frame.
-        T_w_o: Where it is believed to be.
-        T_w_contact: The tool at first contact, as of `contact_poses`.
-        weight: Of each touch; 0 (or false) leaves it out, whatever its pose holds: one in air.
-        translation_std: Standard deviation (m) of the belief along each axis.
-        rotation_std: Standard deviation (rad) of the belief about each axis.
-        contact_std: Standard deviation (m) of a contact, which counts the arm, the skin's tilt times its half edge, and
-            the object's shape.
-        config: How to search; its whole numbers are static.
-        often: Compile with all optimisations, which pays from about twenty registrations on; last digits may differ.
+        T_w_o: Believed pose of the object.
+        T_w_contact: `(n, 4, 4)` poses of the tool at first contact, such as from `contact_poses`.
+        weight: `(n,)` weights of the touches. 0 or false leaves a touch out, whatever its pose, such as a touch in air.
+        translation_std: Standard deviation (m) of the believed position along each axis.
+        rotation_std: Standard deviation (rad) of the believed orientation about each axis.
+        contact_std: Standard deviation (m) of a contact. It includes errors of the arm, of the object's shape, and of
+            the skin's tilt times half its edge.
+        config: Options of the search; its whole numbers are static.
+        often: Whether to compile with all optimisations, which is faster from about twenty registrations on. The last
+            digits may differ.
 
     Returns:
-        The estimate; its residuals, weights and cost are those of the most probable pose.
+        The estimate. Its residuals, weights and cost are those of the most probable pose.
 
     Raises:
-        ValueError: There is no touch, not one weight for each, a pose or weight that counts and is not finite, a pose
-            that is not rigid, or a standard deviation that is none.
-        TypeError: The key is none, or a standard deviation is no number.
+        ValueError: There is no touch, the number of weights differs, a weight is not finite, a pose with a weight is
+            not finite or not rigid, or a standard deviation is out of range.
+        TypeError: `key` is not a JAX key, or a standard deviation is not a number.
 
     Example:
         T_w_contact, in_contact = contact_poses(dataset.touches)
@@ -130,7 +126,7 @@ def _register(
     *,
     config: TouchRegistrationConfig,
 ) -> PoseEstimate:
-    """`register_by_touch` of what was checked."""
+    """Register as `register_by_touch` does, with checked arguments."""
     contacts = contacts_of(
         surface, T_w_o, T_w_contact, weight, translation_std=translation_std, rotation_std=rotation_std,
         half_edge=config.half_edge, candidate_faces=config.candidate_faces,
@@ -159,14 +155,14 @@ def _most_probable(
     noise: Float[Array, ""],
     config: TouchRegistrationConfig,
 ) -> tuple[Float[Array, "6"], LinearisedContacts, Float[Array, ""]]:
-    """The best of several searches, the first from the prior's mean and the others from draws of it: z, its residuals,
-    and its cost.
+    """Search from the prior's mean and from draws of the prior, and return the most probable z with its linearisation
+    and cost.
     """
-    scales = _annealed(noise, jnp.hypot(prior_std[0], prior_std[3]), config)  # how far the prior may be off at the face
+    scales = _annealed(noise, jnp.hypot(prior_std[0], prior_std[3]), config)  # the prior's error at the face
 
     def search(z: Float[Array, "6"]) -> tuple[Float[Array, "6"], LinearisedContacts, Float[Array, ""]]:
-        found, linearised = levenberg_marquardt(problem, z, scales)
-        return found, linearised, problem.cost(found, linearised, noise)
+        end, linearised = levenberg_marquardt(problem, z, scales)
+        return end, linearised, problem.cost(end, linearised, noise)
 
     starts = jax.random.normal(key, (config.num_starts, 6)).at[0].set(0.0)
     ends = jax.vmap(search)(starts)
@@ -183,31 +179,32 @@ def _moments(
     noise: Float[Array, ""],
     config: TouchRegistrationConfig,
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """Mean and covariance of z: those of Laplace's method at the mode, corrected by importance sampling."""
+    """Compute the mean and covariance of z by Laplace's method at the mode, corrected by importance sampling."""
 
     def negative_log_posterior(z: Float[Array, "6"]) -> Float[Array, ""]:
         return problem.cost(z, problem.residual_and_jacobian(z), noise)
 
     information, _ = problem.normal_equations(mode, linearised, noise)
-    draws = jax.random.normal(key, (config.rounds, config.draws, 6 + PROPOSAL_DOF))
+    draws = jax.random.normal(key, (config.rounds, config.draws, 6 + config.proposal_dof))
     return importance_covariance(negative_log_posterior, mode, jnp.linalg.inv(information), draws)
 
 
 def _touch_problem(contacts: Contacts, half_edge: float | Array) -> LeastSquares:
-    """Problem of the most probable z."""
+    """State the problem of the most probable z."""
     n = len(contacts.weight)
     return LeastSquares(
         residual_and_jacobian=lambda z: linearise(z, contacts, half_edge),
         cost=lambda z, linearised, scale: contact_cost(z, linearised, contacts.weight, scale),
         normal_equations=lambda z, linearised, scale: contact_normal_equations(z, linearised, contacts.weight, scale),
-        unseen=LinearisedContacts(jnp.full(n, UNSEEN_CONTACT_RESIDUAL_M), jnp.zeros((n, 6)), jnp.ones(n)),
+        # Residuals (m) that are worse than any real ones.
+        placeholder=LinearisedContacts(jnp.full(n, 1e3), jnp.zeros((n, 6)), jnp.ones(n)),
     )
 
 
 def _annealed(
     noise: Float[Array, ""], prior_error: Float[Array, ""], config: TouchRegistrationConfig
 ) -> Float[Array, " steps"]:
-    """Scales (m) of the residuals, from the prior's errors down to the noise in equal factors."""
+    """Compute scales (m) of the residuals from the prior's errors down to the noise, in equal factors."""
     wide = jnp.maximum(noise, prior_error)
     fraction = jnp.minimum(jnp.arange(config.annealing_steps + config.steps) / config.annealing_steps, 1.0)
     return wide ** (1 - fraction) * noise**fraction
@@ -219,21 +216,27 @@ def importance_covariance(
     mode: Float[Array, "6"],
     covariance: Float[Array, "6 6"],
     draws: Float[Array, "rounds draws numbers"],
+    *,
+    min_proposal_std: float = 1e-3,
+    min_variance_factor: float = 0.1,
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
     """Correct the mean and covariance of a posterior by rounds of importance sampling, each from the result of the one
     before (population Monte Carlo; Cappé, Guillin, Marin and Robert, J. Comput. Graph. Stat. 13, 2004).
 
-    Each round draws Student's t about the mean and weighs the draws as the posterior's and, to take off the noise of
-    drawing, as those of the normal distribution that was believed; a few effective draws change little.
+    Each round draws from Student's t about the mean and weights the draws by the posterior. The same draws, weighted by
+    the normal distribution of the round before, serve as a control variate that reduces the noise of drawing. Few
+    effective draws change little.
 
     Args:
-        negative_log_posterior: Minus the logarithm of the density at z, up to a constant.
-        mode: Where it is largest; z is in standard deviations of the prior.
-        covariance: Of Laplace's method, the inverse of the information at the mode.
-        draws: Standard normal numbers, six for a direction and the others for the tail of each draw.
+        negative_log_posterior: Function that computes minus the logarithm of the density at z, up to a constant.
+        mode: `(6,)` z at the maximum of the density, in standard deviations of the prior.
+        covariance: `(6, 6)` covariance of Laplace's method, the inverse of the information at the mode.
+        draws: Standard normal numbers; the first six are the direction of a draw, the others determine its tail.
+        min_proposal_std: Standard deviation that is added to the draws, because float32 cannot resolve much less.
+        min_variance_factor: Smallest factor by which a round may shrink the variance along any direction.
 
     Returns:
-        Mean and covariance of z.
+        `(6,)` mean and `(6, 6)` covariance of z.
     """
     dof = draws.shape[-1] - 6
 
@@ -241,18 +244,18 @@ def importance_covariance(
         belief: tuple[Float[Array, "6"], Float[Array, "6 6"]], drawn: Float[Array, "draws numbers"]
     ) -> tuple[tuple[Float[Array, "6"], Float[Array, "6 6"]], None]:
         mean, covariance = belief
-        factor = jnp.linalg.cholesky(covariance + MIN_PROPOSAL_STD**2 * jnp.eye(6))
+        factor = jnp.linalg.cholesky(covariance + min_proposal_std**2 * jnp.eye(6))
         u = drawn[:, :6] / jnp.sqrt(jnp.mean(drawn[:, 6:] ** 2, axis=1, keepdims=True))
         z = mean[None] + u @ factor.T
         square = jnp.sum(u**2, axis=1)
-        heavy = (dof + 6) / 2 * jnp.log1p(square / dof)  # minus the logarithm of the density that was drawn from
-        posterior = jax.nn.softmax(map_batches(lambda z: -negative_log_posterior(z), z, DRAWS_AT_A_TIME) + heavy)
+        heavy = (dof + 6) / 2 * jnp.log1p(square / dof)  # minus the logarithm of the density of the draws
+        posterior = jax.nn.softmax(map_batches(lambda z: -negative_log_posterior(z), z, 16) + heavy)
         change = posterior - jax.nn.softmax(heavy - square / 2)
         count = 1 / jnp.sum(posterior**2)  # effective number of draws
         trust = count / (count + 6)
         shift = trust * (change @ u)
         values, axes = jnp.linalg.eigh(jnp.eye(6) + trust * (u.T @ (change[:, None] * u)) - jnp.outer(shift, shift))
-        root = factor @ axes * jnp.sqrt(jnp.maximum(values, MIN_VARIANCE_FACTOR))[None]
+        root = factor @ axes * jnp.sqrt(jnp.maximum(values, min_variance_factor))[None]
         return (mean + factor @ shift, root @ root.T), None
 
     return jax.lax.scan(adapt, (mode, covariance), draws)[0]

@@ -1,4 +1,4 @@
-"""Sets as machine words of 32 bits: lists of a renderer without sorting or growing."""
+"""Sets as machine words of 32 bits, which serve a renderer as lists that need neither sorting nor growing."""
 
 import jax
 import jax.numpy as jnp
@@ -6,53 +6,52 @@ import numpy as np
 from jaxtyping import Array, Int, UInt
 
 WORD_BITS = 32
-HALF_BITS = 16
 
 
 def as_uint32(value: int) -> np.uint32:
-    """A constant of the type of words.
+    """Convert a number to the type of words.
 
     Args:
-        value: From 0 to 2^32 - 1.
+        value: Number from 0 to 2^32 - 1.
 
     Returns:
-        The constant.
+        The number as an unsigned integer of 32 bits.
     """
     return np.uint32(value)
 
 
 def popcount(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """Number of set bits.
+    """Count the set bits of words.
 
     Args:
-        words: Of bits.
+        words: Words of any shape.
 
     Returns:
-        The number for each word.
+        The number of set bits of each word.
     """
     return jax.lax.population_count(words).astype(jnp.int32)
 
 
 def lowest_set_bit(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """Index of the lowest set bit.
+    """Find the lowest set bit of words.
 
     Args:
-        words: Of bits.
+        words: Words of any shape.
 
     Returns:
-        The index for each word; -1 if there is none.
+        The index of the lowest set bit of each word; -1 if no bit is set.
     """
     return 31 - jax.lax.clz(words & (~words + as_uint32(1))).astype(jnp.int32)
 
 
 def bitwise_or_reduce(words: list[Array]) -> Array:
-    """All set bits of several words.
+    """Unite sets.
 
     Args:
-        words: Arrays of words.
+        words: Arrays of words, all of one shape.
 
     Returns:
-        Their union, word by word.
+        The union of the arrays, word by word.
     """
     total = words[0]
     for other in words[1:]:
@@ -64,46 +63,48 @@ def pack_bits(flags: Array, axis: int = -1) -> Array:
     """Pack flags into words.
 
     Args:
-        flags: Booleans, a word's bits along one axis.
-        axis: Which.
+        flags: Booleans with the 32 bits of a word along one axis.
+        axis: The axis of the bits.
 
     Returns:
         Words, without that axis, whose bit i is flag i.
     """
-    # A product with powers of two takes XLA a tenth of the instructions of shifts; float32 holds half a word exactly.
+    # XLA computes a product with powers of two in a tenth of the instructions of shifts. float32 holds half a word
+    # exactly.
+    half = WORD_BITS // 2
     bit = np.arange(WORD_BITS)
     weights = np.zeros((2, WORD_BITS), np.float32)
-    weights[bit // HALF_BITS, bit] = 2.0 ** (bit % HALF_BITS)
+    weights[bit // half, bit] = 2.0 ** (bit % half)
     halves = jnp.tensordot(flags.astype(jnp.float32), weights, (axis, 1), precision="highest").astype(jnp.uint32)
-    return halves[..., 0] | halves[..., 1] << as_uint32(HALF_BITS)
+    return halves[..., 0] | halves[..., 1] << as_uint32(half)
 
 
 def cumulative_popcounts(words: UInt[Array, "p n"]) -> Int[Array, "p n"]:
-    """Number of set bits up to and including each word of a row.
+    """Count the set bits up to and including each word of a row.
 
     Args:
-        words: Of bits, in rows.
+        words: `(p, n)` rows of words.
 
     Returns:
-        The running sums.
+        `(p, n)` running sums along the rows.
     """
-    counts = popcount(words).astype(jnp.float32)  # a product with a triangle of ones is quickest; exact below 2^24
+    counts = popcount(words).astype(jnp.float32)  # exact below 2^24; a product with a triangle of ones is fastest
     return (counts @ jnp.triu(jnp.ones((words.shape[1],) * 2, jnp.float32))).astype(jnp.int32)
 
 
 def select_kth_set_bit(
     words: UInt[Array, "p n"], sums: Int[Array, "p n"], row: Int[Array, "*#m"], order: Int[Array, "*#m"]
 ) -> tuple[Int[Array, "*m"], Int[Array, "*m"]]:
-    """The k-th set bit of a row of words.
+    """Find the k-th set bit of a row of words.
 
     Args:
-        words: Of bits, in rows.
-        sums: Running sums of the set bits, of `cumulative_popcounts`.
-        row: In which to look.
-        order: k, from 0; beyond the last it gives the last word.
+        words: `(p, n)` rows of words.
+        sums: `(p, n)` running sums of the set bits from `cumulative_popcounts`.
+        row: Index of the row to search.
+        order: k, counted from 0. Beyond the last set bit, the result is in the last word.
 
     Returns:
-        Indices of the word in its row and of the bit in its word.
+        Index of the word in its row, and index of the bit in that word.
     """
     last = words.shape[1] - 1
     row, order = jnp.broadcast_arrays(row, order)

@@ -1,15 +1,16 @@
-"""First hits on meshes of many small faces: the part of `i2t.rendering.raycast` for large size classes.
+"""Find first hits on meshes of many small faces: the part of `i2t.rendering.raycast` for large size classes.
 
-A pose of such a mesh has thousands of faces in its window, each met by a pixel or two. To keep them in a table costs
-more than to draw them, so nothing is kept but bits: a box says which columns and rows of tiles a cluster can touch, and
-what a tile has to draw are the bits that its column and its row have in common. A tile pops a cluster, brings its faces
-to the tool frame, turns them into edge functions and tests its pixels, all in one turn of a loop.
+The window of a pose on such a mesh holds thousands of faces, each met by only a few pixels. Storing them in a table
+costs more than drawing them, so only bits are stored. A box determines which columns and rows of tiles a cluster can
+touch, and a tile draws the clusters whose bits are set in both its column and its row. In a single turn of a loop, a
+tile pops a cluster, transforms its faces to the tool frame, converts them to edge functions and tests its pixels.
 
-Tiles of all poses are sorted by how much they have to draw and cut into shares, so that the tiles of a share end
-together. A share is small enough for the caches of two cores, and its lanes lie in blocks of `LANES`: XLA gives each
-core some whole blocks, and a core then reads what it wrote itself.
+The tiles of all poses are sorted by the number of clusters they have to draw and are cut into shares, so that the tiles
+of a share end at about the same time. A share fits the caches of two cores, and its lanes lie in blocks: XLA assigns
+whole blocks to each core, so that a core reads what it wrote itself.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -43,35 +44,44 @@ from i2t.rendering.tiles import (
     place_boxes,
 )
 
-LANES_PER_BLOCK = 32  # tiles side by side in memory
-BLOCKS_PER_SHARE = 72  # of lanes in a share
-GROUPS_PER_CHUNK = 8  # groups of each pose looked into together
-DENSE_FRONT_SLAB_REACHES = 1.25  # reaches behind where the first group should be met: what is drawn first
+
+@dataclass(frozen=True)
+class DenseDrawing:
+    """Sizes of the parts in which dense meshes are drawn."""
+
+    lanes_per_block: int = 32  # tiles next to each other in memory
+    blocks_per_share: int = 72
+    groups_per_chunk: int = 8  # groups of a pose whose boxes are tested together
+    # reaches behind the expected hit of the first group, up to which clusters are drawn first
+    front_slab_reaches: float = 1.25
+
+
+_DRAWING = DenseDrawing()
 
 
 class _Scene(NamedTuple):
-    """Constants of a batch of poses to draw: meshes, poses and pixels."""
+    """Constants of a batch of poses: meshes, poses and pixels."""
 
     boxes: Float[Array, "groups 6 clusters"]  # m, centres and half extents of clusters
     clusters: FaceClusters
-    view: ToolView  # of each pose
+    view: ToolView  # the poses
     grid: PixelGrid
 
     @property
     def groups_per_mesh(self) -> int:
-        """Rows of `boxes` that belong to one mesh."""
+        """Number of rows of `boxes` that belong to a mesh."""
         return self.clusters.per_mesh // CLUSTERS_PER_GROUP
 
 
 class _Slab(NamedTuple):
-    """The range of tool z (m) of each pose in which a box has to begin so that it is drawn now."""
+    """Range of tool z (m) of each pose in which a box must begin to be drawn now."""
 
-    low: Float[Array, "p 1"]  # not itself
-    high: Float[Array, "p 1"]
+    low: Float[Array, "p 1"]  # excluded
+    high: Float[Array, "p 1"]  # included
 
 
 class _Listed(NamedTuple):
-    """The groups that a pass looks into, and the columns and rows of tiles of their clusters (bits)."""
+    """Groups that a pass draws, and for each column and row of tiles the clusters (bits) that touch it."""
 
     ids: Int[Array, "p groups"]
     columns: UInt[Array, "p groups side"]
@@ -79,7 +89,7 @@ class _Listed(NamedTuple):
 
 
 class _Lanes(NamedTuple):
-    """The tiles of a share, side by side: their poses, the poses' views of the mesh, and their pixels."""
+    """Tiles of a share with their poses, the poses' views of the mesh, and their pixels."""
 
     pose: Int[Array, "blocks lanes"]
     tile: Int[Array, "blocks lanes"]
@@ -88,8 +98,8 @@ class _Lanes(NamedTuple):
 
 
 class _Queue(NamedTuple):
-    """Clusters that tiles have still to draw: bits of the groups not yet opened, bits left of the group that is open,
-    its place in the list.
+    """Clusters that tiles have still to draw: bits of the unopened groups, the remaining bits of the open group, and
+    its index in the list.
     """
 
     full: tuple[UInt[Array, "blocks lanes"], ...]
@@ -110,17 +120,17 @@ def cast_dense(
     """Find the first hits.
 
     Args:
-        boxes: Centres and half extents (m) of the clusters of all meshes, a group a row.
-        groups: Those of the groups of each pose's mesh, or of the one mesh.
+        boxes: Centres and half extents (m) of the clusters of all meshes; a row is a group.
+        groups: Centres and half extents (m) of the groups of each pose's mesh, or of the common mesh.
         clusters: The faces of all meshes.
-        view: Of each pose.
+        view: Map to the tool frame of each pose.
         grid: Pixels and tiles.
         reach: Depth (m) behind the nearest hit that counts.
-        listed: Groups of a pose that are worked off in one pass.
-        with_faces: Whether faces are asked for.
+        listed: Number of groups of a pose that are drawn in a pass.
+        with_faces: Whether to return faces.
 
     Returns:
-        Heights (p, tiles, pixels) in metres, and the faces if asked for.
+        `(p, tiles, pixels)` heights (m) and, if requested, the faces.
     """
     scene = _Scene(boxes, clusters, view, grid)
     poses, count = len(clusters.mesh), scene.groups_per_mesh
@@ -129,14 +139,14 @@ def cast_dense(
     seen = (jnp.abs(shift[0]) - stretch[0] <= grid.half) & (jnp.abs(shift[1]) - stretch[1] <= grid.half)
     seen &= shift[2] + stretch[2] >= -STANDOFF
     fronts = jnp.where(seen, jnp.maximum(shift[2] - stretch[2], -STANDOFF), jnp.inf)
-    # A group in the middle should be met at its own middle, one at the edge of the window perhaps only at its end.
+    # A group in the middle of the window is expected to be met at its centre, one at the edge perhaps only at its end.
     central = (jnp.abs(shift[0]) <= grid.half) & (jnp.abs(shift[1]) <= grid.half)
-    met = jnp.maximum(jnp.where(central, shift[2], shift[2] + stretch[2]), -STANDOFF)
-    slab = jnp.min(jnp.where(seen, met, jnp.inf), 1) + DENSE_FRONT_SLAB_REACHES * reach
+    expected = jnp.maximum(jnp.where(central, shift[2], shift[2] + stretch[2]), -STANDOFF)
+    slab = jnp.min(jnp.where(seen, expected, jnp.inf), 1) + _DRAWING.front_slab_reaches * reach
     row = groups.shape[2] // WORD_BITS
 
     def layer(i: Array, best: Hits) -> Hits:
-        """Draw first clusters near the front, then those still in reach behind the nearest hit."""
+        """Draw the clusters near the front first, then those within reach behind the nearest hit."""
         low = jnp.where(i == 0, -jnp.inf, slab)[:, None]
         high = jnp.where(i == 0, slab, jnp.min(best[0], (1, 2)) + reach)[:, None]
         wanted = (fronts <= high) & (fronts < jnp.inf) & (low < high)
@@ -147,7 +157,7 @@ def cast_dense(
             left = jnp.clip(sums[:, -1] - number * listed, 0, listed)
             at, bit = select_kth_set_bit(words, sums, indices(poses)[:, None], number * listed + indices(listed)[None])
             ids = jnp.minimum(bit * row + at, count - 1)
-            return _draw(_look(ids, left, _Slab(low, high), scene), scene, best)
+            return _draw(_list_tiles(ids, left, _Slab(low, high), scene), scene, best)
 
         return jax.lax.fori_loop(0, jnp.max(-(-sums[:, -1] // listed)), group_pass, best)
 
@@ -155,38 +165,37 @@ def cast_dense(
     return jax.lax.fori_loop(0, 2, layer, empty_buffers(poses, grid, dtype, with_faces))
 
 
-def _look(ids: Int[Array, "p listed"], left: Int[Array, " p"], slab: _Slab, scene: _Scene) -> _Listed:
-    """Tiles of the clusters of the first `left` groups of each list whose boxes begin in the slab.
+def _list_tiles(ids: Int[Array, "p listed"], left: Int[Array, " p"], slab: _Slab, scene: _Scene) -> _Listed:
+    """List the tiles of clusters whose boxes begin in the slab, for the first `left` groups of each list.
 
-    Groups are looked into in chunks, so that their boxes stay in the caches; chunks behind the longest list are not
-    looked into.
+    Groups are tested in chunks, so that their boxes stay in the caches. Chunks beyond the longest list are skipped.
     """
     poses, listed = ids.shape
     side = scene.grid.side
-    chunk = min(GROUPS_PER_CHUNK, listed)
+    chunk = min(_DRAWING.groups_per_chunk, listed)
     chunks = jnp.max(-(-left // chunk))
     start = scene.clusters.mesh[:, None] * scene.groups_per_mesh
-    first = jnp.minimum(indices(-(-listed // chunk)) * chunk, listed - chunk)  # the last chunk may repeat some
+    first = jnp.minimum(indices(-(-listed // chunk)) * chunk, listed - chunk)  # the last chunk may overlap
 
-    def look(k: Array) -> tuple[Array, Array]:
-        some = dynamic_slice(ids, (0, first[k]), (poses, chunk))
-        box = scene.boxes.at[some + start].get(mode="promise_in_bounds")
+    def test_boxes(k: Array) -> tuple[Array, Array]:
+        groups = dynamic_slice(ids, (0, first[k]), (poses, chunk))
+        box = scene.boxes.at[groups + start].get(mode="promise_in_bounds")
         of_list = (first[k] + indices(chunk)[None] < left[:, None])[..., None]
         return _tiles_of_boxes(box, of_list, slab, scene)
 
     def store(k: Array, carry: tuple[Array, ...]) -> tuple[Array, ...]:
-        found = fusion_barrier(look, k, k < chunks)
-        found = fusion_barrier(lambda _: tuple(_clusters_of_tiles(words, side) for words in found), k, k < chunks)
-        return tuple(dynamic_update(whole, part, (0, first[k], 0)) for whole, part in zip(carry, found, strict=True))
+        tiles = fusion_barrier(test_boxes, k, k < chunks)
+        parts = fusion_barrier(lambda _: tuple(_clusters_of_tiles(words, side) for words in tiles), k, k < chunks)
+        return tuple(dynamic_update(whole, part, (0, first[k], 0)) for whole, part in zip(carry, parts, strict=True))
 
-    nothing = jnp.zeros((poses, listed, side), jnp.uint32)
-    return _Listed(ids, *jax.lax.fori_loop(0, chunks, store, (nothing, nothing)))
+    empty = jnp.zeros((poses, listed, side), jnp.uint32)
+    return _Listed(ids, *jax.lax.fori_loop(0, chunks, store, (empty, empty)))
 
 
 def _tiles_of_boxes(
     boxes: Float[Array, "p chunk 6 clusters"], of_list: Bool[Array, "p chunk 1"], slab: _Slab, scene: _Scene
 ) -> tuple[UInt[Array, "p chunk clusters"], UInt[Array, "p chunk clusters"]]:
-    """Columns and rows of tiles (bits) that each box can touch; no column if it is not to be drawn now."""
+    """Find the columns and rows of tiles (bits) that each box can touch; boxes outside the slab have no columns."""
     shift, stretch = place_boxes(jnp.moveaxis(boxes, 2, 0), broadcast_view(scene.view, 2))
     front, back = jnp.maximum(shift[2] - stretch[2], -STANDOFF), shift[2] + stretch[2]
     wanted = (back >= -STANDOFF) & (front > slab.low[..., None]) & (front <= slab.high[..., None])
@@ -196,51 +205,51 @@ def _tiles_of_boxes(
 
 
 def _clusters_of_tiles(words: UInt[Array, "p chunk clusters"], side: int) -> UInt[Array, "p chunk side"]:
-    """Bits of tiles for each cluster turned into bits of clusters for each column or row of tiles."""
+    """Transpose the bits of tiles for each cluster to bits of clusters for each column or row of tiles."""
     tile = jnp.arange(side, dtype=jnp.uint32).reshape(1, 1, -1, 1)
     cluster = jnp.arange(CLUSTERS_PER_GROUP, dtype=jnp.uint32).reshape(1, 1, 1, -1)
     flags = (words[:, :, None] >> tile) & as_uint32(1)
     return jnp.sum(flags << cluster, -1, dtype=jnp.uint32)
 
 
-def _draw(found: _Listed, scene: _Scene, best: Hits) -> Hits:
-    """Draw the found clusters, the tiles that have most to draw first."""
+def _draw(listed: _Listed, scene: _Scene, best: Hits) -> Hits:
+    """Draw the listed clusters, beginning with the tiles that have the largest number of them."""
     grid = scene.grid
-    poses, listed = found.ids.shape
+    poses, count = listed.ids.shape
     lanes = poses * grid.tiles
-    blocks = min(BLOCKS_PER_SHARE, -(-lanes // LANES_PER_BLOCK))
-    share = blocks * LANES_PER_BLOCK
+    blocks = min(_DRAWING.blocks_per_share, -(-lanes // _DRAWING.lanes_per_block))
+    share = blocks * _DRAWING.lanes_per_block
     shares = -(-lanes // share)
 
     def words(g: int) -> Array:
-        return (found.rows[:, g, :, None] & found.columns[:, g, None, :]).reshape(-1)
+        return (listed.rows[:, g, :, None] & listed.columns[:, g, None, :]).reshape(-1)
 
-    filled = [jnp.where(words(g) != 0, as_uint32(1 << g % WORD_BITS), as_uint32(0)) for g in range(listed)]
-    full = [bitwise_or_reduce(filled[i : i + WORD_BITS]) for i in range(0, listed, WORD_BITS)]
-    todo = sum(popcount(words(g)) for g in range(listed))
+    filled = [jnp.where(words(g) != 0, as_uint32(1 << g % WORD_BITS), as_uint32(0)) for g in range(count)]
+    full = [bitwise_or_reduce(filled[i : i + WORD_BITS]) for i in range(0, count, WORD_BITS)]
+    todo = sum(popcount(words(g)) for g in range(count))
     todo = jnp.pad(todo, (0, shares * share - lanes))
     amount, order = jax.lax.sort((-todo, indices(len(todo))), num_keys=1, is_stable=False)
     best = jax.tree.map(lambda part: part.reshape(lanes, -1), best)
 
     def draw_share(k: Array, best: Hits) -> Hits:
-        those = dynamic_slice(order, (k * share,), (share,))
-        lane = jnp.minimum(those, lanes - 1).reshape(blocks, LANES_PER_BLOCK)
+        selected = dynamic_slice(order, (k * share,), (share,))
+        lane = jnp.minimum(selected, lanes - 1).reshape(blocks, _DRAWING.lanes_per_block)
         pose, tile = lane // grid.tiles, lane % grid.tiles
 
         def fetch(_: Array) -> tuple[_Queue, ToolView, list[Array], Hits]:
             queue = _Queue(
                 tuple(_at(part, lane) for part in full), jnp.zeros_like(lane, jnp.uint32), jnp.zeros_like(lane)
             )
-            here = jax.tree.map(lambda part: part[..., pose], scene.view)
+            view = jax.tree.map(lambda part: part[..., pose], scene.view)
             pixels = [_at(jnp.asarray(part, best[0].dtype), tile) for part in (grid.x, grid.y)]
-            return queue, here, pixels, tuple(_at(part, lane) for part in best)
+            return queue, view, pixels, tuple(_at(part, lane) for part in best)
 
-        queue, here, pixels, mine = fusion_barrier(fetch, k, k < shares)
-        draw_next = partial(_draw_next, found=found, scene=scene, lanes=_Lanes(pose, tile, here, tuple(pixels)))
-        _, mine = jax.lax.fori_loop(0, -amount[k * share], draw_next, (queue, mine))
+        queue, view, pixels, hits = fusion_barrier(fetch, k, k < shares)
+        draw_next = partial(_draw_next, listed=listed, scene=scene, lanes=_Lanes(pose, tile, view, tuple(pixels)))
+        _, hits = jax.lax.fori_loop(0, -amount[k * share], draw_next, (queue, hits))
         return tuple(
-            part.at[those].set(own.reshape(share, -1), mode="drop", unique_indices=True)
-            for part, own in zip(best, mine, strict=True)
+            part.at[selected].set(own.reshape(share, -1), mode="drop", unique_indices=True)
+            for part, own in zip(best, hits, strict=True)
         )
 
     best = jax.lax.fori_loop(0, -(-jnp.sum(todo > 0) // share), draw_share, best)
@@ -248,19 +257,19 @@ def _draw(found: _Listed, scene: _Scene, best: Hits) -> Hits:
 
 
 def _draw_next(
-    turn: Int[Array, ""], carry: tuple[_Queue, Hits], *, found: _Listed, scene: _Scene, lanes: _Lanes
+    turn: Int[Array, ""], carry: tuple[_Queue, Hits], *, listed: _Listed, scene: _Scene, lanes: _Lanes
 ) -> tuple[_Queue, Hits]:
-    """One turn of the loop: each tile of a share pops a cluster, draws its faces, and keeps the nearest hits."""
+    """Pop a cluster for each tile of a share, draw its faces, and keep the nearest hits."""
     queue, best = carry
     holds, size, side = turn >= 0, scene.clusters.size, scene.grid.side
     x, y = lanes.pixels
     queue, name = fusion_barrier(
-        lambda _: _pop(queue, found, lanes.pose, lanes.tile % side, lanes.tile // side), turn, holds
+        lambda _: _pop(queue, listed, lanes.pose, lanes.tile % side, lanes.tile // side), turn, holds
     )
     corners = fusion_barrier(lambda _: _corners_of(name, lanes.pose, scene.clusters), turn, holds)
-    corners = corners.reshape(-1, 3, size, 3, LANES_PER_BLOCK)  # block, corner, face, axis, lane
+    corners = corners.reshape(-1, 3, size, 3, _DRAWING.lanes_per_block)  # block, corner, face, axis, lane
     placed = fusion_barrier(lambda _: _to_tool(corners, lanes.view), turn, holds)
-    shown = jnp.broadcast_to((name >= 0)[:, None], (len(name), size, LANES_PER_BLOCK))
+    shown = jnp.broadcast_to((name >= 0)[:, None], (len(name), size, _DRAWING.lanes_per_block))
     terms = fusion_barrier(lambda _: face_terms(placed, shown, scene.grid.half, 1, holds), turn, holds)
     for f in range(size):
         edges = [part[:, k, f, :, None] for part in terms[:3] for k in range(3)]
@@ -272,17 +281,17 @@ def _draw_next(
 def _corners_of(
     name: Int[Array, "blocks lanes"], pose: Int[Array, "blocks lanes"], clusters: FaceClusters
 ) -> Float[Array, "blocks coordinates lanes"]:
-    """The corners (m, mesh frame) of a cluster for each lane: of its first corners those of all faces, each three
-    coordinates, then of its second and third.
+    """Fetch the corners (m, mesh frame) of a cluster for each lane: the three coordinates of the first corners of all
+    faces, then those of the second and third corners.
     """
     corner, face, axis = np.mgrid[:3, : clusters.size, :3]
-    number = (face * 9 + corner * 3 + axis).ravel()  # of a coordinate in its cluster's row
+    number = (face * 9 + corner * 3 + axis).ravel()  # column of a coordinate in its cluster's row
     row = jnp.maximum(name, 0) + clusters.mesh[pose] * clusters.per_mesh
     return _at(clusters.rows, (row[:, None], jnp.asarray(number, jnp.int32)[None, :, None]))
 
 
 def _to_tool(corners: Float[Array, "blocks 3 faces 3 lanes"], view: ToolView) -> list[Array]:
-    """x, y and z (blocks, 3, faces, lanes) of corners in the tool frames of their lanes (m)."""
+    """Transform corners to the tool frames of their lanes: x, y and z (blocks, 3, faces, lanes) in m."""
     local = [corners[:, :, :, j] - view.origin[j][:, None, None] for j in range(3)]
     return [
         sum((view.linear[i, j][:, None, None] * local[j] for j in range(3)), view.offset[i][:, None, None])
@@ -292,26 +301,26 @@ def _to_tool(corners: Float[Array, "blocks 3 faces 3 lanes"], view: ToolView) ->
 
 def _pop(
     queue: _Queue,
-    found: _Listed,
+    listed: _Listed,
     pose: Int[Array, "blocks lanes"],
     column: Int[Array, "blocks lanes"],
     row: Int[Array, "blocks lanes"],
 ) -> tuple[_Queue, Int[Array, "blocks lanes"]]:
-    """Take a cluster from each queue: the rest, and the cluster's index in the mesh (-1 from an empty queue)."""
-    listed, side = found.columns.shape[1:]
-    some: Array = queue.full[0]
-    place, left = lowest_set_bit(some), [jnp.where(queue.current == 0, some & (some - as_uint32(1)), some)]
-    for i, more in enumerate(queue.full[1:], 1):
-        place = jnp.where(some != 0, place, i * WORD_BITS + lowest_set_bit(more))
-        left.append(jnp.where((queue.current == 0) & (some == 0), more & (more - as_uint32(1)), more))
-        some = some | more
-    fresh: Bool[Array, "blocks lanes"] = (queue.current == 0) & (some != 0)
+    """Pop a cluster from each queue. Return the rest, and the cluster's index in the mesh (-1 from an empty queue)."""
+    count, side = listed.columns.shape[1:]
+    union: Array = queue.full[0]
+    place, rest = lowest_set_bit(union), [jnp.where(queue.current == 0, union & (union - as_uint32(1)), union)]
+    for i, word in enumerate(queue.full[1:], 1):
+        place = jnp.where(union != 0, place, i * WORD_BITS + lowest_set_bit(word))
+        rest.append(jnp.where((queue.current == 0) & (union == 0), word & (word - as_uint32(1)), word))
+        union = union | word
+    fresh: Bool[Array, "blocks lanes"] = (queue.current == 0) & (union != 0)
     place = jnp.where(fresh, place, queue.place)
-    at = pose * listed + place
-    opened = _at(found.columns.reshape(-1), at * side + column) & _at(found.rows.reshape(-1), at * side + row)
+    at = pose * count + place
+    opened = _at(listed.columns.reshape(-1), at * side + column) & _at(listed.rows.reshape(-1), at * side + row)
     current = jnp.where(fresh, opened, queue.current)
-    name = jnp.where(current == 0, -1, _at(found.ids.reshape(-1), at) * CLUSTERS_PER_GROUP + lowest_set_bit(current))
-    return _Queue(tuple(left), current & (current - as_uint32(1)), place), name
+    name = jnp.where(current == 0, -1, _at(listed.ids.reshape(-1), at) * CLUSTERS_PER_GROUP + lowest_set_bit(current))
+    return _Queue(tuple(rest), current & (current - as_uint32(1)), place), name
 
 
 def _at(array: Array, index: Any) -> Array:

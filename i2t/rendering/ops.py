@@ -1,4 +1,4 @@
-"""Small operations on arrays in the form that XLA runs quickest."""
+"""Small operations on arrays in the form that XLA runs fastest."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, SupportsIndex
@@ -11,96 +11,96 @@ from jaxtyping import Array
 def fusion_barrier(work: Callable[[Array], Any], i: Array, holds: Array) -> Any:
     """Compute `work(i)` in a computation of its own.
 
-    XLA's CPU backend otherwise fuses it with the update that stores it: values are computed again for each of their
-    uses, and the fused loop runs on a single core. A branch that the compiler cannot decide keeps the two apart. The
-    condition is true at every call, so the other branch is never taken and the result is that of `work` to the last
-    bit.
+    Without it, XLA's CPU backend fuses the work with the update that stores its result: values are computed again for
+    each of their uses, and the fused loop runs on a single core. A branch whose condition the compiler cannot decide
+    keeps the two apart. The condition is true in every call, so the result equals that of `work` to the last bit.
 
     Args:
         work: A function of a loop's counter.
         i: The counter.
-        holds: True, but only at run time: the condition of the loop, `i < count`.
+        holds: A condition that is true, but only at run time, such as that of the loop, `i < count`.
 
     Returns:
-        work(i), an array or a tree of arrays.
+        `work(i)`, an array or a tree of arrays.
     """
     return jax.lax.cond(holds, work, lambda i: jax.tree.map(jnp.zeros_like, jax.eval_shape(work, i)), i)
 
 
 def dynamic_slice(array: Array, start: Sequence[Any], shape: Sequence[int]) -> Array:
-    """A block of an array; its indices stay 32 bits wide.
+    """Take a block of an array with indices of 32 bits.
 
     Args:
-        array: Any.
+        array: The array.
         start: Index of the block's first element along each axis; may be traced.
-        shape: Of the block.
+        shape: Shape of the block.
 
     Returns:
-        The block.
+        The block of the given shape.
     """
     return jax.lax.dynamic_slice(array, [jnp.asarray(i, jnp.int32) for i in start], shape)
 
 
 def dynamic_update(array: Array, block: Array, start: Sequence[Any]) -> Array:
-    """An array with one block replaced; its indices stay 32 bits wide.
+    """Replace a block of an array with indices of 32 bits.
 
     Args:
-        array: Any.
-        block: With as many axes.
+        array: The array.
+        block: The new block, with as many axes as the array.
         start: Index of the block's first element along each axis; may be traced.
 
     Returns:
-        The new array.
+        The array with the new block.
     """
     return jax.lax.dynamic_update_slice(array, block, [jnp.asarray(i, jnp.int32) for i in start])
 
 
 def element(tree: Any, i: SupportsIndex) -> Any:
-    """An element of every array of a tree.
+    """Take an element of every array of a tree.
 
     Args:
-        tree: Of arrays with a shared first axis.
-        i: Index on it.
+        tree: A tree of arrays with a common first axis.
+        i: Index on that axis.
 
     Returns:
-        The tree without that axis.
+        The tree of elements, without that axis.
     """
     return jax.tree.map(lambda leaf: leaf[i], tree)
 
 
 def indices(n: int) -> Array:
-    """0, 1, ... n - 1 as 32 bits.
+    """Count from 0 to n - 1 with 32 bits.
 
     Args:
-        n: How many.
+        n: Number of indices.
 
     Returns:
-        (n,) int32.
+        `(n,)` indices, int32.
     """
     return jnp.arange(n, dtype=jnp.int32)
 
 
 def minimum(a: Any, b: Any) -> Array:
-    """Minimum of numbers that are not NaN: one instruction, where `jnp.minimum` takes several to pass NaN on.
+    """Compute the minimum of numbers that are not NaN in a single instruction; `jnp.minimum` needs several to pass on
+    NaN.
 
     Args:
         a: Numbers of any shape.
-        b: Numbers that broadcast with them.
+        b: Numbers that broadcast with `a`.
 
     Returns:
-        The smaller of each two.
+        The smaller of each pair.
     """
     return jnp.where(a < b, a, b)
 
 
 def maximum(a: Any, b: Any) -> Array:
-    """Maximum of numbers that are not NaN.
+    """Compute the maximum of numbers that are not NaN, as `minimum` does.
 
     Args:
         a: Numbers of any shape.
-        b: Numbers that broadcast with them.
+        b: Numbers that broadcast with `a`.
 
     Returns:
-        The larger of each two.
+        The larger of each pair.
     """
     return jnp.where(a > b, a, b)

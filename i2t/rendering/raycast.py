@@ -1,25 +1,26 @@
-"""First hits of parallel rays on triangles: exact rasterisation of clustered faces in tiles of pixels.
+"""Find the first hits of parallel rays on triangles: exact rasterisation of clustered faces in tiles of pixels.
 
-In the tool frame a ray is a point (x, y) and a face a triangle whose inside is where its three edge functions `A x + B
-y + C` are positive; the plane through its corners gives z. Neighbouring faces share their corners to the last bit, so a
-tolerance of a few roundings on every edge closes the cracks between them.
+In the tool frame a ray is a point (x, y), and a face is a triangle whose inside is where its three edge functions `A x
++ B y + C` are positive. The plane through its corners gives z. Neighbouring faces share their corners to the last bit,
+so a tolerance of a few roundings on every edge closes the cracks between them.
 
-Work goes from coarse to fine, and what it cannot need is never touched. Boxes name the groups, then the clusters, that
-the window can see no deeper than the reach behind the nearest hit; their faces are turned into edge functions once a
-pose; every tile keeps a bit for each cluster that crosses it, and draws the clusters of its bits.
+The work goes from coarse to fine and skips what cannot contribute. Boxes select the groups, then the clusters, that the
+window can see within the reach behind the nearest hit. Their faces are converted to edge functions once for each pose.
+Every tile keeps a bit for each cluster that crosses it, and draws the clusters of its bits.
 
-Poses differ many times in their work, so a batch is not one pose after another in lanes that wait for the slowest: all
-clusters of all poses make one dense list, and all tiles of all poses one set of lanes, of which the busiest few go on
-alone when most are done. `vmap` arrives here as a longer axis of poses (`_batch_cast`). Lists are worked off in passes
+The amount of work differs widely between poses, so that poses in parallel lanes would wait for the slowest. Instead,
+the clusters of all poses form one dense list, and the tiles of all poses one set of lanes, of which the busiest few
+continue alone when most are done. `vmap` becomes a longer axis of poses (`_batch_cast`). Lists are processed in passes
 of a fixed length, so that scratch memory is small and constant and no list can overflow.
 
-Meshes of many faces hardly larger than a pixel go another way, which keeps nothing of a face (`i2t.rendering.dense`).
+Meshes of many faces that are hardly larger than a pixel are drawn without a table of faces (`i2t.rendering.dense`).
 
-Work is split where XLA should store an intermediate: inside one loop body it would rather compute a cheap value again
-for each of its uses.
+Work is split where XLA should store an intermediate result. Inside a single loop body it would compute a cheap value
+again for each of its uses.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -32,7 +33,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from i2t.patches.dimensions import STANDOFF
 from i2t.rendering.bitset import WORD_BITS, cumulative_popcounts, pack_bits, select_kth_set_bit
-from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
+from i2t.rendering.bvh import CLUSTER_SIZES, CLUSTERS_PER_GROUP
 from i2t.rendering.dense import cast_dense
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices
 from i2t.rendering.tiles import (
@@ -52,25 +53,34 @@ from i2t.rendering.tiles import (
 )
 from i2t.types import Surface
 
-GROUPS_PER_PASS = 64  # groups listed in one pass
-GROUPS_PER_CHUNK = 8  # whose boxes are looked at together
-CLUSTERS_PER_PASS = 256  # clusters of a pose set up in one pass, a multiple of 32 and at most 1024
-FRONT_SLAB_REACHES = 2  # reaches behind the first box: what is drawn first, to learn how near the surface is
+
+@dataclass(frozen=True)
+class PassSizes:
+    """Sizes of the passes in which the clusters of a pose are drawn."""
+
+    groups: int = 64  # groups listed in a pass
+    groups_per_chunk: int = 8  # groups whose boxes are tested together
+    clusters: int = 256  # clusters set up in a pass, a multiple of 32 and at most 1024
+    # reaches behind the first box, up to which clusters are drawn first, to find out how near the surface is
+    front_slab_reaches: int = 2
+
+
+PASS_SIZES = PassSizes()
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3, 4))
 def first_hit(surface: Surface, view: ToolView, window: float, pixels: int, reach: float) -> Float[Array, "n n"]:
-    """Find where the pixels' rays first meet a surface. Derivatives hold the visible faces fixed.
+    """Find where the rays of the pixels first meet a surface. Derivatives keep the visible faces fixed.
 
     Args:
         surface: A prepared surface.
-        view: How its points come to the tool frame.
+        view: Map of the surface's points to the tool frame.
         window: Edge (m) of the square of pixels.
-        pixels: Along the edge.
-        reach: Depth (m) behind the nearest hit beyond which hits may be missing; infinite: none is.
+        pixels: Number of pixels along the edge.
+        reach: Depth (m) behind the nearest hit beyond which hits may be missing; infinite to find all.
 
     Returns:
-        Tool z (m) of the first hit beyond -STANDOFF on each ray, +inf where there is none.
+        `(pixels, pixels)` tool z (m) of the first hit beyond -STANDOFF on each ray, +inf where there is none.
     """
     return _rasterise(surface, view, PixelGrid(window, pixels), reach, False)[0]
 
@@ -83,10 +93,10 @@ def _first_hit_jvp(
     primals: tuple[Surface, ToolView],
     tangents: tuple[Surface, ToolView],
 ) -> tuple[Array, Array]:
-    """Differentiate the planes of the faces that are seen."""
+    """Differentiate the planes of the visible faces."""
     surface, view = primals
     grid = PixelGrid(window, pixels)
-    # What is seen is held fixed in derivatives of any order.
+    # The visible faces are fixed in derivatives of any order.
     heights, faces = _rasterise(jax.lax.stop_gradient(surface), jax.lax.stop_gradient(view), grid, reach, True)
     x, y = jnp.asarray(grid.centres)[None, :], jnp.asarray(grid.centres)[:, None]
 
@@ -108,17 +118,17 @@ def _first_hit_jvp(
 def _rasterise(
     surface: Surface, view: ToolView, grid: PixelGrid, reach: float, with_faces: bool
 ) -> tuple[Float[Array, "n n"], Int[Array, "n n"]]:
-    """Heights (n, n) of the first hits and, if asked, the index of the face that each ray meets (n, n)."""
+    """Compute heights (n, n) of the first hits and, if requested, the index of the face that each ray meets (n, n)."""
     meshes = tuple(jnp.asarray(part)[None] for part in (surface.triangles, surface.boxes, surface.groups))
     views = [jnp.asarray(part)[None] for part in view]
     options = {"window": grid.window, "pixels": grid.pixels, "reach": reach, "with_faces": with_faces}
     heights, faces = _cast_primitive.bind(*meshes, jnp.zeros(1, jnp.int32), *views, **options)
-    poison = 0 * sum(jnp.sum(part) for part in view)  # a pose that is not finite gives an image that is not a number
+    poison = 0 * sum(jnp.sum(part) for part in view)  # a non-finite pose gives an image of NaN
     return heights[0] + poison, faces[0]
 
 
-# To JAX it is one operation, so that programs with a renderer are traced once, whatever is done to them, and not again
-# for each `vmap`.
+# JAX sees a single operation, so that programs with a renderer are traced once and not again for each transformation
+# such as `vmap`.
 _cast_primitive = Primitive("i2t_cast")
 _cast_primitive.multiple_results = True
 
@@ -127,7 +137,7 @@ def _cast_arrays(
     triangles: Array, boxes: Array, groups: Array, mesh: Array, *views: Array,
     window: float, pixels: int, reach: float, with_faces: bool,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """`_cast` of arrays whose axis 0 counts meshes (the first three) or poses."""
+    """Call `_cast` with arrays whose axis 0 is that of meshes (the first three) or poses."""
     view = ToolView(*(jnp.moveaxis(part, 0, -1) for part in views))
     return _cast((triangles, boxes, groups), mesh, view, PixelGrid(window, pixels), reach, with_faces)
 
@@ -142,16 +152,16 @@ def _(
 
 
 def _batch_cast(arrays: Sequence[Array], axes: Sequence[int | None], **options: Any) -> tuple[list[Array], list[int]]:
-    """A batch of batches of poses is a longer batch, and of meshes a longer list of them."""
+    """Merge a batch of batches of poses into a longer batch, and a batch of meshes into a longer list."""
     size = next(array.shape[axis] for array, axis in zip(arrays, axes, strict=True) if axis is not None)
-    several = any(axis is not None for axis in axes[:3])  # meshes
+    several_meshes = any(axis is not None for axis in axes[:3])
 
     def leading(array: Array, axis: int | None) -> Array:
         return jnp.broadcast_to(array, (size, *array.shape)) if axis is None else jnp.moveaxis(array, axis, 0)
 
-    meshes, (mesh, *views) = arrays[:3], [leading(*each) for each in zip(arrays[3:], axes[3:], strict=True)]
-    if several:
-        meshes = [leading(*each) for each in zip(meshes, axes[:3], strict=True)]
+    meshes, (mesh, *views) = arrays[:3], [leading(*pair) for pair in zip(arrays[3:], axes[3:], strict=True)]
+    if several_meshes:
+        meshes = [leading(*pair) for pair in zip(meshes, axes[:3], strict=True)]
         mesh = mesh + meshes[0].shape[1] * indices(size)[:, None]
         meshes = [_flat(part) for part in meshes]
     hits = _cast_primitive.bind(*meshes, _flat(mesh), *(_flat(part) for part in views), **options)
@@ -159,7 +169,8 @@ def _batch_cast(arrays: Sequence[Array], axes: Sequence[int | None], **options: 
 
 
 _cast_primitive.def_impl(
-    jax.jit(_cast_arrays, static_argnames=("window", "pixels", "reach", "with_faces"))  # where nothing is compiled
+    # for calls outside compiled functions
+    jax.jit(_cast_arrays, static_argnames=("window", "pixels", "reach", "with_faces"))
 )
 batching.primitive_batchers[_cast_primitive] = _batch_cast
 mlir.register_lowering(_cast_primitive, mlir.lower_fun(_cast_arrays, multiple_results=True))
@@ -173,15 +184,15 @@ def _cast(
     reach: float,
     with_faces: bool,
 ) -> tuple[Array, Array]:
-    """Heights (p, n, n) that p poses see of their meshes, and the faces (p, n, n; zeros if not asked for)."""
+    """Compute heights (p, n, n) that p poses see of their meshes, and the faces (p, n, n; zeros if not requested)."""
     triangles, boxes, groups = meshes
     count = boxes.shape[1]
     size = triangles.shape[1] // (count * CLUSTERS_PER_GROUP)
     clusters = FaceClusters(triangles.reshape(-1, size * 9), mesh, count * CLUSTERS_PER_GROUP, size)
     boxes = boxes.reshape(-1, *boxes.shape[2:])
     groups = groups[mesh if len(groups) > 1 else slice(None)]
-    if size >= DENSE_CLUSTER_FACES:
-        best = cast_dense(boxes, groups, clusters, view, grid, reach, GROUPS_PER_PASS, with_faces)
+    if size >= CLUSTER_SIZES.dense:
+        best = cast_dense(boxes, groups, clusters, view, grid, reach, PASS_SIZES.groups, with_faces)
     else:
         best = _cast_listed(boxes, groups, clusters, view, grid, reach, with_faces)
     heights = grid.images(best[0])
@@ -197,12 +208,12 @@ def _cast_listed(
     reach: float,
     with_faces: bool,
 ) -> Hits:
-    """Hits of meshes of large or few faces, whose clusters are set up in a table: list the groups in view, and work the
-    list off in passes.
+    """Find hits on meshes of large or few faces, whose clusters are set up in a table: list the groups in view and draw
+    the list in passes.
     """
     poses, count = len(clusters.mesh), clusters.per_mesh // CLUSTERS_PER_GROUP
-    listed = min(count, GROUPS_PER_PASS)
-    slots = min(CLUSTERS_PER_PASS, listed * CLUSTERS_PER_GROUP)
+    listed = min(count, PASS_SIZES.groups)
+    slots = min(PASS_SIZES.clusters, listed * CLUSTERS_PER_GROUP)
     dtype = jnp.result_type(clusters.rows.dtype, view.linear.dtype)
 
     seen, _ = _in_view(groups.swapaxes(0, 1), broadcast_view(view, 1), grid.half)
@@ -232,22 +243,22 @@ def _fronts(
     view: ToolView,
     grid: PixelGrid,
 ) -> Float[Array, "p listed clusters"]:
-    """Tool z (m) where the boxes of the clusters in the first `left` groups of each list begin, +inf out of view."""
+    """Compute the tool z (m) at which the boxes of clusters in the first `left` groups begin, +inf out of view."""
     poses, listed = ids.shape
-    chunk = min(listed, GROUPS_PER_CHUNK)
+    chunk = min(listed, PASS_SIZES.groups_per_chunk)
     count = clusters.per_mesh // CLUSTERS_PER_GROUP
     chunks = jnp.max(-(-left // chunk))
     dtype = jnp.result_type(clusters.rows.dtype, view.linear.dtype)
 
-    def look(i: Array) -> Array:
-        some = dynamic_slice(ids, (0, i * chunk), (poses, chunk))
-        box = boxes.at[some + clusters.mesh[:, None] * count].get(mode="promise_in_bounds")
+    def test_boxes(i: Array) -> Array:
+        chosen = dynamic_slice(ids, (0, i * chunk), (poses, chunk))
+        box = boxes.at[chosen + clusters.mesh[:, None] * count].get(mode="promise_in_bounds")
         hit, front = _in_view(jnp.moveaxis(box, 2, 0), broadcast_view(view, 2), grid.half)
         hit &= (i * chunk + indices(chunk)[None] < left[:, None])[..., None]
         return jnp.where(hit, front, jnp.inf)
 
     def store(i: Array, fronts: Array) -> Array:
-        return dynamic_update(fronts, fusion_barrier(look, i, i < chunks), (0, i * chunk, 0))
+        return dynamic_update(fronts, fusion_barrier(test_boxes, i, i < chunks), (0, i * chunk, 0))
 
     return jax.lax.fori_loop(0, chunks, store, jnp.full((poses, listed, CLUSTERS_PER_GROUP), jnp.inf, dtype))
 
@@ -262,8 +273,8 @@ def _draw_layers(
     slots: int,
     carry: tuple[Hits, Scratch],
 ) -> tuple[Hits, Scratch]:
-    """Draw the clusters near the front, and then those that may still be in reach behind the nearest hit."""
-    slab = jnp.min(fronts, (1, 2)) + FRONT_SLAB_REACHES * reach
+    """Draw the clusters near the front, then those that may be within reach behind the nearest hit."""
+    slab = jnp.min(fronts, (1, 2)) + PASS_SIZES.front_slab_reaches * reach
 
     def layer(i: Array, carry: tuple[Hits, Scratch]) -> tuple[Hits, Scratch]:
         best = carry[0]
@@ -279,7 +290,7 @@ def _draw_layers(
 
 
 def _in_view(box: Array, view: ToolView, half: float) -> tuple[Bool[Array, "..."], Float[Array, "..."]]:
-    """Boxes (centre and half extents, six arrays) that the rays can meet, and the z (m) where each begins."""
+    """Test which boxes (centres and half extents, six arrays) the rays can meet, and at which z (m) each box begins."""
     centre, extent = place_boxes(box, view)
     front, back = centre[2] - extent[2], centre[2] + extent[2]
     inside = (jnp.abs(centre[0]) - extent[0] <= half) & (jnp.abs(centre[1]) - extent[1] <= half)
@@ -287,5 +298,5 @@ def _in_view(box: Array, view: ToolView, half: float) -> tuple[Bool[Array, "..."
 
 
 def _flat(array: Array) -> Array:
-    """The first two axes as one."""
+    """Merge the first two axes."""
     return array.reshape(-1, *array.shape[2:])

@@ -1,14 +1,13 @@
-"""Surfaces and tool poses become depth patches, exactly: an orthographic first-hit ray caster on triangle meshes.
+"""Render depth patches from surfaces and tool poses, exactly: an orthographic first-hit ray caster on triangle meshes.
 
-Rays run along tool z through the pixel centres of a square window and start `STANDOFF` behind the tool origin, so a
-height is the tool z of the first face that a ray meets, whichever side of it. Frames: W is the frame of the surface, T
-the tool; metres. A patch is relative to its nearest point, `depth = min(z - nearest, reach)`, so it shows shape, and
-`nearest` says where that shape begins.
+Rays run along tool z through the pixel centres of a square window and start `STANDOFF` behind the tool origin. A height
+is the tool z of the first face that a ray meets, on either side of the face. Frames: W is the frame of the surface, T
+the tool; metres. A patch is relative to its nearest point, `depth = min(z - nearest, reach)`, so that it shows shape,
+and `nearest` is the distance at which that shape begins.
 
-A mesh is prepared once on the host (`prepare_surface`), where it is checked and padded with faces of no area to a size
-class;
-from there on everything is pure and works on one pose and one surface: lift it with `vmap` over poses, or over surfaces
-brought together by `stack_surfaces`.
+A mesh is prepared once on the host: `prepare_surface` checks it and pads it with faces without area to a size class.
+All other functions are pure and take one pose and one surface. Lift them with `vmap` over poses, or over surfaces that
+`stack_surfaces` brought together.
 """
 
 import math
@@ -30,27 +29,27 @@ from i2t.rendering.raycast import first_hit
 from i2t.rendering.tiles import ToolView
 from i2t.types import Patch, Surface
 
-MAX_COORDINATE_M = 100.0  # m, where one step of float32 is 8 um
+MAX_COORDINATE_M = 100.0  # m, where adjacent float32 numbers differ by 8 um
 
 
 def prepare_surface(mesh: Any) -> Surface:
-    """Make a mesh ready for rendering: check it, order its faces and pad them to a size class (a power of two).
+    """Prepare a mesh for rendering: check it, order its faces and pad them to a size class (a power of two).
 
     Args:
-        mesh: Anything with `vertices` (v, 3) in metres and `faces` (f, 3) of indices, such as an `i2t.objects.Mesh` or
-            a `trimesh.Trimesh`, or with `vertices` and `triangles`, such as a mesh of Open3D. Open meshes and any
-            winding are welcome.
+        mesh: Any object with `vertices` (v, 3) in metres and `faces` (f, 3) of indices, such as an `i2t.objects.Mesh`
+            or a `trimesh.Trimesh`, or with `vertices` and `triangles`, such as a mesh of Open3D. Meshes may be open and
+            their faces may have any winding.
 
     Returns:
-        The surface, for `render_patch` and all that touches it.
+        The prepared surface, for `render_patch` and all functions that touch it.
 
     Raises:
-        ValueError: The mesh is empty, not finite, larger than `MAX_COORDINATE_M`, or a face points at a missing vertex.
+        ValueError: The mesh is empty, not finite, larger than `MAX_COORDINATE_M`, or a face refers to a missing vertex.
 
     Example:
         surface = i2t.prepare_surface(i2t.load_mesh("mug.stl", "mm"))
     """
-    corners = getattr(mesh, "faces", getattr(mesh, "triangles", None))  # as Open3D calls them
+    corners = getattr(mesh, "faces", getattr(mesh, "triangles", None))  # the name in Open3D
     if not hasattr(mesh, "vertices") or corners is None:
         raise ValueError(f"mesh: a {type(mesh).__name__} has no vertices and faces; give an i2t.objects.Mesh")
     vertices, faces = np.asarray(mesh.vertices), np.asarray(corners)
@@ -64,7 +63,7 @@ def prepare_surface(mesh: Any) -> Surface:
             f"mesh: vertices {vertices.shape} and faces {faces.shape} must be (v, 3) and (f, 3); triangulate it first"
         )
     if not len(vertices) or not len(faces):
-        raise ValueError("mesh: it has no faces; give one with at least one triangle")
+        raise ValueError("mesh: it has no faces; give a mesh with at least one triangle")
     if not np.isfinite(vertices).all():
         raise ValueError("mesh: vertices hold NaN or infinity; remove or repair them")
     if np.abs(vertices).max() > MAX_COORDINATE_M:
@@ -79,17 +78,17 @@ def prepare_surface(mesh: Any) -> Surface:
 
 
 def stack_surfaces(surfaces: Sequence[Surface], *, faces: int = 1) -> Surface:
-    """Bring surfaces to one size class, the largest among them, and stack them along a new first axis, for `vmap`.
+    """Bring surfaces to the size class of the largest and stack them along a new first axis, for `vmap`.
 
     Args:
         surfaces: Prepared surfaces.
-        faces: For which the size class has room at least.
+        faces: Number of faces for which the size class must have room.
 
     Returns:
-        One surface whose arrays have a leading axis.
+        A surface whose arrays have a leading axis.
 
     Raises:
-        ValueError: There are none, or one was not prepared.
+        ValueError: The list is empty, or a surface was not prepared.
     """
     if not len(surfaces):
         raise ValueError("stack: there are no surfaces; give at least one")
@@ -109,22 +108,22 @@ def render_patch(
     pixels: int = PATCH_PIXELS,
     reach: float = REACH,
 ) -> Patch:
-    """Depth patch in front of the tool at the rigid pose `T_o_t`.
+    """Render the depth patch in front of a tool.
 
     Args:
         surface: A prepared surface.
-        T_o_t: The tool's pose in the surface's frame. One that is not rigid (scaled, mirrored, not finite, transposed)
-            gives NaN.
+        T_o_t: Rigid pose of the tool in the surface's frame. A matrix that is not rigid (scaled, mirrored, not finite,
+            transposed) gives NaN.
         window: Edge (m) of the patch; static.
-        pixels: Along the edge; static.
+        pixels: Number of pixels along the edge; static.
         reach: Depth (m) behind the nearest point to which the patch is clipped; static.
 
     Returns:
-        The patch. Pixels without a surface, or with one deeper than the reach, read the reach; `nearest` is +inf where
-        no ray of the window meets anything.
+        The patch. Pixels read the reach if they show no surface or a deeper one. `nearest` is +inf if no ray of the
+        window meets the surface.
 
     Raises:
-        ValueError: A shape or size means nothing.
+        ValueError: A shape or size is out of range.
 
     Example:
         patch = i2t.render_patch(surface, T_o_t)
@@ -146,7 +145,7 @@ def _render(surface: Surface, T_o_t: Array, window: float, pixels: int, reach: f
     missed = heights == jnp.inf
     behind = jnp.where(missed, 0, heights) - jnp.where(nearest == jnp.inf, 0, nearest)
     depth = jnp.where(missed, reach, jnp.minimum(behind, reach))
-    # A minimum may lose what is not a number (XLA on CPU), so that is put in last.
+    # A minimum may lose NaN (XLA on CPU), so it is inserted last.
     return Patch(jnp.where(rigid, depth, jnp.nan), jnp.where(rigid, nearest, jnp.nan))
 
 
@@ -157,18 +156,18 @@ def render_view(
     window: float = PATCH_WINDOW,
     reach: float = REACH,
 ) -> WideView:
-    """Exact view in front of the tool, with its surroundings.
+    """Render the exact view in front of a tool, with its surroundings.
 
     Args:
         surface: A prepared surface.
-        T_o_t: The tool's rigid pose in the surface's frame; another one gives NaN.
-        window: m, edge of the patch; static.
-        reach: m, at which depths are clipped; static.
+        T_o_t: Rigid pose of the tool in the surface's frame; a matrix that is not rigid gives NaN.
+        window: Edge (m) of the patch; static.
+        reach: Depth (m) at which the view is clipped; static.
 
     Returns:
-        The view. `patch` is that of `i2t.render_patch` at the same pose.
+        The view, whose patch equals that of `i2t.render_patch` at the same pose.
     """
-    # Unbounded: what stands out must not end what is seen behind it.
+    # Without a limit, because protruding surroundings must not hide deeper surfaces of the patch.
     seen = render_patch(surface, T_o_t, window=window * WIDE_PIXELS / PATCH_PIXELS, pixels=WIDE_PIXELS, reach=math.inf)
     z = jnp.where(jnp.isfinite(seen.nearest), seen.nearest, 0) + seen.depth
     return view_of_heights(z, reach=reach)
@@ -177,17 +176,16 @@ def render_view(
 def render_heights(
     surface: Surface, A_t_w: Float[Array, "4 4"], window: float = PATCH_WINDOW, pixels: int = PATCH_PIXELS
 ) -> Float[Array, "n n"]:
-    """Tool z (m) of the first hit on each ray, +inf where there is none, on the surface mapped by an affine `A_t_w`
-    (scaling and shear are welcome; faces that it puts edge on are not seen).
+    """Render the heights of a surface that is mapped by an affine map.
 
     Args:
         surface: A prepared surface.
-        A_t_w: An affine map to the tool frame.
+        A_t_w: An affine map to the tool frame, which may scale and shear. Faces that it turns edge on are not seen.
         window: Edge (m) of the square of rays; static.
-        pixels: Along the edge; static.
+        pixels: Number of pixels along the edge; static.
 
     Returns:
-        Heights (m).
+        `(pixels, pixels)` tool z (m) of the first hit on each ray, +inf where there is none.
     """
     _check(A_t_w, window, pixels)
     view = ToolView(A_t_w[:3, :3], jnp.zeros_like(A_t_w[:3, 3]), A_t_w[:3, 3])
@@ -195,19 +193,20 @@ def render_heights(
 
 
 def contact_mask(depth: Float[Array, "n n"], tolerance: float = CONTACT_TOLERANCE_M) -> Float[Array, "n n"]:
-    """The paper's binary image.
+    """Compute the paper's binary image of contact.
 
     Args:
-        depth: Of a patch (m).
-        tolerance: Behind the nearest point (m).
+        depth: `(n, n)` depths (m) of a patch.
+        tolerance: Largest depth (m) behind the nearest point that counts as contact.
 
     Returns:
-        1 within the tolerance of the nearest point, else 0.
+        `(n, n)` mask: 1 within the tolerance of the nearest point, else 0.
     """
     return (depth <= jnp.min(depth) + tolerance).astype(depth.dtype)
 
 
 def _prepared(surface: Surface) -> Surface:
+    """Refuse a surface that was not prepared, or a stack of surfaces."""
     if surface.boxes is None or surface.groups is None:
         raise ValueError("surface: it holds bare triangles; make it with i2t.rendering.render.prepare_surface")
     shapes: list[tuple[int, ...]] = [np.shape(field) for field in (surface.triangles, surface.boxes, surface.groups)]

@@ -1,8 +1,8 @@
-"""Clusters of faces drawn into tiles of pixels: the second half of `i2t.rendering.raycast`, which says how the two work
-together.
+"""Draw clusters of faces into tiles of pixels: the second half of `i2t.rendering.raycast`, which describes how the two
+work together.
 
-A pass takes up to `slots` clusters of each pose. They are set up as one dense list, a bit for each cluster says which
-tiles it crosses, and the tiles of all poses are lanes that pop their bits one after another and keep the nearest hit.
+A pass takes up to `slots` clusters of each pose and sets them up as one dense list. A bit for each cluster marks the
+tiles that it crosses. The tiles of all poses are lanes, which pop their bits in turn and keep the nearest hit.
 """
 
 from collections.abc import Sequence
@@ -28,19 +28,15 @@ from i2t.rendering.bitset import (
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices, maximum, minimum
 
-TILE_PIXELS = 8  # pixels along the edge of a tile
-EDGE_TOLERANCE_ROUNDINGS = 4  # tolerance of an edge, in roundings of its corners' coordinates
-MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, below this projected area a face is seen edge on
+MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, projected area below which a face is seen edge on
 FACE_TERMS = 13  # numbers of a face: three edges, its plane, its lowest corner
-TOGETHER_FRACTION = 0.25  # of the tiles: so many at work are quicker together than in shares
-NUM_SHARES = 8  # into which the busiest lanes are cut, each as long as its own longest
 
-
-Hits: TypeAlias = tuple[Array, ...]  # nearest so far (p, tiles, pixels): heights (m) and, if asked for, faces
+# Nearest hits so far as (p, tiles, pixels) arrays: heights (m) and, if requested, faces.
+Hits: TypeAlias = tuple[Array, ...]
 
 
 class ToolView(NamedTuple):
-    """Map of points to the tool frame: `linear (p - origin) + offset`. Of many poses, the last axes count them."""
+    """Map of points to the tool frame, `linear (p - origin) + offset`. The last axes are those of the poses."""
 
     linear: Float[Array, "3 3"]
     origin: Float[Array, "3"]
@@ -48,18 +44,18 @@ class ToolView(NamedTuple):
 
 
 class PixelGrid:
-    """Pixel centres of a window, and the square tiles that they fall into (the last ones may hang over the edge).
+    """Pixel centres of a window, and the square tiles that contain them (the last tiles may extend beyond the edge).
 
     Args:
-        window: m, edge of the square.
-        pixels: Along it.
+        window: Edge (m) of the square.
+        pixels: Number of pixels along the edge.
+        tile_pixels: Number of pixels along the edge of a tile, at least.
     """
 
-    def __init__(self, window: float, pixels: int) -> None:
+    def __init__(self, window: float, pixels: int, tile_pixels: int = 8) -> None:
         self.window, self.pixels, self.half, self.pitch = window, pixels, window / 2, window / pixels
-        self.edge = TILE_PIXELS * -(
-            -pixels // (TILE_PIXELS * (WORD_BITS - 1))
-        )  # pixels; columns of tiles must fit a word
+        # Pixels along the edge of a tile, so that the columns of tiles fit a word.
+        self.edge = tile_pixels * -(-pixels // (tile_pixels * (WORD_BITS - 1)))
         self.side = -(-pixels // self.edge)
         self.tiles = self.side**2
         self.centres = ((np.arange(self.side * self.edge) + 0.5) * self.pitch - self.half)[:pixels].astype(np.float32)
@@ -69,31 +65,31 @@ class PixelGrid:
         )
         self.x = np.ascontiguousarray(blocks).reshape(self.tiles, -1)
         self.y = np.ascontiguousarray(blocks.transpose(1, 0, 3, 2)).reshape(self.tiles, -1)
-        # What a tile's pixels span along one axis, with a twentieth of a pixel to spare for roundings.
+        # Range of a tile's pixels along an axis, widened by a twentieth of a pixel for rounding errors.
         first = all_centres.reshape(self.side, self.edge)
         self.low, self.high = first[:, 0] - self.pitch / 20, first[:, -1] + self.pitch / 20
 
     def images(self, tiles: Array) -> Array:
-        """Put tiles together to images.
+        """Assemble images from tiles.
 
         Args:
-            tiles: (p, tiles, pixels of a tile).
+            tiles: `(p, tiles, pixels of a tile)` values.
 
         Returns:
-            (p, n, n).
+            `(p, n, n)` images.
         """
         whole = tiles.reshape(-1, self.side, self.side, self.edge, self.edge).swapaxes(2, 3)
         return whole.reshape(len(tiles), self.side * self.edge, -1)[:, : self.pixels, : self.pixels]
 
     def columns(self, low: Float[Array, "*n"], high: Float[Array, "*n"]) -> UInt[Array, "*n"]:
-        """Columns of tiles that an interval along x touches.
+        """Find the columns of tiles that intervals along x touch.
 
         Args:
-            low: m, lower ends of the intervals.
-            high: m, upper ends.
+            low: Lower ends (m) of the intervals.
+            high: Upper ends (m) of the intervals.
 
         Returns:
-            A bit for each column.
+            Words with a bit for each column.
         """
         width = self.edge * self.pitch
         first = jnp.clip(jnp.ceil((low - self.high[0]) / width), 0, self.side).astype(jnp.uint32)
@@ -102,16 +98,16 @@ class PixelGrid:
 
 
 class FaceClusters(NamedTuple):
-    """The faces of all meshes, a cluster a row."""
+    """The faces of all meshes; a row is a cluster."""
 
     rows: Float[Array, "clusters size*9"]
-    mesh: Int[Array, " p"]  # of each pose
-    per_mesh: int  # clusters
+    mesh: Int[Array, " p"]  # index of each pose's mesh
+    per_mesh: int  # clusters of a mesh
     size: int  # faces of a cluster
 
 
 class ClusterList(NamedTuple):
-    """The clusters that each pose wants: bits of the groups it listed."""
+    """Clusters that each pose needs, as bits of the groups that it listed."""
 
     ids: Int[Array, "p groups"]
     words: UInt[Array, "p groups"]
@@ -119,8 +115,8 @@ class ClusterList(NamedTuple):
 
 
 class _Queue(NamedTuple):
-    """Clusters that tiles have still to draw: bits of the words not yet opened, bits left in the current word, its
-    index.
+    """Clusters that tiles have still to draw: bits of the unopened words, the remaining bits of the current word, and
+    its index.
     """
 
     full: UInt[Array, " tiles"]
@@ -129,7 +125,7 @@ class _Queue(NamedTuple):
 
 
 class _Table(NamedTuple):
-    """Clusters set up for drawing, a cluster a row; the last row draws nothing."""
+    """Clusters set up for drawing; a row is a cluster, and the last row draws nothing."""
 
     faces: Float[Array, "rows terms"]
     names: Int[Array, " rows"]
@@ -137,22 +133,22 @@ class _Table(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Clusters set up for drawing, overwritten by every pass. Row i of `faces` and `names` is one cluster; the last row
+    """Clusters set up for drawing, overwritten by every pass. A row of `faces` and `names` is a cluster; the last row
     of `faces` draws nothing.
     """
 
     faces: Float[Array, "rows terms"]  # `FACE_TERMS` numbers of each face of the cluster
-    spans: UInt[Array, "side faces"]  # for each row of tiles the columns of tiles (bits) that a face crosses
-    names: Int[Array, " rows"]  # of the cluster in its mesh
+    spans: UInt[Array, "side faces"]  # columns of tiles (bits) that a face crosses in each row of tiles
+    names: Int[Array, " rows"]  # index of the cluster in its mesh
 
 
 class _Share(NamedTuple):
-    """Part of every pose's list that a pass takes: its clusters lie next to each other in the scratch table."""
+    """Part of every pose's list that a pass draws. Its clusters lie next to each other in the scratch table."""
 
     first: Int[Array, ""]  # number of its first cluster in a pose's list
     counts: Int[Array, " p"]  # clusters of each pose
-    begins: Int[Array, " p"]  # rows of the table where they begin
-    ends: Int[Array, " p"]  # and end
+    begins: Int[Array, " p"]  # rows of the table at which they begin
+    ends: Int[Array, " p"]  # and at which they end
 
 
 def draw_clusters(
@@ -172,16 +168,16 @@ def draw_clusters(
         bits of a tile     ->  hits on its pixels                                   (`_draw`)
 
     Args:
-        listed: The clusters that each pose wants.
+        listed: The clusters that each pose needs.
         clusters: The faces of all meshes.
-        view: Of each pose.
+        view: Map to the tool frame of each pose.
         grid: Pixels and tiles.
-        slots: Clusters of a pose in one pass, a multiple of 32.
-        number: Of the pass.
+        slots: Number of clusters of a pose in a pass, a multiple of 32.
+        number: Number of the pass.
         carry: Nearest hits so far, and the scratch table.
 
     Returns:
-        The same after the pass.
+        Nearest hits and the scratch table after the pass.
     """
     best, scratch = carry
     poses = len(listed.ids)
@@ -195,17 +191,17 @@ def draw_clusters(
 
 
 def empty_scratch(poses: int, size: int, slots: int, grid: PixelGrid, dtype: DTypeLike) -> Scratch:
-    """The table before the first pass.
+    """Make the table before the first pass.
 
     Args:
-        poses: How many poses are drawn together.
-        size: Faces of a cluster.
-        slots: Clusters of a pose in one pass.
+        poses: Number of poses that are drawn together.
+        size: Number of faces in a cluster.
+        slots: Number of clusters of a pose in a pass.
         grid: Pixels and tiles.
-        dtype: Of the numbers of a face.
+        dtype: Type of the numbers of a face.
 
     Returns:
-        The table, whose last row draws nothing: its edge functions are negative everywhere.
+        The table. Its last row draws nothing, because its edge functions are negative everywhere.
     """
     nothing = jnp.zeros((1, FACE_TERMS * size), dtype).at[:, 6 * size : 9 * size].set(-1)
     return Scratch(
@@ -218,7 +214,7 @@ def empty_scratch(poses: int, size: int, slots: int, grid: PixelGrid, dtype: DTy
 def _set_up(
     listed: ClusterList, clusters: FaceClusters, view: ToolView, grid: PixelGrid, share: _Share, scratch: Scratch
 ) -> Scratch:
-    """Fill the table, some clusters of all poses at a time."""
+    """Fill the table with the clusters of all poses, in rounds."""
     stride = WORD_BITS * len(listed.ids)  # clusters set up together
     rounds = -(-share.ends[-1] // stride)
     work = partial(_set_up_round, listed, clusters, view, grid, share, rounds)
@@ -243,8 +239,8 @@ def _set_up_round(
     rounds: Int[Array, ""],
     i: Int[Array, ""],
 ) -> tuple[Array, Array, Array]:
-    """Terms (clusters, terms) of the i-th `WORD_BITS` clusters a pose of the table, the spans (side, faces) of their
-    faces, and their names.
+    """Compute the terms (clusters, terms) of the i-th `WORD_BITS` clusters of each pose, the spans (side, faces) of
+    their faces, and their names.
     """
     poses, size = len(listed.ids), clusters.size
     stride = WORD_BITS * poses
@@ -255,12 +251,12 @@ def _set_up_round(
     name = listed.ids.at[pose, at].get(mode="promise_in_bounds") * CLUSTERS_PER_GROUP + bit
     corners = clusters.rows.at[clusters.mesh[pose] * clusters.per_mesh + name].get(mode="promise_in_bounds")
     corners = corners.reshape(stride * size, 3, 3).transpose(2, 1, 0)  # axis, corner, face
-    here = jax.tree.map(lambda part: jnp.repeat(part[..., pose], size, -1), view)
-    here = jax.tree.map(lambda part: part[..., None, :], here)
-    placed = fusion_barrier(lambda _: to_tool(corners, here), i, i < rounds)
+    view = jax.tree.map(lambda part: jnp.repeat(part[..., pose], size, -1), view)
+    view = jax.tree.map(lambda part: part[..., None, :], view)
+    placed = fusion_barrier(lambda _: to_tool(corners, view), i, i < rounds)
     taken = i * stride + indices(stride * size) // size < share.ends[-1]
     terms = face_terms(placed, taken, grid.half, 0, i < rounds)
-    solid = (terms[0][0] != 0) | (terms[1][0] != 0)  # what has no area has no edges
+    solid = (terms[0][0] != 0) | (terms[1][0] != 0)  # faces without area have no edges
     drawn = taken & solid & (maximum(maximum(*placed[2][:2]), placed[2][2]) >= -STANDOFF)
     span = jnp.where(drawn[None], _spans(list(zip(*placed, strict=True)), grid), as_uint32(0))
     packed = fusion_barrier(lambda _: jnp.concatenate([*terms[:3], *(part[None] for part in terms[3:])]), i, i < rounds)
@@ -270,7 +266,7 @@ def _set_up_round(
 def _merge_faces(
     spans: UInt[Array, "side faces"], share: _Share, size: int, shape: tuple[int, int]
 ) -> UInt[Array, "side rows"]:
-    """Spans of whole clusters: those of their faces together."""
+    """Unite the spans of the faces of each cluster."""
     side, rows = shape
     stride = WORD_BITS * len(share.counts)
 
@@ -284,16 +280,16 @@ def _merge_faces(
 def _clusters_of_tiles(
     rows: UInt[Array, "side rows"], share: _Share, grid: PixelGrid, slots: int
 ) -> UInt[Array, "words tiles"]:
-    """Clusters that cross each tile, of the tile's pose: bit b of word w is the cluster of number `w * WORD_BITS + b`.
-    A transposition of bits, a word of clusters at a time.
+    """Find the clusters that cross each tile: bit b of word w is cluster `w * WORD_BITS + b` of the tile's pose. Bits
+    are transposed one word of clusters at a time.
     """
     poses = len(share.counts)
     column = jnp.arange(grid.side, dtype=jnp.uint32)[None, :, None]
 
     def transpose(i: Array, tile_words: Array) -> Array:
-        mine = i * WORD_BITS + indices(WORD_BITS)[None]
-        block = rows.at[:, jnp.minimum(share.begins[:, None] + mine, slots * poses - 1)].get(mode="promise_in_bounds")
-        block = jnp.where((mine < share.counts[:, None])[None], block, as_uint32(0))
+        number = i * WORD_BITS + indices(WORD_BITS)[None]
+        block = rows.at[:, jnp.minimum(share.begins[:, None] + number, slots * poses - 1)].get(mode="promise_in_bounds")
+        block = jnp.where((number < share.counts[:, None])[None], block, as_uint32(0))
         bits = pack_bits((block[:, None] >> column[..., None]) & as_uint32(1))
         return dynamic_update(tile_words, bits.reshape(1, grid.tiles, poses).swapaxes(1, 2).reshape(1, -1), (i, 0))
 
@@ -302,9 +298,15 @@ def _clusters_of_tiles(
 
 
 def _draw_all(
-    tile_words: UInt[Array, "words tiles"], share: _Share, size: int, grid: PixelGrid, scratch: Scratch, best: Hits
+    tile_words: UInt[Array, "words tiles"],
+    share: _Share,
+    size: int,
+    grid: PixelGrid,
+    scratch: Scratch,
+    best: Hits,
+    together_fraction: float = 0.25,
 ) -> Hits:
-    """Draw the queues of the tiles: all tiles together while many are at work, then the busiest few."""
+    """Draw the queues of the tiles: all tiles together while more than a fraction of them is busy, then the busiest."""
     words, lanes = tile_words.shape
     todo = sum((popcount(tile_words[w]) for w in range(words)), jnp.zeros(lanes, jnp.int32))
     full = bitwise_or_reduce([jnp.where(tile_words[w] != 0, as_uint32(1 << w), as_uint32(0)) for w in range(words)])
@@ -312,9 +314,8 @@ def _draw_all(
     table = _Table(scratch.faces, scratch.names, size)
     begin = jnp.broadcast_to(share.begins[:, None], (len(share.begins), grid.tiles)).reshape(-1)
     x, y = (jnp.asarray(part, best[0].dtype) for part in (grid.x, grid.y))
-    together = jax.lax.while_loop(
-        lambda t: jnp.sum(todo > t) > TOGETHER_FRACTION * lanes, lambda t: t + 1, jnp.int32(0)
-    )
+    many = together_fraction * lanes
+    together = jax.lax.while_loop(lambda t: jnp.sum(todo > t) > many, lambda t: t + 1, jnp.int32(0))
     queue, best = _draw(together, table, begin, tile_words, queue, best, x[None], y[None])
     return _draw_busiest(jnp.maximum(todo - together, 0), table, begin, tile_words, queue, best, (x, y))
 
@@ -327,21 +328,22 @@ def _draw_busiest(
     queue: _Queue,
     best: Hits,
     pixels: tuple[Array, Array],
+    num_shares: int = 8,
 ) -> Hits:
-    """Draw the rest of the queues, the busiest tiles first, in shares that are each run to their end."""
+    """Draw the rest of the queues, the busiest tiles first, in shares that are each drawn to their end."""
     poses, tiles = best[0].shape[:2]
     lanes = poses * tiles
-    shares = NUM_SHARES if poses >= NUM_SHARES else 1
+    shares = num_shares if poses >= num_shares else 1
     share = max(1, lanes // 4 // shares)
 
     def draw_share(amount: Array, busy: Array, k: Array, best: Hits) -> Hits:
-        those = dynamic_slice(busy, (k * share,), (share,))
-        take = partial(jax.tree.map, lambda a: a.at[those].get(mode="promise_in_bounds"))
-        words = tile_words.at[:, those].get(mode="promise_in_bounds")
+        chosen = dynamic_slice(busy, (k * share,), (share,))
+        take = partial(jax.tree.map, lambda a: a.at[chosen].get(mode="promise_in_bounds"))
+        words = tile_words.at[:, chosen].get(mode="promise_in_bounds")
         trips = amount[k * share].astype(jnp.int32)
-        across, down = (part[those % tiles] for part in pixels)
+        across, down = (part[chosen % tiles] for part in pixels)
         _, drawn = _draw(trips, table, take(begin), words, take(queue), take(best), across, down)
-        store = partial(jax.tree.map, lambda a, b: a.at[those].set(b, mode="promise_in_bounds", unique_indices=True))
+        store = partial(jax.tree.map, lambda a, b: a.at[chosen].set(b, mode="promise_in_bounds", unique_indices=True))
         return store(best, drawn)
 
     def finish(_: Array, carry: tuple[Hits, Array]) -> tuple[Hits, Array]:
@@ -357,11 +359,11 @@ def _draw_busiest(
 
 
 def place_boxes(box: Sequence[Array] | Array, view: ToolView) -> tuple[list[Array], list[Array]]:
-    """Boxes in the tool frame.
+    """Transform boxes to the tool frame.
 
     Args:
-        box: Centre x, y, z and half extents (m), six arrays of one shape.
-        view: Of the poses.
+        box: Centres x, y, z and half extents (m), six arrays of the same shape.
+        view: Map to the tool frame of each pose.
 
     Returns:
         Centres and half extents (m) along the tool's axes, three arrays each.
@@ -371,43 +373,43 @@ def place_boxes(box: Sequence[Array] | Array, view: ToolView) -> tuple[list[Arra
 
 
 def broadcast_view(view: ToolView, axes: int) -> ToolView:
-    """A view of poses that broadcasts with arrays of more axes.
+    """Reshape a view of poses so that it broadcasts with arrays of more axes.
 
     Args:
-        view: Of p poses.
-        axes: How many axes of length 1 follow that of the poses.
+        view: View of p poses.
+        axes: Number of axes of length 1 that are added after the axis of the poses.
 
     Returns:
-        The same view.
+        The view with the additional axes.
     """
     return jax.tree.map(lambda part: part.reshape(*part.shape, *(1,) * axes), view)
 
 
 def empty_buffers(poses: int, grid: PixelGrid, dtype: DTypeLike, with_faces: bool) -> Hits:
-    """Hits before anything is drawn.
+    """Make the hits before anything is drawn.
 
     Args:
-        poses: How many.
-        grid: Of the pixels.
-        dtype: Of the heights.
-        with_faces: Whether the faces that are seen are asked for.
+        poses: Number of poses.
+        grid: Pixels and tiles.
+        dtype: Type of the heights.
+        with_faces: Whether visible faces are requested.
 
     Returns:
-        Heights (p, tiles, pixels), infinite, and, if asked for, faces.
+        `(p, tiles, pixels)` infinite heights and, if requested, faces.
     """
     heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
     return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)
 
 
 def to_tool(point: Sequence[Array] | Array, view: ToolView) -> list[Array]:
-    """Points in the tool frame; the view's origin is subtracted first, where it costs no digits.
+    """Transform points to the tool frame. The view's origin is subtracted first, so that no digits are lost.
 
     Args:
-        point: x, y, z (m), three arrays.
-        view: Of the poses.
+        point: Coordinates x, y, z (m), three arrays.
+        view: Map to the tool frame of each pose.
 
     Returns:
-        x, y, z (m) along the tool's axes.
+        Coordinates x, y, z (m) along the tool's axes.
     """
     local = [point[j] - view.origin[j] for j in range(3)]
     return [sum((view.linear[i, j] * local[j] for j in range(3)), view.offset[i]) for i in range(3)]
@@ -425,7 +427,8 @@ def _draw(
 ) -> tuple[_Queue, Hits]:
     """Pop `trips` clusters from each tile's queue and keep the nearest hits.
 
-    `begin` is where the pose's clusters begin in the table. Tiles are one axis, or a pose's tiles on the last of two.
+    `begin` is the row of the table at which the clusters of the tile's pose begin. Tiles are a single axis, or the last
+    of two axes.
     """
     lane = indices(len(begin))
     shape = best[0].shape
@@ -452,18 +455,18 @@ def _draw(
 def face_terms(
     corners: Sequence[Array], shown: Bool[Array, "..."], half: float, axis: int, holds: Bool[Array, ""]
 ) -> tuple[Array, ...]:
-    """The numbers of faces in the tool frame with which pixels are drawn.
+    """Compute the numbers of faces in the tool frame with which pixels are drawn.
 
     Args:
-        corners: x, y and z (m), each with the three corners of a face along `axis`.
-        shown: Whether a face is one; what is not has no inside.
-        half: m, half the window that pixels are drawn on.
-        axis: On which the corners lie, and in A, B and C the edges.
-        holds: Always true (see `fusion_barrier`).
+        corners: Coordinates x, y and z (m), each with the three corners of a face along `axis`.
+        shown: Whether a face is drawn; other faces have no inside.
+        half: Half the edge (m) of the window.
+        axis: Axis of the corners, and of the edges in A, B and C.
+        holds: A condition that is true at run time (see `fusion_barrier`).
 
     Returns:
-        A, B and C of the edges, the slopes of the faces' planes along x and y, and the heights of the plane at the
-        origin and of the lowest corner.
+        A, B and C of the edges, the slopes of the faces' planes along x and y, the height of the plane at the origin,
+        and that of the lowest corner.
     """
     x, y, _ = corners
     (xa, xb, xc), (ya, yb, yc), (za, zb, zc) = (
@@ -472,35 +475,35 @@ def face_terms(
 
     def measure(_: Array) -> tuple[Array, Array]:
         area = (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-        solid = (jnp.abs(area) >= MIN_PROJECTED_AREA_M2) & (jnp.abs(area) < jnp.inf) & shown  # and a number
+        solid = (jnp.abs(area) >= MIN_PROJECTED_AREA_M2) & (jnp.abs(area) < jnp.inf) & shown
         return jnp.where(solid, jnp.sign(area), 0), 1 / jnp.where(solid, area, 1)
 
     side, share = fusion_barrier(measure, jnp.int32(0), holds)
     side = jnp.expand_dims(side, axis)
     xq, yq = (jnp.take(part, np.array([1, 2, 0]), axis) for part in (x, y))
     A, B = (jnp.where(side == 0, 0, side * run) for run in (y - yq, xq - x))
-    tolerance = EDGE_TOLERANCE_ROUNDINGS * float(jnp.finfo(x.dtype).eps)
+    tolerance = 4 * float(jnp.finfo(x.dtype).eps)  # four roundings of the corners' coordinates
     slack = tolerance * (jnp.abs(A) * (jnp.abs(x) + half) + jnp.abs(B) * (jnp.abs(y) + half))
     C = jnp.where(side == 0, -1, slack - (A * x + B * y))
     slope_x = ((zb - za) * (yc - ya) - (zc - za) * (yb - ya)) * share
     slope_y = ((zc - za) * (xb - xa) - (zb - za) * (xc - xa)) * share
     base = za - slope_x * xa - slope_y * ya
-    # A steep plane means nothing outside its edge, where the tolerance still counts it: never nearer than a corner.
+    # A steep plane is meaningless outside its edge, where the tolerance still draws it, so a corner limits its height.
     return A, B, C, slope_x, slope_y, base, minimum(minimum(za, zb), zc)
 
 
 def closer_hit(best: Hits, x: Array, y: Array, face: Sequence[Array], name: Array) -> Hits:
-    """The nearest of the hits so far and those of one face.
+    """Keep the nearest of the hits so far and those of a face.
 
     Args:
-        best: Heights (m) so far and, if they are kept, their faces.
-        x: m, of the pixels.
-        y: m, of the pixels.
-        face: Its `TERMS` numbers, as in `face_terms`.
-        name: Number of the face.
+        best: Heights (m) so far and, if requested, their faces.
+        x: Tool x (m) of the pixels.
+        y: Tool y (m) of the pixels.
+        face: The `FACE_TERMS` numbers of the face, as in `face_terms`.
+        name: Index of the face.
 
     Returns:
-        Hits of the same shape.
+        Hits of the same shape as `best`.
     """
     A0, A1, A2, B0, B1, B2, C0, C1, C2, slope_x, slope_y, base, low = face
     height = maximum(slope_x * x + (slope_y * y + base), low)
@@ -512,7 +515,7 @@ def closer_hit(best: Hits, x: Array, y: Array, face: Sequence[Array], name: Arra
 
 
 def _spans(corners: list[tuple[Array, ...]], grid: PixelGrid) -> UInt[Array, "rows faces"]:
-    """Bits of the tiles that faces cross: for each row of tiles (rows, faces), the columns between the ends of the
+    """Find the tiles that faces cross: for each row of tiles (rows, faces), the columns (bits) between the ends of the
     face in that strip.
     """
     low, high = jnp.asarray(grid.low)[:, None], jnp.asarray(grid.high)[:, None]

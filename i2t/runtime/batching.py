@@ -1,11 +1,11 @@
-"""Many calls of one function: items in batches that fit the processor's caches, and calls laid over devices.
+"""Many calls of a function: items in batches that fit the processor's caches, and calls distributed over devices.
 
-What is computed in bulk (simulated touches, predicted touches, beliefs along episodes, members of an ensemble) is many
-calls of one compiled function with arguments of the same shapes. On a GPU `spread` makes them one after the other, as
-a loop would. On a CPU it makes a few at a time, each in a thread, because one call keeps two cores busy for half of the
-time only. Where there are n devices, it makes n at a time: their arguments lie side by side on a mesh of one axis, and
-each device runs what a single one would have run, on arrays of the same shapes. So results do not depend on the number
-of devices or threads, and devices exchange nothing.
+Bulk work (simulated touches, predicted touches, beliefs along episodes, members of an ensemble) consists of many calls
+of a compiled function with arguments of the same shapes. On a GPU `spread` makes them in turn, as a loop would. On a
+CPU it makes a few at a time in threads, because a call keeps two cores busy for only half of the time. On n devices it
+makes n at a time: their arguments are stacked on a mesh with a single axis, and each device runs the program of a
+single device on arrays of the same shapes. Results therefore do not depend on the number of devices or threads, and
+devices exchange nothing.
 """
 
 import os
@@ -23,61 +23,59 @@ from jax.sharding import AxisType, Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Int, PyTree
 
-CLASSES = (64, 8, 1)  # touches that are predicted together, so that a new number of them compiles nothing
-CALLS = "calls"  # the axis of the mesh
-CALLS_AT_A_TIME = 4  # at most, of a CPU: each holds its own arrays
+CALL_AXIS = "calls"  # axis of the mesh of devices
 Call: TypeAlias = tuple[Any, ...]
 
 
 def map_batches(function: Callable[[Any], Any], items: Any, batch_size: int) -> Any:
-    """`jax.lax.map` in batches of one size, so that the function is compiled once.
+    """Map a function over items in batches of one size, so that it is compiled once.
 
-    `jax.lax.map(..., batch_size=...)` compiles it a second time for a smaller batch that is left over. Here the last
-    item is repeated until that batch is full.
+    `jax.lax.map(..., batch_size=...)` compiles the function again for a smaller last batch. Here the last item is
+    repeated until that batch is full.
 
     Args:
-        function: Of one item.
-        items: Arrays whose axis 0 counts n items.
-        batch_size: Items at a time, at most.
+        function: Function of a single item.
+        items: Arrays whose axis 0 has n items.
+        batch_size: Largest number of items in a batch.
 
     Returns:
-        Its results, n on axis 0.
+        Results of the function, with n on axis 0.
     """
     n = jax.tree.leaves(items)[0].shape[0]
     if n <= batch_size:
         return jax.vmap(function)(items)
     rows = np.minimum(np.arange(n + -n % batch_size), n - 1).reshape(-1, batch_size)
-    found = jax.lax.map(jax.vmap(function), jax.tree.map(lambda x: x[rows], items))
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], found)
+    results = jax.lax.map(jax.vmap(function), jax.tree.map(lambda x: x[rows], items))
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:n], results)
 
 
 def select_rows(tree: PyTree, rows: Any) -> PyTree:
-    """Rows of every array of a tree, taken on the host, where that costs no compilation.
+    """Select rows of every array of a tree on the host, which needs no compilation.
 
     Args:
-        tree: Of arrays with a shared axis 0.
-        rows: Numbers, a mask, or a slice.
+        tree: A tree of arrays with a common axis 0.
+        rows: Indices, a mask, or a slice.
 
     Returns:
-        The tree with those rows; its arrays are NumPy's or JAX's, as they were.
+        The tree with these rows. NumPy arrays stay NumPy's, and JAX arrays JAX's.
     """
 
-    def some(leaf: Any) -> Any:
-        found = np.asarray(leaf)[rows]
-        return jax.device_put(found) if isinstance(leaf, jax.Array) else found
+    def select(leaf: Any) -> Any:
+        selected = np.asarray(leaf)[rows]
+        return jax.device_put(selected) if isinstance(leaf, jax.Array) else selected
 
-    return jax.tree.map(some, tree)
+    return jax.tree.map(select, tree)
 
 
 def filled_batches(rows: Int[np.ndarray, " n"], size: int) -> list[Int[np.ndarray, " size"]]:
-    """Rows in batches of one size, so that one compilation serves all.
+    """Divide rows into batches of one size, so that one compilation serves all.
 
     Args:
-        rows: Numbers.
-        size: Of a batch.
+        rows: Indices of the rows.
+        size: Number of rows in a batch.
 
     Returns:
-        The batches; the last one is filled up with its own rows.
+        The batches. The last one is filled up by repeating its own rows.
     """
     return [np.resize(rows[start : start + size], size) for start in range(0, len(rows), size)]
 
@@ -85,69 +83,70 @@ def filled_batches(rows: Int[np.ndarray, " n"], size: int) -> list[Int[np.ndarra
 def spread(
     function: Callable[..., PyTree], calls: Iterable[Call], *, shared: Call = (), **static: Any
 ) -> Iterator[PyTree]:
-    """`function(*call, *shared, **static)` for each call: as many at a time as there are devices, or a few on a CPU.
+    """Call `function(*call, *shared, **static)` for each call, as many at a time as there are devices, or a few on a
+    CPU.
 
     Args:
-        function: Compiled (`jax.jit`), of module level or kept by whoever calls, because what is compiled for several
-            devices is found again by it.
-        calls: Positional arguments that are each call's own, all of the same shapes. They are asked for as they are
-            needed.
-        shared: Positional arguments that follow, the same for all calls: arrays, numbers, and configurations of numbers
-            that are traced (`i2t.runtime.compiling.traced_floats`).
-        static: Named arguments that are not arrays, the same for all calls.
+        function: A compiled function (`jax.jit`). It must exist as long as the calls do, such as a function of a
+            module, because the program for several devices is cached by it.
+        calls: Positional arguments of each call, all of the same shapes. They are requested when they are needed.
+        shared: Positional arguments that follow and are the same for all calls: arrays, numbers, and configurations
+            with traced numbers (`i2t.runtime.compiling.traced_floats`).
+        static: Keyword arguments that are not arrays, the same for all calls.
 
     Yields:
         Results in the order of the calls, on the host.
     """
     remaining, devices = iter(calls), jax.device_count()
     group = list(islice(remaining, devices))
-    if len(group) < 2:  # one device, or nothing to share between several
+    if len(group) < 2:  # one device, or too few calls to distribute
         shared = _here(shared)
-        yield from a_few_at_a_time(lambda *call: function(*call, *shared, **static), chain(group, remaining))
+        yield from map_in_threads(lambda *call: function(*call, *shared, **static), chain(group, remaining))
         return
     program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
-    by_call = NamedSharding(_mesh(), P(CALLS))
+    by_call = NamedSharding(_mesh(), P(CALL_AXIS))
     while group:
-        filled = group + group[-1:] * (devices - len(group))  # the last devices repeat the last call
-        side_by_side = jax.device_put(jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled), by_call)
-        made = jax.device_get(program(side_by_side, shared))
+        filled = group + group[-1:] * (devices - len(group))  # the remaining devices repeat the last call
+        stacked = jax.device_put(jax.tree.map(lambda *leaves: jnp.stack(leaves), *filled), by_call)
+        results = jax.device_get(program(stacked, shared))
         for i in range(len(group)):
-            yield jax.tree.map(lambda leaf, i=i: leaf[i], made)
+            yield jax.tree.map(lambda leaf, i=i: leaf[i], results)
         group = list(islice(remaining, devices))
 
 
-def a_few_at_a_time(work: Callable[..., PyTree], calls: Iterable[Call]) -> Iterator[PyTree]:
-    """`work(*call)` for each call, on one device: on a CPU with several cores several are made at a time, where this
-    thread has no settings of JAX for itself.
+def map_in_threads(work: Callable[..., PyTree], calls: Iterable[Call], *, max_threads: int = 4) -> Iterator[PyTree]:
+    """Call `work(*call)` for each call on a single device. On a CPU with several cores, calls run in threads, unless
+    this thread has its own settings of JAX.
 
     Args:
-        work: Of compiled functions, which may be called from several threads.
-        calls: Positional arguments, of any shapes. They are asked for as they are needed.
+        work: A function that calls compiled functions and may run in several threads.
+        calls: Positional arguments, of any shapes. They are requested when they are needed.
+        max_threads: Largest number of threads on a CPU, each of which holds its own arrays.
 
     Yields:
         Results in the order of the calls, on the host.
     """
 
-    def one(call: Call) -> PyTree:
+    def make(call: Call) -> PyTree:
         return jax.device_get(work(*call))
 
     remaining = iter(calls)
-    yield from map(one, islice(remaining, 1))  # which compiles, once for all
-    workers = min(usable_cores(), CALLS_AT_A_TIME) if jax.default_backend() == "cpu" else 1
+    yield from map(make, islice(remaining, 1))  # compiles the program once for all threads
+    workers = min(usable_cores(), max_threads) if jax.default_backend() == "cpu" else 1
     with ThreadPoolExecutor(workers) as pool:
         if workers == 1 or pool.submit(lambda: dict(jax.config.values)).result() != dict(jax.config.values):
-            yield from map(one, remaining)
-        made = deque(pool.submit(one, call) for call in islice(remaining, workers))
-        while made:
-            yield made.popleft().result()
-            made.extend(pool.submit(one, call) for call in islice(remaining, 1))
+            yield from map(make, remaining)
+        futures = deque(pool.submit(make, call) for call in islice(remaining, workers))
+        while futures:
+            yield futures.popleft().result()
+            futures.extend(pool.submit(make, call) for call in islice(remaining, 1))
 
 
 def usable_cores() -> int:
-    """Cores that this process may use.
+    """Count the cores that this process may use.
 
     Returns:
-        Their number.
+        The number of cores.
     """
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -155,15 +154,16 @@ def usable_cores() -> int:
 def spread_rows(
     function: Callable[..., PyTree], rows: Call, *, shared: Call = (), multiple: int = 1, **static: Any
 ) -> PyTree:
-    """`function(*rows, *shared, **static)` with the rows cut into equal parts, one for each device.
+    """Call `function(*rows, *shared, **static)` with the rows divided into equal parts, one for each device.
 
     Args:
-        function: As of `spread`; every array of its result has the rows as axis 0, and no row depends on another.
+        function: A compiled function, as for `spread`. Every array of its result has the rows as axis 0, and rows do
+            not depend on each other.
         rows: Positional arguments whose arrays all have the rows as axis 0.
         shared: Positional arguments that follow.
-        multiple: Of which the number of rows in a part is one: a function that takes so many rows at a time then takes
-            the same ones together wherever they are.
-        static: Named arguments that are not arrays.
+        multiple: Number by which the size of a part is divisible. A function that processes this number of rows at a
+            time then always processes the same rows together.
+        static: Keyword arguments that are not arrays.
 
     Returns:
         The result for all rows.
@@ -173,37 +173,38 @@ def spread_rows(
     parts = min(jax.device_count(), groups)
     if parts < 2:
         return function(*rows, *_here(shared), **static)
-    each = multiple * -(-groups // parts)
-    index = np.resize(np.arange(length), (parts, each))  # filled up with the first rows
+    size = multiple * -(-groups // parts)
+    index = np.resize(np.arange(length), (parts, size))  # filled up with the first rows
     calls = [jax.tree.map(lambda leaf, part=part: leaf[part], rows) for part in index]
-    made = list(spread(function, calls, shared=shared, **static))
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:length], *made)
+    results = list(spread(function, calls, shared=shared, **static))
+    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:length], *results)
 
 
-def size_classes(n: int) -> Iterator[np.ndarray]:
-    """Share n touches out to batches of few sizes.
+def size_classes(n: int, sizes: tuple[int, ...] = (64, 8, 1)) -> Iterator[np.ndarray]:
+    """Divide n touches into batches of few sizes, so that a new number of touches needs no compilation.
 
     Args:
         n: Number of touches, at least 1.
+        sizes: Sizes of the batches, in descending order to 1.
 
     Yields:
-        Numbers of touches, as many as a class has: 0 to n - 1, of which the last batch repeats the last.
+        Indices of the touches in a batch. The last batch may repeat the last touch.
     """
     start = 0
     while start < n:
-        left = n - start
-        size = next(size for size in CLASSES if size <= left)
-        if size == 1 and left > 1:
-            size = CLASSES[-2]
+        remaining = n - start
+        size = next(size for size in sizes if size <= remaining)
+        if size == 1 and remaining > 1:
+            size = sizes[-2]
         yield np.minimum(np.arange(start, start + size), n - 1)
         start += size
 
 
 def everywhere(values: PyTree) -> PyTree:
-    """Arrays on all devices, for arguments that several calls of `spread` share.
+    """Put arrays on all devices, for arguments that several calls of `spread` share.
 
     Args:
-        values: Arrays on the host or on any device; those that are everywhere already stay.
+        values: Arrays on the host or on any device; those on all devices stay.
 
     Returns:
         The same arrays on all devices.
@@ -212,23 +213,23 @@ def everywhere(values: PyTree) -> PyTree:
 
 
 def _here(values: PyTree) -> PyTree:
-    """Arrays and numbers on one device only, so that single computations do not run on all, and once for all calls."""
+    """Put arrays and numbers on a single device once for all calls, so that computations do not run on all devices."""
     return jax.device_put(values, jax.devices()[0] if jax.device_count() > 1 else None)
 
 
 def _mesh() -> Mesh:
-    return jax.make_mesh((jax.device_count(),), (CALLS,), axis_types=(AxisType.Auto,), devices=jax.devices())
+    return jax.make_mesh((jax.device_count(),), (CALL_AXIS,), axis_types=(AxisType.Auto,), devices=jax.devices())
 
 
 @lru_cache(maxsize=32)
 def _program(function: Callable[..., PyTree], static: tuple[tuple[str, Any], ...], mesh: Mesh) -> Callable[..., PyTree]:
-    """Program of each device: a call on its own arguments, which are one row of those side by side."""
+    """Make the program of each device, a call on its own row of the stacked arguments."""
 
     def local(own: PyTree, shared: PyTree) -> PyTree:
         call = jax.tree.map(lambda leaf: leaf[0], own)
         return jax.tree.map(lambda leaf: leaf[None], function(*call, *shared, **dict(static)))
 
-    # Loops that end sooner on one device than on another are no error: devices do not wait for each other.
-    over = jax.shard_map(local, mesh=mesh, in_specs=(P(CALLS), P()), out_specs=P(CALLS), check_vma=False)
-    options = getattr(function, "compiler_options", lambda: None)  # of `i2t.runtime.compiling`
+    # Loops may end sooner on some devices, which do not wait for each other, so types are not checked.
+    over = jax.shard_map(local, mesh=mesh, in_specs=(P(CALL_AXIS), P()), out_specs=P(CALL_AXIS), check_vma=False)
+    options = getattr(function, "compiler_options", lambda: None)  # set by `i2t.runtime.compiling`
     return jax.jit(over, compiler_options=options())

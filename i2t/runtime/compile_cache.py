@@ -1,10 +1,11 @@
-"""Cache of compiled programs in the user's folder, so that the next command need not compile them again.
+"""Cache of compiled programs in the user's folder, so that the next command does not have to compile them again.
 
-Commands call `use_compile_cache` before they begin (`i2t.cli.exit_codes.exit_code_of`); a program that imports i2t may
-do so too. `I2T_COMPILE_CACHE` says otherwise: `off` keeps nothing, and a path names another folder. Whoever sets JAX's
-own `JAX_COMPILATION_CACHE_DIR` is left alone. The folder is bounded in size, the least recently used goes first, and it
-is named after the processor, because home folders are shared between machines and compiled code is not. A folder that
-cannot be written to, or a full disk, costs nothing but the time to compile. JAX itself is not imported here.
+Commands call `use_compile_cache` before they begin (`i2t.cli.exit_codes.exit_code_of`); other programs may do so too.
+The environment variable `I2T_COMPILE_CACHE` changes the default: `off` disables the cache, and a path names another
+folder. If JAX's own `JAX_COMPILATION_CACHE_DIR` is set, it is respected. The size of the folder is bounded, and the
+least recently used programs are deleted first. Its name includes the processor, because home folders are shared between
+machines and compiled code is not. A folder that cannot be written to, or a full disk, only costs compilation time. This
+module does not import JAX.
 """
 
 import hashlib
@@ -16,44 +17,44 @@ import tempfile
 import warnings
 from pathlib import Path
 
-VARIABLE = "I2T_COMPILE_CACHE"
-OFF_VALUES = ("off", "0", "no", "false")
-MAX_CACHE_BYTES = 2**28  # of the folder, for each kind of processor; JAX goes through it whenever it keeps a program
-MIN_COMPILE_S = 0.02  # what is compiled sooner is not worth a file
-JAX_FOLDER = "JAX_COMPILATION_CACHE_DIR"
+CACHE_VARIABLE = "I2T_COMPILE_CACHE"
+JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
+MAX_CACHE_BYTES = 2**28  # size of a processor's folder, which JAX scans whenever it stores a program
 
 
 def use_compile_cache() -> Path | None:
-    """Let JAX cache compiled programs from here on, in this process and in those that it starts.
+    """Let JAX cache compiled programs from now on, in this process and in those that it starts.
 
     Returns:
-        The folder; None where nothing is kept: it was switched off, cannot be written to, or is set for JAX already.
+        The folder. None if nothing is cached: the cache is off, the folder cannot be written to, or JAX's own is set.
 
     Example:
         i2t.use_compile_cache()
     """
-    asked = os.environ.get(VARIABLE, "")
-    if asked.lower() in OFF_VALUES or os.environ.get(JAX_FOLDER):
+    requested = os.environ.get(CACHE_VARIABLE, "")
+    if requested.lower() in ("off", "0", "no", "false") or os.environ.get(JAX_CACHE_VARIABLE):
         return None
-    if importlib.util.find_spec("filelock") is None:  # without which JAX does not bound a folder
+    if importlib.util.find_spec("filelock") is None:  # JAX needs it to bound the folder
         return None
-    folder = (Path(asked).expanduser() if asked else _user_cache() / "i2t" / "compiled") / _processor()
+    folder = (Path(requested).expanduser() if requested else _user_cache() / "i2t" / "compiled") / _processor()
     if not _writable(folder):
-        if asked:
-            print(f"warning: {VARIABLE} {asked}: is no folder to write to; nothing compiled is kept", file=sys.stderr)
+        if requested:
+            print(
+                f"warning: {CACHE_VARIABLE} {requested}: cannot write to this folder; the cache is off", file=sys.stderr
+            )
         return None
     _configure(folder)
     return folder
 
 
 def _configure(folder: Path) -> None:
-    """Configure JAX, imported already or not, except where its user has set something else."""
+    """Configure JAX, imported already or not, except for settings that the user has made."""
     settings = {
-        JAX_FOLDER: str(folder),
+        JAX_CACHE_VARIABLE: str(folder),
         "JAX_COMPILATION_CACHE_MAX_SIZE": MAX_CACHE_BYTES,
-        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": MIN_COMPILE_S,
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": 0.02,
     }
-    # A disk may fill up later: then JAX warns at every program, of which no user can make anything.
+    # If the disk fills up later, JAX would warn for every program, which does not help a user.
     warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache entry")
     jax = sys.modules.get("jax")
     for name, value in settings.items():
@@ -64,7 +65,7 @@ def _configure(folder: Path) -> None:
 
 
 def _user_cache() -> Path:
-    """Cache folder of a user's programs."""
+    """Find the cache folder of the user's programs."""
     home = Path.home()
     if os.environ.get("XDG_CACHE_HOME"):
         return Path(os.environ["XDG_CACHE_HOME"])
@@ -76,21 +77,21 @@ def _user_cache() -> Path:
 
 
 def _processor() -> str:
-    """Name of the processor by its instruction set, for which compiled code is made."""
-    known = [platform.machine(), platform.processor()]
+    """Name the processor by its instruction set, for which code is compiled."""
+    features = [platform.machine(), platform.processor()]
     cpuinfo = Path("/proc/cpuinfo")
     if cpuinfo.exists():
         lines = cpuinfo.read_text(errors="replace").splitlines()
-        known += sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
-    return hashlib.sha256("\n".join(known).encode()).hexdigest()[:12]
+        features += sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))})
+    return hashlib.sha256("\n".join(features).encode()).hexdigest()[:12]
 
 
 def _writable(folder: Path) -> bool:
-    """Test whether files can be made in a folder, which is made if need be."""
+    """Test whether files can be created in a folder, which is created if necessary."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(b"\0" * 4096)
-    except (OSError, RuntimeError):  # RuntimeError: there is no home
+    except (OSError, RuntimeError):  # RuntimeError: no home folder
         return False
     return True

@@ -1,13 +1,13 @@
-"""Fewer programs to compile, and less time for those that take longer to compile than they run.
+"""Compile fewer programs, and compile rarely used programs with less optimisation.
 
-A configuration whose floats are traced (`traced_floats`) is an argument like an array: other sizes of an error or other
-limits of a press run the program that was compiled before.
+The floats of a configuration are traced (`traced_floats`), so the configuration is an argument like an array: with
+other sizes of an error or other limits of a press, the same compiled program runs.
 
-On a CPU, XLA's fusion emitters hand LLVM much code, and LLVM spends most of the time on optimising it. Without the
-emitters and at LLVM's second level a session of simulated touches is compiled in half the time, and runs a tenth longer
-(`python -m experiments.benchmark.programs` says what programs take). Other programs lose more: contact pressures
-predicted from views and decisions where to touch take twice as long, registrations by touch three times. So it is
-chosen for each program, and for some by how much there is to do.
+On a CPU, XLA's fusion emitters hand much code to LLVM, which spends most of the compilation time on its optimisation.
+Without these emitters and at LLVM's second level, a session of simulated touches is compiled in half the time and runs
+a tenth longer (`python -m experiments.benchmark.programs` lists the times of programs). Other programs lose more:
+contact pressures predicted from views and decisions where to touch take twice as long, registrations by touch three
+times. The options are therefore chosen for each program, and for some by the amount of work.
 """
 
 from collections.abc import Callable, Iterable
@@ -20,24 +20,24 @@ import jax
 from jax.extend.core import get_opaque_trace_state
 
 Config = TypeVar("Config")
-_traced: set[type] = {float}  # types of fields, with the configurations themselves
+_traced: set[type] = {float}  # types of traced fields, including configurations
 
-QUICKLY = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 2}
+QUICK_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 2}
 
 
 def traced_floats(kind: type[Config]) -> type[Config]:
     """Make the floats of a configuration leaves of a tree, so that compiled functions trace them; a class decorator.
 
-    Everything else is static: whole numbers, texts, truth values, grids, and floats that decide the shape of an array
-    (`field(metadata={"static": True})`). Fields that are such configurations themselves belong to the tree. Outside
+    Other fields are static: integers, strings, booleans, grids, and floats that determine the shape of an array
+    (`field(metadata={"static": True})`). Fields that are such configurations themselves are part of the tree. Outside
     compiled functions the floats stay Python's, so that configurations are compared, hashed and written as before.
-    What JAX takes apart and puts together again is not checked by `__post_init__` a second time.
+    `__post_init__` does not check a configuration again that JAX takes apart and rebuilds.
 
     Args:
         kind: A frozen dataclass.
 
     Returns:
-        The same class.
+        The same class, registered with JAX.
     """
     hints = get_type_hints(kind)
     leaves: list[str] = []
@@ -62,12 +62,12 @@ def traced_floats(kind: type[Config]) -> type[Config]:
 
 
 def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[str, ...] = ()) -> Callable[..., Any]:
-    """`jax.jit` for a program that a process runs a few times. On other devices than CPUs, and while JAX traces another
-    program, a batch or a derivative, it is `jax.jit`.
+    """Compile a program that a process runs only a few times. On devices other than CPUs, and while JAX traces another
+    program, a batch or a derivative, this is `jax.jit`.
 
     Args:
-        function: Pure.
-        static_argnames: As of `jax.jit`.
+        function: A pure function.
+        static_argnames: Names of static arguments, as for `jax.jit`.
 
     Returns:
         The compiled function.
@@ -80,7 +80,7 @@ def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[st
 
     @wraps(function)
     def call(*args: Any, **named: Any) -> Any:
-        inside = get_opaque_trace_state() != _no_trace()  # where options of a compiler are refused
+        inside = get_opaque_trace_state() != _no_trace()  # where compiler options are refused
         return (usual if inside else quick())(*args, **named)
 
     call.compiler_options = _options  # type: ignore[attr-defined]  # for `i2t.runtime.batching`
@@ -90,13 +90,13 @@ def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[st
 def jit_by_amount(
     function: Callable[..., Any], few: int, *, static_argnames: str | tuple[str, ...] = ()
 ) -> Callable[[int], Callable[..., Any]]:
-    """A program that is compiled quickly where there is little to do, and with all optimisations where there is much;
-    last digits may differ between the two.
+    """Compile a program quickly for little work, and with all optimisations for much work. The last digits of the two
+    may differ.
 
     Args:
-        function: Pure.
-        few: Largest amount of work for which compiling quickly pays.
-        static_argnames: As of `jax.jit`.
+        function: A pure function.
+        few: Largest amount of work for which quick compilation is worthwhile.
+        static_argnames: Names of static arguments, as for `jax.jit`.
 
     Returns:
         A function that takes the amount of work and returns the compiled function for it.
@@ -108,18 +108,18 @@ def jit_by_amount(
 
 @cache
 def _no_trace() -> Any:
-    """JAX's state where nothing is traced, as a new thread has it."""
+    """Get JAX's state where nothing is traced, which is that of a new thread."""
     with ThreadPoolExecutor(1) as pool:
         return pool.submit(get_opaque_trace_state).result()
 
 
 @cache
 def _options() -> dict[str, Any] | None:
-    """The options, where this version of XLA has them."""
+    """Get the compiler options on a CPU, or None if this version of XLA does not have them."""
     if jax.default_backend() != "cpu":
         return None
     try:
-        jax.jit(lambda: 0, compiler_options=QUICKLY).lower().compile()
+        jax.jit(lambda: 0, compiler_options=QUICK_OPTIONS).lower().compile()
     except jax.errors.JaxRuntimeError:
         return None
-    return dict(QUICKLY)
+    return dict(QUICK_OPTIONS)

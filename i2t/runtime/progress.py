@@ -1,6 +1,6 @@
-"""Progress of long work: a bar on a terminal, and elsewhere a line now and then, so that a log is no heap of redraws.
+"""Progress of long work: a bar on a terminal, and otherwise a line every half a minute, so that logs stay short.
 
-`TQDM_DISABLE=1` in the environment silences both.
+`TQDM_DISABLE=1` in the environment disables both.
 """
 
 import sys
@@ -10,28 +10,28 @@ from typing import Any, TypeAlias
 
 from tqdm import tqdm
 
-LOG_INTERVAL_S = 30.0  # between lines where the output is no terminal; what is quicker says nothing
-Progress: TypeAlias = tqdm  # what `progress` gives: to count with `update`, or to go through
+LOG_INTERVAL_S = 30.0  # s between lines where stderr is not a terminal; shorter work writes no line
+Progress: TypeAlias = tqdm  # result of `progress`: an iterable, or a counter with `update`
 
 
 def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = "step", **options: Any) -> Progress:
-    """Show progress on stderr: a bar if that is a terminal, else a line every half a minute.
+    """Show progress on stderr: a bar on a terminal, otherwise a line every half a minute.
 
     Args:
-        items: To go through; without them `update` counts.
-        desc: What is done.
-        unit: Of what is counted.
-        **options: Of tqdm, such as `total`.
+        items: Items to iterate over; without them, `update` counts.
+        desc: Name of the work.
+        unit: Unit of the count.
+        **options: Options of tqdm, such as `total`.
 
     Returns:
-        What goes through the items, or counts.
+        An iterable over the items, or a counter.
     """
     terminal = sys.stderr is not None and sys.stderr.isatty()
     return (_Bar if terminal else _Lines)(items, desc=desc, unit=unit, **options)
 
 
 class _Bar(tqdm):
-    """Progress as a bar, which can be closed when Ctrl-C has come while it was made."""
+    """Progress as a bar, which can be closed even if Ctrl-C interrupted its construction."""
 
     disable: bool = True
 
@@ -40,28 +40,28 @@ class _Lines(_Bar):
     """Progress as lines."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
-        self._told_at = time.monotonic()
+        self._last_line_at = time.monotonic()
         super().__init__(*args, **{"mininterval": LOG_INTERVAL_S, "miniters": 1, "leave": False, **options})
 
     def display(self, *_: Any, **__: Any) -> None:
-        """Write a line, unless one was written just now."""
-        if time.monotonic() - self._told_at >= LOG_INTERVAL_S:
-            self._told_at = time.monotonic()
+        """Write a line, unless the last one is recent."""
+        if time.monotonic() - self._last_line_at >= LOG_INTERVAL_S:
+            self._last_line_at = time.monotonic()
             print(self.line(), file=sys.stderr, flush=True)
 
     def line(self) -> str:
-        """Progress in words."""
-        about = self.format_dict
-        of = f" of {about['total']:.6g}" if about["total"] else ""
-        ahead = ""
-        if about["total"] and self.n > about["initial"]:
-            left = about["elapsed"] * (about["total"] - self.n) / (self.n - about["initial"])
-            ahead = f", {self.format_interval(left)} to go"
-        took = self.format_interval(about["elapsed"])
-        return f"{about['prefix'] or 'progress'}: {self.n:.6g}{of} {about['unit']} in {took}{ahead}"
+        """Describe the progress in a sentence."""
+        state = self.format_dict
+        total = f" of {state['total']:.6g}" if state["total"] else ""
+        remaining = ""
+        if state["total"] and self.n > state["initial"]:
+            seconds = state["elapsed"] * (state["total"] - self.n) / (self.n - state["initial"])
+            remaining = f", {self.format_interval(seconds)} to go"
+        elapsed = self.format_interval(state["elapsed"])
+        return f"{state['prefix'] or 'progress'}: {self.n:.6g}{total} {state['unit']} in {elapsed}{remaining}"
 
     def close(self) -> None:
-        """Stop the output."""
+        """Stop writing."""
         if not self.disable:
             self.disable = True
             self._decr_instances(self)

@@ -1,10 +1,10 @@
-"""A simulated depth camera: a perspective view of triangles, its colours, and the errors of a real camera.
+"""Simulate a depth camera: a perspective view of triangles, its colours, and the errors of a real camera.
 
-`render_view` rasterises triangles as a pinhole camera sees them (inverse depth is linear over a triangle's image),
-`shade_view` colours the view, and `add_depth_noise` displaces pixels near edges, adds noise and rounds to steps (Handa
-et al., ICRA 2014), as `i2t.simulation.touches.apply_camera_model` does for the orthographic views of the tool frame.
+`render_view` rasterises triangles as a pinhole camera sees them (inverse depth is linear over a triangle's image).
+`shade_view` colours the view. `add_depth_noise` displaces pixels near edges, adds noise and rounds to steps (Handa et
+al., ICRA 2014), as `i2t.simulation.touches.apply_camera_model` does for the orthographic views of the tool frame.
 
-Frames: B the base in which the triangles are given, C the camera (z forwards, x right, y down). Metres. NumPy only.
+Frames: B is the base in which the triangles are given, C the camera (z forwards, x right, y down). Metres. NumPy only.
 """
 
 from collections.abc import Sequence
@@ -16,48 +16,44 @@ from jaxtyping import Float, Int, UInt8
 from i2t.depth.camera import Camera, Distortion
 from i2t.types import Array
 
-NEAR_PLANE_M = 5e-3  # before a camera, nearer than which nothing is drawn
-TABLE_HALF_EDGE_M, TABLE_CELL_M = 0.2, 0.05  # of the table that the camera sees, and of its squares
-INSIDE_TOLERANCE = 1e-9  # of barycentric weights, so that no pixel falls between two triangles
-MIN_IMAGE_AREA = 1e-12  # square pixels, below which a triangle is seen edge-on
-
 
 @runtime_checkable
 class DepthErrors(Protocol):
-    """Sizes of a depth camera's errors; `i2t.simulation.touches.SimulationErrors` has them."""
+    """Sizes of a depth camera's errors; `i2t.simulation.touches.SimulationErrors` is an example."""
 
     @property
     def depth_bleed(self) -> float:
-        """Pixels by which depth is displaced sideways."""
+        """Sideways displacement of depths in pixels, a standard deviation."""
 
     @property
     def depth_noise(self) -> float:
-        """Standard deviation (m) of a pixel."""
+        """Standard deviation (m) of a pixel's depth."""
 
     @property
     def depth_quantum(self) -> float:
-        """Size (m) of the steps of depth; 0 for none."""
+        """Step (m) to which depths are rounded; 0 for no rounding."""
 
 
 def render_view(
-    triangles: Float[Array, "n 3 3"], T_b_c: Float[Array, "4 4"], camera: Camera
+    triangles: Float[Array, "n 3 3"], T_b_c: Float[Array, "4 4"], camera: Camera, *, near_plane: float = 5e-3
 ) -> tuple[Float[Array, "h w"], Int[Array, "h w"]]:
-    """View of triangles by a pinhole camera.
+    """Render the view of triangles by a pinhole camera.
 
     Args:
-        triangles: (n, 3 corners, 3) m, in the base.
-        T_b_c: pose of the camera.
-        camera: its intrinsics; its lens must be a pinhole.
+        triangles: `(n, 3 corners, 3)` coordinates (m) in the base.
+        T_b_c: Pose of the camera.
+        camera: The camera, whose lens must be a pinhole.
+        near_plane: Distance (m) from the camera below which triangles are not drawn.
 
     Returns:
-        Depth (h, w) m along the camera's axis, +inf where there is nothing, and the triangle of each pixel, -1 for
-        none.
+        `(h, w)` depths (m) along the camera's axis, +inf where nothing is seen, and `(h, w)` triangles of the pixels,
+        -1 where nothing is seen.
 
     Raises:
-        ValueError: the camera has a lens that bends.
+        ValueError: The camera's lens has distortion.
     """
     if camera.model != Distortion.NONE and any(camera.coefficients):
-        raise ValueError(f"camera: the simulated one has no {camera.model} lens; give one with the model 'none'")
+        raise ValueError(f"camera: the simulated one cannot have a {camera.model} lens; give the model 'none'")
     local = (triangles - T_b_c[:3, 3]) @ T_b_c[:3, :3]
     inverse = np.zeros((camera.height, camera.width))
     which = np.full(inverse.shape, -1)
@@ -70,7 +66,7 @@ def render_view(
         (np.maximum(np.ceil(side.min(1)), 0), np.minimum(np.floor(side.max(1)), last - 1))
         for side, last in ((u, camera.width), (v, camera.height))
     ]
-    drawn = (z.min(1) > NEAR_PLANE_M) & (np.abs(twice_area) > MIN_IMAGE_AREA)
+    drawn = (z.min(1) > near_plane) & (np.abs(twice_area) > 1e-12)  # square pixels; smaller triangles are edge-on
     for i in np.flatnonzero(drawn & (ends[0][0] <= ends[0][1]) & (ends[1][0] <= ends[1][1])):
         (left, right), (top, bottom) = ((int(low[i]), int(high[i])) for low, high in ends)
         x, y = np.arange(left, right + 1)[None, :], np.arange(top, bottom + 1)[:, None]
@@ -80,7 +76,8 @@ def render_view(
         ]
         close = weights[0] / z[i, 0] + weights[1] / z[i, 1] + weights[2] / z[i, 2]
         part = (slice(top, bottom + 1), slice(left, right + 1))
-        front = (np.minimum.reduce(weights) >= -INSIDE_TOLERANCE) & (close > inverse[part])
+        # A tolerance of the weights, so that no pixel falls between two triangles.
+        front = (np.minimum.reduce(weights) >= -1e-9) & (close > inverse[part])
         inverse[part] = np.where(front, close, inverse[part])
         which[part] = np.where(front, i, which[part])
     with np.errstate(divide="ignore"):
@@ -90,34 +87,34 @@ def render_view(
 def shade_view(
     triangles: Float[Array, "n 3 3"], which: Int[Array, "h w"], T_b_c: Float[Array, "4 4"]
 ) -> UInt8[Array, "h w 3"]:
-    """Colours of a view: grey, the brighter the more a face looks at the camera.
+    """Colour a view in grey; faces that point to the camera are brighter.
 
     Args:
-        triangles: (n, 3 corners, 3) m, in the base.
-        which: the triangle of each pixel, -1 for none, from `render_view`.
-        T_b_c: pose of the camera.
+        triangles: `(n, 3 corners, 3)` coordinates (m) in the base.
+        which: `(h, w)` triangles of the pixels from `render_view`, -1 where nothing is seen.
+        T_b_c: Pose of the camera.
 
     Returns:
-        Red, green and blue of each pixel.
+        `(h, w, 3)` red, green and blue of the pixels.
     """
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
-    grey = np.append(40 + 200 * np.abs(normal @ T_b_c[:3, 2]), 0.0)  # the last is that of no face
+    grey = np.append(40 + 200 * np.abs(normal @ T_b_c[:3, 2]), 0.0)  # the last is for pixels without a face
     return np.repeat(grey[which][..., None], 3, axis=-1).astype(np.uint8)
 
 
 def add_depth_noise(
     depth: Float[Array, "h w"], errors: DepthErrors, random: np.random.Generator
 ) -> Float[Array, "h w"]:
-    """Add a depth camera's errors to a view: bled sideways, noisy and in steps.
+    """Add the errors of a depth camera to a view: sideways displacement, noise and rounding to steps.
 
     Args:
-        depth: m, +inf where there is nothing.
-        errors: sizes of the errors.
-        random: where they are drawn from.
+        depth: `(h, w)` depths (m), +inf where nothing is seen.
+        errors: Sizes of the errors.
+        random: Random number generator.
 
     Returns:
-        Depth in m, NaN where there is nothing.
+        `(h, w)` depths (m), NaN where nothing is seen.
     """
     rows, columns = np.indices(depth.shape)
     shift = np.rint(errors.depth_bleed * random.standard_normal((2, *depth.shape), np.float32)).astype(int)
@@ -128,19 +125,19 @@ def add_depth_noise(
     return np.where(np.isfinite(depth), depth, np.nan).astype(np.float32)
 
 
-def table_triangles(T_b_o: Float[Array, "4 4"]) -> Float[Array, "n 3 3"]:
-    """The table on which an object stands, in small squares, so that none is half behind a camera.
+def table_triangles(T_b_o: Float[Array, "4 4"], *, half_edge: float = 0.2, cell: float = 0.05) -> Float[Array, "n 3 3"]:
+    """Make the table on which an object stands, of small squares, so that no square is partly behind a camera.
 
     Args:
-        T_b_o: pose of the object, whose z = 0 is the table.
+        T_b_o: Pose of the object, whose z = 0 is the table.
+        half_edge: Half the edge (m) of the table.
+        cell: Edge (m) of a square.
 
     Returns:
-        (n, 3 corners, 3) m, in the base.
+        `(n, 3 corners, 3)` coordinates (m) in the base.
     """
-    edges = np.arange(-TABLE_HALF_EDGE_M, TABLE_HALF_EDGE_M - TABLE_CELL_M / 2, TABLE_CELL_M)
-    corners: Sequence[tuple[float, float]] = [
-        (0, 0), (TABLE_CELL_M, 0), (TABLE_CELL_M, TABLE_CELL_M), (0, TABLE_CELL_M),
-    ]  # fmt: skip
+    edges = np.arange(-half_edge, half_edge - cell / 2, cell)
+    corners: Sequence[tuple[float, float]] = [(0, 0), (cell, 0), (cell, cell), (0, cell)]
     squares = np.array([[(x + a, y + b, 0.0) for a, b in corners] for x in edges for y in edges])
     squares = squares @ T_b_o[:3, :3].T + T_b_o[:3, 3]
     return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])

@@ -1,11 +1,10 @@
-"""Simulated presses with several stops, by the full physics: test data for inference of the local shape.
+"""Simulate presses with several stops, by the full physics: test data for inference of the local shape.
 
-One press runs past a first change of the reading (25 uT) to a second one (100 uT), or to the greatest force; it slants
-by the same slope all the way, and each stop is measured with the errors of `SimulationErrors`.
-Contacts are solved on cells of half a millimetre and friction to its default tolerance, finer than what a library
-imagines.
+A press continues past a first change of the reading to a second one, or to the largest force. Its slope stays the same,
+and each stop is measured with the errors of `SimulationErrors`. Contacts are solved on cells of half a millimetre and
+friction to its default tolerance, both more accurate than predictions from a library.
 
-Metres, newtons, microtesla; one press, lifted by `vmap`.
+Metres, newtons, microtesla; functions take a single press and are lifted by `vmap`.
 """
 
 from dataclasses import replace
@@ -23,21 +22,19 @@ from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import friction_response
 from i2t.types import Array, Pad
 
-SKIN_CHANGES_UT = (25.0, 100.0)  # at which a press stops, the paper's and four times it
-
 
 class PressCurve(NamedTuple):
-    """Stops of one press: measurements, and truth of the simulation."""
+    """Stops of a press: measurements, and the truth of the simulation."""
 
     reading: Float[Array, "*batch s c"]  # uT
     force: Float[Array, "*batch s"]  # N
-    travel: Float[Array, "*batch s"]  # m past first contact, what arm and mount yield included
-    newtons: Float[Array, "*batch s cells"]  # truth, on each cell of 1 mm
-    centre: Float[Array, "*batch s 2"]  # m, truth, centre of pressure (x, y)
+    travel: Float[Array, "*batch s"]  # m past first contact, including the deflection of arm and mount
+    newtons: Float[Array, "*batch s cells"]  # true force on each cell of 1 mm
+    centre: Float[Array, "*batch s 2"]  # m, true centre of pressure (x, y)
 
     @property
     def contact(self) -> Bool[Array, "*batch s cells"]:
-        """Cells that truly bear pressure."""
+        """Mask of the cells that truly bear pressure."""
         return self.newtons > CONTACT_NEWTONS
 
 
@@ -48,26 +45,29 @@ def simulate_press_curve(
     *,
     errors: SimulationErrors,
     limits: PressLimits,
+    skin_changes: tuple[float, ...] = (25.0, 100.0),
 ) -> PressCurve:
     """Press a pad onto a surface, past several changes of its reading.
 
     Args:
         key: Random key.
         pad: The skin.
-        heights: m, of the surface beyond the plane of first contact, over the cells of `i2t.skin.contact.GRID`.
-        errors: Of slant, force, travel and sensor.
-        limits: Of the press; it stops at `SKIN_CHANGES_UT`, whatever their skin change.
+        heights: Heights (m) of the surface beyond the plane of first contact, over the cells of
+            `i2t.skin.contact.GRID`.
+        errors: Sizes of the errors of slant, force, travel and sensor.
+        limits: Limits of the press, whose skin change is ignored.
+        skin_changes: Changes (uT) of the reading at which the press stops, by default the paper's and four times that.
 
     Returns:
-        The stops.
+        The stops of the press, s in all.
     """
     key_slant, key_force, key_travel, key_sensor = jax.random.split(key, 4)
-    stops = len(SKIN_CHANGES_UT)
+    stops = len(skin_changes)
     nearest = jnp.min(heights)
     height = heights - nearest
     slant = errors.slant * jax.random.normal(key_slant, (2,))
     force_error = errors.force * jax.random.normal(key_force, (stops,))
-    # First contact is missed by the arm's repeatability once, each stop by it again.
+    # The arm's repeatability adds an error at first contact, and another at each stop.
     missed = errors.repeatability * jax.random.normal(key_travel, (stops + 1,))
 
     response = pad_response(pad)
@@ -81,10 +81,10 @@ def simulate_press_curve(
         return read, end.force, travel, cells.reshape(-1), centre
 
     keys = jax.random.split(key_sensor, stops)
-    at_stops = [replace(limits, skin_change=change) for change in SKIN_CHANGES_UT]
-    # One stop after the other, so that one of them is compiled.
+    at_stops = [replace(limits, skin_change=change) for change in skin_changes]
+    # The stops are mapped in turn, so that the press is compiled once.
     reading, force, travel, newtons, centre = jax.lax.map(
-        lambda each: stop(*each), (jax.tree.map(lambda *sizes: jnp.asarray(sizes), *at_stops), keys)
+        lambda arguments: stop(*arguments), (jax.tree.map(lambda *sizes: jnp.asarray(sizes), *at_stops), keys)
     )
     measured = jnp.maximum(force + force_error, 0)
     return PressCurve(reading, measured, travel + missed[0] + missed[1:], newtons, centre)

@@ -1,4 +1,4 @@
-"""Safety limits of touch sites, without JAX, so that command lines can offer them."""
+"""Safety limits of touch sites. This module does not import JAX, so that command lines can offer them."""
 
 from dataclasses import dataclass
 from typing import Annotated, get_type_hints
@@ -9,28 +9,29 @@ from i2t.patches.dimensions import PAD_WINDOW
 
 @dataclass(frozen=True)
 class SiteLimits:
-    """Limits of a safe site; by default as in the paper's collection, with a fair guess of a UR flange and mount.
+    """Limits of a safe site. The defaults are those of the paper's collection, with estimates for a UR flange and
+    mount.
 
     Raises:
-        ValueError: A limit is not a number in its range, or the flange's box ends before it begins.
+        ValueError: A limit is outside its range, or the flange's box ends before it begins.
 
     Example:
-        limits = i2t.SiteLimits(min_cos=0.5, table=-0.02)  # flatter places, of an object that stands on a block
+        limits = i2t.SiteLimits(min_cos=0.5, table=-0.02)  # flatter places on an object on a block
         sites = i2t.sample_touch_sites(mesh, 36, limits=limits)
     """
 
-    # of the angle between normal and up; the paper's recognition uses 0.5
+    # cosine of the angle between normal and up, at least; the paper's recognition uses 0.5
     min_cos: Annotated[float, Limits(-1, 1)] = 0.25
-    # m, of any surface above the contact plane inside the square
+    # m, largest height of any surface above the contact plane inside the square
     max_rise: Annotated[float, Limits(0, 0.1)] = 3e-3
-    half: Annotated[float, Limits(1e-3, 0.1)] = PAD_WINDOW / 2  # m, half edge of the sensor's square
-    # m, edge of the square bar that carries the skin, from the skin back to the flange
+    half: Annotated[float, Limits(1e-3, 0.1)] = PAD_WINDOW / 2  # m, half the edge of the sensor's square
+    # m, edge of the square bar that holds the skin, from the skin back to the flange
     mount: Annotated[float, Limits(0, 0.5)] = PAD_WINDOW
     flange: Annotated[float, Limits(0, 0.5)] = 75e-3  # m, edge of the square box around flange and wrist
-    flange_near: Annotated[float, Limits(0, 0.5)] = 30e-3  # m, where that box begins behind the skin
-    flange_far: Annotated[float, Limits(0, 0.5)] = 100e-3  # m, and where it ends
+    flange_near: Annotated[float, Limits(0, 0.5)] = 30e-3  # m behind the skin, beginning of that box
+    flange_far: Annotated[float, Limits(0, 0.5)] = 100e-3  # m behind the skin, end of that box
     table: Annotated[float, Limits(-1, 1)] = 0.0  # m, height of the table in W
-    clearance: Annotated[float, Limits(0, 0.1)] = 1e-3  # m, that mount and flange keep above the table
+    clearance: Annotated[float, Limits(0, 0.1)] = 1e-3  # m, smallest distance of mount and flange from the table
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(type(self), include_extras=True).items():

@@ -1,11 +1,11 @@
-"""Touch sites of an object.
+"""Draw touch sites on an object.
 
-Sites are drawn uniformly over a surface's area and given contact frames; three checks of the paper's collection
-procedure say which are safe: the normal is not too far from up, nothing rises above the contact plane inside the
-sensor's square (`i2t.contact.approach.nearest_in_square`), and the flange stays above the table.
+Sites are drawn uniformly over the area of a surface and have contact frames. Three checks of the paper's collection
+procedure decide which sites are safe: the normal is close enough to up, nothing rises above the contact plane inside
+the sensor's square (`i2t.contact.approach.nearest_in_square`), and the flange stays above the table.
 
-Frames as in `i2t.types`: the surface is given in W (an object frame serves as W while the object stands where it was
-made); lengths in metres. Degenerate faces, which pad a surface to its size class, are never drawn.
+Frames as in `i2t.types`: the surface is given in W, or in the object frame as long as the object stands as it was made.
+Lengths are in metres. Degenerate faces, which pad a surface to its size class, are never drawn.
 """
 
 from typing import Any, NamedTuple
@@ -24,16 +24,14 @@ from i2t.runtime.compiling import jit_quickly, traced_floats
 from i2t.simulation.site_limits import SiteLimits
 from i2t.types import Surface, in_one_line
 
-CHECKED_AT_A_TIME = 64  # sites, at most: more take more memory
-
-traced_floats(SiteLimits)  # here, as its own module is without JAX
+traced_floats(SiteLimits)  # here, because its own module does not import JAX
 COLLECTION_LIMITS = SiteLimits()
 RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 
 
 @in_one_line
 class Sites(NamedTuple):
-    """Places to touch, and which of them passed the checks."""
+    """Touch sites, and whether they passed the checks."""
 
     T_w_t: Float[Array, "n 4 4"]  # contact frames
     safe: Bool[Array, " n"]
@@ -41,11 +39,11 @@ class Sites(NamedTuple):
 
 @in_one_line
 class TouchSites(NamedTuple):
-    """Safe sites of one object, in its frame."""
+    """Safe sites of an object, in its frame."""
 
-    T_o_t: Float[np.ndarray, "n 4 4"]  # pose of the tool at contact: its z points into the object
-    points: Float[np.ndarray, "n 3"]  # m, the tool's origin on the surface
-    normals: Float[np.ndarray, "n 3"]  # outward, unit
+    T_o_t: Float[np.ndarray, "n 4 4"]  # pose of the tool at contact, whose z points into the object
+    points: Float[np.ndarray, "n 3"]  # m, origin of the tool on the surface
+    normals: Float[np.ndarray, "n 3"]  # outward unit normals
 
 
 def sample_points(
@@ -55,12 +53,12 @@ def sample_points(
 
     Args:
         key: Random key.
-        surface: To draw from.
+        surface: The surface.
         n: Number of points.
-        wanted: Faces to draw from; by default all.
+        wanted: Mask of the faces to draw from, by default all.
 
     Returns:
-        Points (m) and their outward unit normals; NaN where no face is wanted.
+        `(n, 3)` points (m) and their outward unit normals; NaN if no face is wanted.
     """
     key_face, key_place = jax.random.split(key)
     triangles = jnp.asarray(surface.triangles)
@@ -68,7 +66,7 @@ def sample_points(
     weight = area if wanted is None else jnp.where(wanted, area, 0)
     total = jnp.cumsum(weight)
     drawn = jnp.searchsorted(total, jax.random.uniform(key_face, (n,)) * total[-1], side="right")
-    # Sums in float32 may still grow in their last digit across empty faces: step back to the last face that has weight.
+    # Sums in float32 may grow in their last digit across empty faces, so step back to the last face with a weight.
     full = jax.lax.cummax(jnp.where(weight > 0, jnp.arange(len(weight)), -1))
     face = full[jnp.minimum(drawn, len(weight) - 1)]
     face = jnp.where(face < 0, jnp.argmax(weight > 0), face)
@@ -81,13 +79,13 @@ def sample_points(
 
 
 def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
-    """Outward unit normals of the faces.
+    """Compute the outward unit normals of the faces.
 
     Args:
-        surface: With its triangles.
+        surface: The surface.
 
     Returns:
-        Normals; zero for degenerate faces.
+        `(faces, 3)` normals; zero for degenerate faces.
     """
     a, b, c = jnp.moveaxis(jnp.asarray(surface.triangles), 1, 0)
     cross = jnp.cross(b - a, c - a)
@@ -96,63 +94,63 @@ def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
 
 
 def is_upward(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """First check: the surface's normal (minus tool z) is not too far from up.
+    """Check that the surface's normal (minus tool z) is close enough to up.
 
     Args:
         T_w_t: Pose of the tool at the site.
-        limits: Of the angle.
+        limits: Limits of a safe site.
 
     Returns:
-        Whether it holds.
+        Whether the angle is within its limit.
     """
     return -T_w_t[2, 2] > limits.min_cos
 
 
 def is_unoccluded(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """Second check: no surface is more than `max_rise` above the contact plane inside the sensor's square.
+    """Check that no surface is more than `max_rise` above the contact plane inside the sensor's square.
 
     Args:
-        surface: In the world.
+        surface: Surface in the world.
         T_w_t: Pose of the tool at the site.
-        limits: Of the rise.
+        limits: Limits of a safe site.
 
     Returns:
-        Whether it holds.
+        Whether the rise is within its limit.
     """
     return nearest_in_square(surface, inverse(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
 
 
 def is_above_table(T_w_t: Float[Any, "4 4"], limits: SiteLimits) -> Bool[Any, ""]:
-    """Third check: the boxes of mount and flange keep their clearance above the table.
+    """Check that the boxes of mount and flange keep their clearance above the table.
 
     Args:
-        T_w_t: Pose of the tool at the site; a NumPy array is checked by NumPy, without a compiler.
-        limits: The boxes and their clearance.
+        T_w_t: Pose of the tool at the site. A NumPy array is checked by NumPy, without compilation.
+        limits: Limits of a safe site, with the boxes.
 
     Returns:
-        Whether it holds.
+        Whether both boxes keep the clearance.
     """
     boxes = ((limits.mount, 0.0, limits.flange_near), (limits.flange, limits.flange_near, limits.flange_far))
-    lowest = [
+    bottoms = [
         T_w_t[2, 3]
         - T_w_t[2, 2] * 0.5 * (near + far)
         - 0.5 * (abs(T_w_t[2, :2]).sum() * edge + abs(T_w_t[2, 2]) * (far - near))
         for edge, near, far in boxes
     ]
-    least = limits.table + limits.clearance
-    return (lowest[0] >= least) & (lowest[1] >= least)
+    lowest = limits.table + limits.clearance
+    return (bottoms[0] >= lowest) & (bottoms[1] >= lowest)
 
 
 def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """All three checks.
+    """Make all three checks of a site.
 
     Args:
-        surface: In the world.
+        surface: Surface in the world.
         T_w_t: Pose of the tool at the site.
-        limits: Of the checks.
+        limits: Limits of a safe site.
 
     Returns:
-        Whether all hold.
+        Whether the site passes all checks.
     """
     return is_upward(T_w_t, limits) & is_unoccluded(surface, T_w_t, limits) & is_above_table(T_w_t, limits)
 
@@ -167,22 +165,22 @@ def sample_sites(
 ) -> Sites:
     """Draw sites uniformly over the safe part of a surface, each turned about its normal by a uniformly random angle.
 
-    The first n safe ones of `oversample` n candidates are returned; where there are fewer, poses of NaN fill up, to
-    which no arm goes.
+    The first n safe sites of `oversample` n candidates are returned. If there are fewer, the remaining poses are NaN,
+    so that no arm can move there.
 
     Args:
         key: Random key.
-        surface: In the world.
+        surface: Surface in the world.
         n: Number of sites; static.
-        limits: Of what is safe.
-        oversample: Candidates for each site; static.
-        obstacles: What else stands there in the world, and is not to be touched.
+        limits: Limits of a safe site.
+        oversample: Number of candidates for each site; static.
+        obstacles: Surfaces of other objects in the world, which must not be touched.
 
     Returns:
-        The sites, with a mask of the safe ones, which come first.
+        The sites with a mask of the safe ones, which come first.
     """
     key_points, key_spin = jax.random.split(key)
-    # Faces that look away fail the first check, so leaving them out changes nothing but the yield.
+    # Faces that point away fail the first check, so leaving them out only raises the number of safe candidates.
     wanted = face_normals(surface)[:, 2] > limits.min_cos
     points, normals = sample_points(key_points, surface, oversample * n, wanted)
     spins = jax.random.uniform(key_spin, (oversample * n,), maxval=2 * jnp.pi)
@@ -202,9 +200,13 @@ def _first_free(
     *,
     limits: SiteLimits,
     obstacles: Surface | None,
+    batch_size: int = 64,
 ) -> Bool[Array, " m"]:
-    """Which of the first `count` frames are unoccluded, the dear check, until n are; frames after those stay false."""
-    batch = min(n, CHECKED_AT_A_TIME)
+    """Test in batches which of the first `count` frames are unoccluded, until n are; later frames stay false.
+
+    This check is expensive, and larger batches need more memory.
+    """
+    batch = min(n, batch_size)
 
     def is_free(T_w_t: Float[Array, "4 4"]) -> Bool[Array, ""]:
         free = is_unoccluded(surface, T_w_t, limits)
@@ -234,31 +236,31 @@ def collect_sites(
     rounds: int = 8,
     obstacles: Surface | None = None,
 ) -> Float[np.ndarray, "{n} 4 4"]:
-    """Draw safe sites in several rounds; for the host, so it compiles what it draws.
+    """Draw safe sites in several rounds. This function runs on the host and compiles each round.
 
     Args:
         key: Random key.
-        surface: In the world.
+        surface: Surface in the world.
         n: Number of sites.
-        limits: Of what is safe.
-        name: Of the object, for the message.
-        rounds: After which too few is an error.
-        obstacles: What else stands there in the world, and is not to be touched.
+        limits: Limits of a safe site.
+        name: Name of the object in messages.
+        rounds: Number of rounds after which too few sites are an error.
+        obstacles: Surfaces of other objects in the world, which must not be touched.
 
     Returns:
-        T_w_t of the sites.
+        `(n, 4, 4)` poses T_w_t of the tool at the sites.
 
     Raises:
         ValueError: The object has too few safe sites.
     """
-    found: list[np.ndarray] = []
+    safe: list[np.ndarray] = []
     count = 0
     for step in range(rounds):
         sites = _draw_sites(jax.random.fold_in(key, step), surface, n=n, limits=limits, obstacles=obstacles)
-        found.append(np.asarray(sites.T_w_t)[np.asarray(sites.safe)])
-        count += len(found[-1])
+        safe.append(np.asarray(sites.T_w_t)[np.asarray(sites.safe)])
+        count += len(safe[-1])
         if count >= n:
-            return np.concatenate(found)[:n]
+            return np.concatenate(safe)[:n]
     raise ValueError(
         f"{name} has too few safe sites: {count} of {n} found; lower min_cos or the flange's size, or raise max_rise"
     )
@@ -267,24 +269,24 @@ def collect_sites(
 def sample_touch_sites(
     mesh: Mesh | Surface, n: int, *, seed: int = 0, limits: SiteLimits = COLLECTION_LIMITS, name: str = "the object"
 ) -> TouchSites:
-    """Touch sites of an object: n random safe ones with the tool's contact poses.
+    """Draw safe touch sites of an object at random, with the contact poses of the tool.
 
-    Sites are uniform over the safe part of the surface, each turned about its normal by a random angle; the object
+    Sites are uniform over the safe part of the surface, each turned about its normal by a random angle. The object
     stands as it was made, with z up on a table at `limits.table`.
 
     Args:
-        mesh: of the object, or its prepared surface.
-        n: number of sites, at least 1.
-        seed: the same seed gives the same sites.
-        limits: what makes a site safe.
-        name: of the object, for the message of an error.
+        mesh: Mesh of the object, or its prepared surface.
+        n: Number of sites, at least 1.
+        seed: Seed of the random numbers.
+        limits: Limits of a safe site.
+        name: Name of the object in error messages.
 
     Returns:
         Poses, points and normals of n sites.
 
     Raises:
-        ValueError: the object has too few safe sites, or `n` is below 1.
-        TypeError: `n` or the seed is no whole number.
+        ValueError: The object has too few safe sites, or `n` is below 1.
+        TypeError: `n` or the seed is not an integer.
 
     Example:
         from i2t import make_object, sample_touch_sites

@@ -1,28 +1,28 @@
-"""Simulated touches in bulk: (key, objects, pad, errors, n) -> Touches.
+"""Simulate touches in bulk: (key, objects, pad, errors, n) -> Touches.
 
-A session is what a lab does at one time: the object is placed and registered once (a constant placement error), the
-camera is calibrated once (a constant hand-eye error), and the arm makes a number of touches, each with its own
-repeatability and tilt of approach. Nothing the model may later use is error free:
+In a session, the object is placed and registered once (a constant placement error), the
+camera is calibrated once (a constant hand-eye error), and the arm makes a number of touches, each with its own errors
+of repeatability and tilt. Everything that a model may use later has errors:
 
-  patch    what the *camera* saw: rendered from where the object really is, through the wrong hand-eye transform, with
-           lateral bleeding, depth noise and quantisation;
-  reading  what the skin *really* met: rendered over the whole pad from the pose the arm really reached, pressed until
-           the skin change or the force first crosses its limit, then felt by a skin that remembers, creeps and warms
-           and read through the board with ambient and noise.
+  patch    the *camera*'s view: a rendering of the object at its true pose, through the wrong hand-eye transform,
+           with lateral bleeding, depth noise and quantisation;
+  reading  the *skin*'s measurement: a rendering over the whole pad from the pose that the arm truly reaches, pressed
+           until the skin change or the force first crosses its limit, measured by a skin with hysteresis, creep and
+           warming, and read through the board with ambient and noise.
 
-`i2t.contact.press` says where a press ends; its rule sees the reading without friction. Until there the arm travels
-the indentation and F / stiffness past first contact (series compliance of arm and mount).
+`i2t.contact.press` determines where a press ends, by the reading without friction. Until then the arm travels the
+indentation plus F / stiffness past first contact (series compliance of arm and mount).
 
-Depth camera after Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise, then quantisation.
-Default sizes: a short-range stereo camera at 0.1 m and a calibrated UR arm; each is a field of `SimulationErrors`, and
-zero switches it off. Everything here is simulated, and says so where it is stored.
+The depth camera follows Handa et al. (ICRA 2014): pixels are displaced sideways near edges, then noise is added, then
+depths are quantised. Default errors are those of a short-range stereo camera at 0.1 m and a calibrated UR arm. Each is
+a field of `SimulationErrors`, and zero disables it. Stored results are marked as simulated.
 """
 
 import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,8 +48,6 @@ from i2t.skin.pad import press as press_pad
 from i2t.types import Array as AnyArray
 from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 
-POSE_ERRORS = 7  # the first of `SimulationErrors`
-FEW_SESSIONS = 400  # of no more, compiling them quickly pays
 CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
 
 
@@ -63,43 +61,45 @@ class SimulationErrors:
         touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 1000)
     """
 
-    placement: float = 1e-3  # of the object, per axis and session
+    placement: float = 1e-3  # position of the object, per axis and session
     placement_angle: float = math.radians(1.0)
-    hand_eye: float = 1e-3  # of the camera in the tool frame, per axis and session
+    hand_eye: float = 1e-3  # position of the camera in the tool frame, per axis and session
     hand_eye_angle: float = math.radians(0.5)
-    repeatability: float = 0.05e-3  # of the arm, per axis and touch
+    repeatability: float = 0.05e-3  # position of the arm, per axis and touch
     approach_angle: float = math.radians(0.3)  # between looking and pressing, per touch
-    slant: float = math.radians(1.0)  # of the press's motion against the tool's axis, per touch and along x and y
-    depth_noise: float = 0.3e-3  # of a depth pixel
-    depth_bleed: float = 1.0  # pixels by which depth is displaced sideways
-    depth_quantum: float = 0.1e-3
-    force: float = 0.1  # N, of the wrench sensor after zeroing
+    slant: float = math.radians(1.0)  # between the press's motion and the tool's axis, per touch and along x and y
+    depth_noise: float = 0.3e-3  # depth of a pixel
+    depth_bleed: float = 1.0  # pixels, sideways displacement of depths
+    depth_quantum: float = 0.1e-3  # step of the depths
+    force: float = 0.1  # N, force of the wrench sensor after zeroing
     noise: Noise = field(default_factory=Noise)
     faults: Faults = field(default_factory=Faults.typical)
+    num_pose_errors: ClassVar[int] = 7  # the first fields, which are errors of poses
 
     @classmethod
     def none(cls) -> "SimulationErrors":
-        """No errors of the lab; the sensor's own noise and faults are off too."""
+        """Describe a lab without errors, whose sensor has no noise and no faults."""
         sensor: dict[str, Any] = {"noise": Noise.none(), "faults": Faults()}
-        return cls(**{each.name: sensor.get(each.name, 0.0) for each in fields(cls)})
+        return cls(**{error.name: sensor.get(error.name, 0.0) for error in fields(cls)})
 
     def scaled(self, factor: float) -> "SimulationErrors":
-        """All pose errors times a factor; camera and sensor stay.
+        """Multiply all pose errors by a factor; those of camera and sensor stay.
 
         Args:
-            factor: 0 for none.
+            factor: The factor; 0 removes the errors.
 
         Returns:
-            The new errors.
+            The scaled errors.
         """
-        return replace(self, **{each.name: factor * getattr(self, each.name) for each in fields(self)[:POSE_ERRORS]})
+        pose_errors = [error.name for error in fields(self)[: self.num_pose_errors]]
+        return replace(self, **{name: factor * getattr(self, name) for name in pose_errors})
 
 
 class SessionErrors(NamedTuple):
     """Constant errors of one session."""
 
-    T_o_placed: Float[Array, "4 4"]  # where the object is, seen from where the lab believes it
-    T_t_camera: Float[Array, "4 4"]  # where the camera really looks from, seen from where the lab believes
+    T_o_placed: Float[Array, "4 4"]  # true pose of the object relative to the believed one
+    T_t_camera: Float[Array, "4 4"]  # true pose of the camera relative to the believed one
 
 
 def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> SessionErrors:
@@ -107,10 +107,10 @@ def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> Sess
 
     Args:
         key: Random key.
-        errors: Their sizes.
+        errors: Sizes of the errors.
 
     Returns:
-        The errors.
+        The constant errors of a session.
     """
     key_placement, key_camera = jax.random.split(key)
     return SessionErrors(
@@ -120,35 +120,37 @@ def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> Sess
 
 
 def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: SimulationErrors) -> WideView:
-    """View of heights by the depth camera.
+    """Compute the view of the depth camera from heights.
 
     Args:
         key: Random key.
-        z: m along tool z.
+        z: `(wide, wide)` heights (m) along tool z.
         errors: Sizes of the camera's errors.
 
     Returns:
-        The patch and its surroundings, as of `camera_view`.
+        The patch and its surroundings, as from `camera_view`.
     """
     row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
-    drawn = jax.random.normal(key, (3, *z.shape))  # one draw: each takes XLA a second to compile
+    drawn = jax.random.normal(key, (3, *z.shape))  # a single draw, because XLA takes a second to compile each
     shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
     z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
     z = z + errors.depth_noise * drawn[2]
     step = jnp.where(errors.depth_quantum > 0, errors.depth_quantum, 1.0)
-    # A product, because a compiler makes one of a quotient or not: a pixel between two quanta would be here or there.
+    # A product, because compilers may replace a quotient by one, and pixels between two quanta would then differ.
     rounded = jnp.round((z + CAMERA_DISTANCE_M) * jax.lax.optimization_barrier(1 / step)) * step - CAMERA_DISTANCE_M
     return camera_view(jnp.where(errors.depth_quantum > 0, rounded, z))
 
 
 class _Press(NamedTuple):
-    """The end of a press, zero where nothing was hit."""
+    """The end of a press; zero if nothing was hit."""
 
-    sinking: Float[Array, ""]  # m, of the tool into the skin past the pose of first contact
-    travel: Float[Array, ""]  # m, past first contact: the indentation and what arm and mount yield
+    sinking: Float[Array, ""]  # m, motion of the surface into the skin past first contact
+    travel: Float[
+        Array, ""
+    ]  # m, motion of the arm past first contact: the indentation and the deflection of arm and mount
     indentation: Float[Array, ""]  # m
     force: Float[Array, ""]  # N
-    reading: Float[Array, " c"]  # uT, of an ideal sensor
+    reading: Float[Array, " c"]  # uT, from an ideal sensor
     code: Int[Array, ""]
 
 
@@ -166,29 +168,29 @@ def simulate_touch(
     law: PressLaw | None = press_pad,
     response: PadResponse | None = None,
 ) -> Touches:
-    """One touch at a site chosen on the believed object: approach along the site's z, press, look.
+    """Simulate a touch at a site on the believed object: approach along the site's z, press, look.
 
     Args:
-        key: random key.
-        surface: of the object, in its frame.
-        T_w_o: pose of the object as the lab believes it.
-        T_w_site: contact pose of the tool, on the object as it is believed to stand.
-        session: what stays wrong during the session.
-        pad: the skin.
-        errors: sizes of the errors that each touch draws anew.
-        limits: when the press ends.
-        law: what a press of the pad gives; another one makes a world whose physics is another. With None, the contact
-            is solved on cells of 1 mm, the reading is linear in the pressure, and nothing rubs.
-        response: the pad's `i2t.contact.press.pad_response`, or with a law of None its linear response on cells of
-            1 mm; it is worked out anew where it is not given.
+        key: Random key.
+        surface: Surface of the object, in its frame.
+        T_w_o: Believed pose of the object.
+        T_w_site: Contact pose of the tool on the object at its believed pose.
+        session: Constant errors of the session.
+        pad: The skin.
+        errors: Sizes of the errors that are drawn for each touch.
+        limits: Limits at which the press ends.
+        law: Function that computes a press of the pad; another function makes a world with different physics. With
+            None, the contact is solved on cells of 1 mm, the reading is linear in the pressure, and there is no
+            friction.
+        response: The pad's `i2t.contact.press.pad_response`, or its linear response on cells of 1 mm if `law` is None.
+            It is computed if it is not given.
 
     Returns:
-        One touch. Its reading is still that of an ideal sensor (see `read_session`), and its indices are left 0
-        for the caller.
+        A touch with the reading of an ideal sensor (see `read_session`) and with indices 0.
     """
     key_arm, key_tilt, key_camera, key_scalars = jax.random.split(key, 4)
     overrun, force_error, travel_error, *slant = jax.random.normal(key_scalars, (5,))
-    T_o_w = geometry.inverse(T_w_o @ session.T_o_placed)  # from here on the object is where it really is
+    T_o_w = geometry.inverse(T_w_o @ session.T_o_placed)  # from here on at the true pose of the object
 
     T_w_arm = T_w_site @ geometry.random_motion(key_arm, errors.repeatability, 0.0)
     T_w_press = T_w_arm @ geometry.random_motion(key_tilt, 0.0, errors.approach_angle)
@@ -202,7 +204,7 @@ def simulate_touch(
     )  # fmt: skip
 
     end = _along_z(contact.distance + press.travel)
-    # What the camera sees and what the skin meets, side by side: one compiled renderer for both.
+    # The camera's view and the skin's are rendered together, so that the renderer is compiled once.
     poses = jnp.stack([T_o_w @ T_w_arm @ end @ session.T_t_camera, contact.T_w_t @ _along_z(press.sinking)])
     seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
     camera = apply_camera_model(key_camera, seen, errors)
@@ -226,7 +228,7 @@ def simulate_touch(
 
 
 def _grid(law: PressLaw | None) -> Grid:
-    """Cells on which a contact is solved."""
+    """Choose the cells on which a contact is solved."""
     return CELL_GRID if law is None else GRID
 
 
@@ -243,9 +245,9 @@ def _press(
     law: PressLaw | None,
     response: PadResponse | None,
 ) -> _Press:
-    """Press past first contact to the limits, once more on the final grid where that is another, and with friction.
+    """Press past first contact to the limits, with friction, and again on the final grid if that differs.
 
-    `overshoot` is the part by which the press runs past its limits, `slant` the slope of its motion along x and y in
+    The press exceeds its limits by the fraction `overshoot`. `slant` is the slope of its motion along x and y in
     standard deviations.
     """
     stop = press_to_stop(pad, facing.depth, limits, overshoot, law=law, response=response, grid=_grid(law))
@@ -258,8 +260,8 @@ def _press(
         finer = facing_surface(surface, contact.T_w_t, limits.final)
         deeper = stop.indentation + facing.nearest - finer.nearest  # the finer grid may see a nearer point
         stop = press_finally(pad, finer.depth, deeper, stop, final=limits.final, law=law, response=response)
-    # The grid of the pad meets a point between its cells a little late; that distance is counted, so that nearest and
-    # depth agree.
+    # The grid of the pad meets a point between its cells late. This distance is included, so that nearest and depth
+    # agree.
     hit = contact.hit
     sinking = jnp.where(hit, facing.nearest + stop.indentation, 0.0)
     return _Press(
@@ -282,20 +284,20 @@ def read_session(
     *,
     presses_before: Int[Array, ""] | int = 0,
 ) -> Float[Array, "n c"]:
-    """The readings of one session by a real sensor, which errs and remembers.
+    """Compute the readings of a session by a real sensor, which has errors and hysteresis.
 
     Args:
-        key: random key of the session; faults of the board itself are the same in all its sessions.
-        reading: uT, of an ideal sensor, in the order of the touches.
-        T_w_t: poses of the tool.
-        pad: the skin.
-        errors: whose noise and faults are applied.
-        presses_before: that the pad had in the sessions before, and that softened it.
+        key: Random key of the session. Faults of the board are the same in all its sessions.
+        reading: `(n, c)` readings (uT) of an ideal sensor, in the order of the touches.
+        T_w_t: `(n, 4, 4)` poses of the tool.
+        pad: The skin.
+        errors: Errors of the lab, for noise and faults of the sensor.
+        presses_before: Number of presses in earlier sessions, which softened the pad.
 
     Returns:
-        Readings (uT).
+        `(n, c)` readings (uT) of the real sensor.
     """
-    key_faults, key_noise, _ = jax.random.split(key, 3)  # one more than is used: the draws of a seed stay
+    key_faults, key_noise, _ = jax.random.split(key, 3)  # the third key is unused, so that the draws of a seed stay
     rest = pad.board.to_board(rest_field(pad))
     felt = faults.apply(
         key_faults, reading, T_w_t, pad.board, errors.faults,
@@ -314,30 +316,30 @@ def touch_simulator(
     limits: PressLimits | None = None,
     T_w_o: Float[Array | np.ndarray, "4 4"] | None = None,
 ) -> Callable[[Float[Array | np.ndarray, "4 4"]], Touches]:
-    """A simulated robot before one object, which is put down once and touched at any sites.
+    """Simulate a robot in front of an object, which is placed once and touched at any sites.
 
     Args:
-        key: random key of the session and of all its touches.
-        surface: of the object, in its frame.
-        pad: the skin; its readings are those of an ideal sensor (see `read_session`).
-        errors: of the lab.
-        limits: when a press ends.
-        T_w_o: pose of the object as the lab believes it; the world's origin by default.
+        key: Random key of the session and of all its touches.
+        surface: Surface of the object, in its frame.
+        pad: The skin; its readings are those of an ideal sensor (see `read_session`).
+        errors: Errors of the lab.
+        limits: Limits at which a press ends.
+        T_w_o: Believed pose of the object, by default the world's origin.
 
     Returns:
-        A function that takes a contact pose T_w_t, makes the next touch there and gives it, on the host.
+        A function that takes a contact pose T_w_t, makes the next touch there and returns it, on the host.
     """
     key_session, key_touches = jax.random.split(key)
     session = _draw_session(key_session, errors=errors)
     limits = limits or PressLimits()
     response = pad_response(pad, limits.final)
-    stated = {"session": session, "pad": pad, "errors": errors, "limits": limits, "response": response}
+    settings = {"session": session, "pad": pad, "errors": errors, "limits": limits, "response": response}
     believed = np.eye(4, dtype=np.float32) if T_w_o is None else np.asarray(T_w_o, np.float32)
     numbers = itertools.count()
 
     def touch(T_w_t: Float[Array | np.ndarray, "4 4"]) -> Touches:
         key_touch = jax.random.fold_in(key_touches, next(numbers))
-        return jax.device_get(_touch_once(key_touch, surface, believed, jnp.asarray(T_w_t, jnp.float32), **stated))
+        return jax.device_get(_touch_once(key_touch, surface, believed, jnp.asarray(T_w_t, jnp.float32), **settings))
 
     return touch
 
@@ -366,24 +368,24 @@ def _simulate_session(
     n: int,
     law: PressLaw = press_pad,
 ) -> Touches:
-    """One session of n touches on random safe sites of one object.
+    """Simulate a session of n touches on random safe sites of an object.
 
     Args:
-        key: random key.
-        surface: of the object, in its frame.
-        presses_before: that the pad had in the sessions before.
-        T_w_o: pose of the object as the lab believes it.
-        pad: the skin.
-        errors: of the lab.
-        limits: when a press ends.
-        sites: which sites are safe.
-        response: the pad's `pad_response`.
-        T_t_camera: where the camera looks from, seen from where the lab believes it; drawn where it is none.
-        n: touches.
-        law: what a press of the pad gives.
+        key: Random key.
+        surface: Surface of the object, in its frame.
+        presses_before: Number of presses in earlier sessions.
+        T_w_o: Believed pose of the object.
+        pad: The skin.
+        errors: Errors of the lab.
+        limits: Limits at which a press ends.
+        sites: Limits of safe sites.
+        response: The pad's `pad_response`.
+        T_t_camera: True pose of the camera relative to the believed one; it is drawn if it is None.
+        n: Number of touches.
+        law: Function that computes a press of the pad.
 
     Returns:
-        n touches; rows whose site is unsafe, because too few safe ones were found, carry the code FAILED.
+        n touches. Rows without a safe site, because too few were found, have the code FAILED.
     """
     key_session, key_sites, key_touches, key_skin = jax.random.split(key, 4)
     chosen = touch_sites.sample_sites(key_sites, surface, n, sites)
@@ -404,8 +406,7 @@ def _simulate_session(
     return touches._replace(reading=read)
 
 
-OF_SESSION = ("n", "law")  # static
-_simulate = jit_by_amount(_simulate_session, FEW_SESSIONS, static_argnames=OF_SESSION)
+_simulate = jit_by_amount(_simulate_session, 400, static_argnames=("n", "law"))
 
 
 def simulate_touches(
@@ -422,30 +423,30 @@ def simulate_touches(
     law: PressLaw = press_pad,
     progress: Callable[[int], None] = lambda touches: None,
 ) -> Touches:
-    """Simulated touches on objects, in sessions, with the errors of a real lab.
+    """Simulate touches on objects, in sessions, with the errors of a real lab.
 
-    More than `FEW_SESSIONS` sessions are compiled with all optimisations; last bits may differ from those of fewer.
+    More than 400 sessions are compiled with all optimisations; the last bits may differ from those of fewer sessions.
 
     Args:
-        key: random key.
-        objects: surfaces, each at the world's origin.
-        pad: the skin; its board says how many values a reading has. It softens from session to session.
-        errors: of the lab; `SimulationErrors.none()` is a lab that knows everything.
-        n: touches on each object, or on the i-th.
-        limits: when a press ends.
-        sites: which sites are safe.
-        touches_per_session: touches after which the object is placed anew.
-        T_t_camera: where the camera looks from in all sessions, seen from where the lab believes it; left out, each
-            session has a camera that was calibrated anew.
-        law: what a press of the pad gives; another one makes a world whose physics is another.
-        progress: called with the number of touches just made.
+        key: Random key.
+        objects: Surfaces, each at the world's origin.
+        pad: The skin, whose board determines the number of values in a reading. It softens from session to session.
+        errors: Errors of the lab; `SimulationErrors.none()` is a lab without errors.
+        n: Number of touches on each object, or a list with the number for each.
+        limits: Limits at which a press ends.
+        sites: Limits of safe sites.
+        touches_per_session: Number of touches after which the object is placed again.
+        T_t_camera: True pose of the camera relative to the believed one in all sessions. By default, it is drawn for
+            each session.
+        law: Function that computes a press of the pad; another function makes a world with different physics.
+        progress: Function that is called with the number of touches just made.
 
     Returns:
-        Touches. `object` and `session` are indices in the order made; `pad` is 0.
+        The touches. `object` and `session` are indices in order of simulation; `pad` is 0.
 
     Raises:
-        ValueError: an object has too few safe sites, or numbers make no sense.
-        TypeError: the key is none, or a number of touches is no whole number.
+        ValueError: An object has too few safe sites, or a number is out of range.
+        TypeError: `key` is not a JAX key, or a number of touches is not an integer.
 
     Example:
         from i2t import load_mesh, prepare_surface, sample_pad, simulate_touches
@@ -459,7 +460,7 @@ def simulate_touches(
     limits, sites = limits or PressLimits(), sites or touch_sites.SiteLimits()
     touches_per_session = validation.count("touches_per_session", touches_per_session)
     counts = _counts(objects, n)
-    surfaces = stack_surfaces(objects)  # one size class for all, and so one compilation
+    surfaces = stack_surfaces(objects)  # a single size class, so that the program is compiled once
     sessions = [
         (i, min(touches_per_session, count - start))
         for i, count in enumerate(counts)
@@ -473,14 +474,14 @@ def simulate_touches(
             yield jax.random.fold_in(key, session), surface, jnp.int32(presses)
             presses += kept
 
-    made = spread(
+    results = spread(
         _simulate(len(sessions)),
         calls(),
         shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final), camera),
         n=touches_per_session, law=law,
     )  # fmt: skip
     parts = []
-    for session, ((i, kept), part) in enumerate(zip(sessions, made, strict=True)):
+    for session, ((i, kept), part) in enumerate(zip(sessions, results, strict=True)):
         if (part.code == ReturnCode.FAILED).any():
             raise ValueError(
                 f"object {i} has too few safe touch sites; relax the limits of i2t.simulation.sites.SiteLimits"
@@ -492,11 +493,11 @@ def simulate_touches(
 
 
 def _counts(objects: Sequence[Surface], n: int | Sequence[int]) -> list[int]:
-    """Touches on each object."""
+    """Check the numbers of touches on the objects."""
     if not objects:
-        raise ValueError("objects: there is none; give one surface or more")
+        raise ValueError("objects: the list is empty; give at least one surface")
     if isinstance(n, Sequence | np.ndarray) and not isinstance(n, str):
-        counts = [validation.count(f"n[{i}]", each, least=0) for i, each in enumerate(n)]
+        counts = [validation.count(f"n[{i}]", count, least=0) for i, count in enumerate(n)]
         if len(counts) != len(objects):
             raise ValueError(f"n: has {len(counts)} numbers for {len(objects)} objects; give one for each")
         validation.count("n, of all objects,", sum(counts))

@@ -32,7 +32,7 @@ from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
 from i2t.registration.contacts import contact_poses
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.touch import register_by_touch
-from i2t.runtime.batching import a_few_at_a_time, select_rows
+from i2t.runtime.batching import map_in_threads, select_rows
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
@@ -130,7 +130,7 @@ class ContactModel:
             )
         softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
         left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits, often=often)
-        folds = a_few_at_a_time(left_out, product(sessions, range(POSITION_FOLDS)))
+        folds = map_in_threads(left_out, product(sessions, range(POSITION_FOLDS)))
         positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
         position = _position_errors(positions, softness, limits)
         fitted = fit_readings(pressed, layer, data.dataset.board, softness=softness, discrepancy=self.prior.discrepancy)
@@ -219,7 +219,7 @@ def _registered(key: Key[Array, ""], data: ObjectTouches, errors: SimulationErro
         seen.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
     often = len(seen) > FEW_SESSIONS
     register = partial(_register_session, errors=errors, often=often)
-    found = a_few_at_a_time(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
+    found = map_in_threads(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
     sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
     return sessions, often
 
@@ -237,7 +237,7 @@ def _pressed_touches(
     press = partial(_press, overtravel=overtravel)
     parts = [
         (each.rows, pressed.indentation[: each.contacts.own], pressed.newtons[: each.contacts.own])
-        for each, pressed in zip(sessions, a_few_at_a_time(press, calls), strict=True)
+        for each, pressed in zip(sessions, map_in_threads(press, calls), strict=True)
     ]
     rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
     met = np.isfinite(nominal)

@@ -1,4 +1,4 @@
-"""How a command ends: exit codes, and the one sentence that goes with them."""
+"""Commands end with an exit code and one sentence."""
 
 import errno
 import importlib
@@ -12,8 +12,9 @@ from typing import Annotated
 
 import pytest
 
-from i2t.cli.exit_codes import INTERRUPTED_BY_USER, NOBODY_READS, exit_code_of
+from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import Limits, check_options, read_options
+from i2t.cli.pipes import ExitCode
 from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
 
 WRONG = (
@@ -24,7 +25,7 @@ WRONG = (
     NotADirectoryError(errno.ENOTDIR, "Not a directory", "pad.npz"),
     PermissionError(errno.EACCES, "Permission denied", "/root"),
 )
-SAID = {  # of the system's errors that name a file
+SENTENCES = {  # for errors of the operating system
     "[Errno 2] No such file or directory: 'pad.npz'": "pad.npz: no such file or directory; check the name",
     "[Errno 20] Not a directory: 'pad.npz'": "pad.npz: not a directory; name a folder",
     "[Errno 28] No space left on device": (
@@ -60,30 +61,30 @@ def _raising(error):
 
 
 def test_an_error_is_one_sentence_and_its_exit_code(capsys):
-    """2 for what cannot be done as asked, 1 for what broke on the way."""
+    """The code is 2 for wrong use and 1 for failures."""
     for code, errors in ((2, WRONG), (1, BROKEN)):
         for error in errors:
             assert exit_code_of(_raising(error)) == code, error
-            assert capsys.readouterr() == ("", f"error: {SAID.get(str(error), str(error))}\n")
+            assert capsys.readouterr() == ("", f"error: {SENTENCES.get(str(error), str(error))}\n")
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "sentence"),
     [
         (Options(counts=(2, 0)), "--counts is 0; give at least 1"),
         (Options(group=Group(0.0)), "--group.share is 0; give more than 0 and at most 1"),
         (Options(group=Group(1.5)), "--group.share is 1.5; give more than 0 and at most 1"),
-        (Options(counts=()), "--counts names nothing; give one value at least, or leave it out"),
+        (Options(counts=()), "--counts has no values; give at least one, or leave it out"),
     ],
 )
-def test_numbers_outside_the_limits_of_their_type_are_refused_by_their_flag(options, said):
+def test_numbers_outside_the_limits_of_their_type_are_refused_by_their_flag(options, sentence):
     check_options(Options(), ["--counts"])
     with pytest.raises(ValueError) as error:  # noqa: PT011  # the whole sentence is compared
         check_options(options, ["--counts"])
-    assert str(error.value) == said
+    assert str(error.value) == sentence
 
 
-def test_ctrl_c_says_how_things_stand(capsys):
+def test_ctrl_c_prints_the_state_of_the_work(capsys):
     assert exit_code_of(_raising(KeyboardInterrupt()), "stopped; go on with --resume") == 130
     assert capsys.readouterr().err == "\nstopped; go on with --resume\n"
 
@@ -97,19 +98,19 @@ def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
         importlib.import_module("slow_to_start")
         time.sleep(60)
 
-    # Whoever starts the tests in the background of a script has told them to ignore it.
+    # Processes in the background of a script ignore SIGINT, which the tests must not.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        assert exit_code_of(work) == INTERRUPTED_BY_USER
+        assert exit_code_of(work) == ExitCode.INTERRUPTED
         assert sys.modules.pop("slow_to_start").started
         assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     finally:
         signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="other systems say it otherwise")
+@pytest.mark.skipif(os.name != "posix", reason="pipes of other systems differ")
 @pytest.mark.parametrize(("name", "at_once"), [("stdout", True), ("stdout", False), ("stderr", False)])
-def test_a_command_whose_output_nobody_reads_ends_without_a_word(monkeypatch, capsys, name, at_once):
+def test_a_command_whose_output_has_no_reader_ends_silently(monkeypatch, capsys, name, at_once):
     read, write = os.pipe()
     os.close(read)
     stream = open(write, "w")  # noqa: SIM115  # closed below, which must not fail either
@@ -120,22 +121,22 @@ def test_a_command_whose_output_nobody_reads_ends_without_a_word(monkeypatch, ca
             stream.flush()
 
     monkeypatch.setattr(sys, name, stream)
-    assert exit_code_of(work) == NOBODY_READS == 141
+    assert exit_code_of(work) == ExitCode.OUTPUT_CLOSED == 141
     print("and another", file=stream)
     stream.close()
     assert capsys.readouterr() == ("", "")
 
 
-@pytest.mark.skipif(os.name != "posix", reason="other systems say it otherwise")
+@pytest.mark.skipif(os.name != "posix", reason="pipes of other systems differ")
 @pytest.mark.parametrize("buffered_bytes", [1, 1 << 20])  # the reader is missed while help is printed, or at its end
-def test_help_that_nobody_reads_ends_without_a_word(monkeypatch, capsys, buffered_bytes):
+def test_help_that_has_no_reader_ends_silently(monkeypatch, capsys, buffered_bytes):
     read, write = os.pipe()
     os.close(read)
     stream = io.TextIOWrapper(io.BufferedWriter(io.FileIO(write, "w"), buffered_bytes))
     monkeypatch.setattr(sys, "stdout", stream)
     with pytest.raises(SystemExit) as stopped:
         read_options(Group, ["--help"], program="a command")
-    assert stopped.value.code == NOBODY_READS
+    assert stopped.value.code == ExitCode.OUTPUT_CLOSED
     stream.close()
     assert capsys.readouterr() == ("", "")
 

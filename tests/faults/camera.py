@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from i2t.cli.exit_codes import WRONG_USE
+from i2t.cli.pipes import ExitCode
 from i2t.depth.camera import Camera
 from i2t.hardware.camera_folder import DEPTH_UNIT_M, DESCRIPTION, save_views
 from i2t.hardware.protocols import View
@@ -91,7 +91,11 @@ def damaged_file(number: int) -> Trial:
         child = subprocess.run([sys.executable, "-c", READ, folder], capture_output=True, text=True, check=False)
     peak, *pixels = json.loads(child.stdout or "[Infinity]")
     if child.returncode:
-        right = child.returncode == WRONG_USE and child.stderr.startswith("error: ") and child.stderr.count("\n") == 1
+        right = (
+            child.returncode == ExitCode.WRONG_USE
+            and child.stderr.startswith("error: ")
+            and child.stderr.count("\n") == 1
+        )
     else:
         same = np.allclose(pixels[0], units * DEPTH_UNIT_M) and np.array_equal(pixels[1], colour)
         right = not child.stderr and (same or (damage, name) in READABLE)

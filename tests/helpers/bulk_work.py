@@ -26,7 +26,7 @@ from i2t.skin.pad import nominal_pad
 from i2t.training import Batch, TrainConfig
 
 ERRORS = SimulationErrors()
-compiling.QUICKLY.clear()  # programs are all compiled by what XLA_FLAGS say, which is with few optimisations
+compiling.QUICK_OPTIONS.clear()  # programs are all compiled by what XLA_FLAGS say, which is with few optimisations
 NETWORK = ModelConfig(pixels=8, encoder_width=16, bottleneck=4, decoder_width=24, auxiliary_width=12, members=3)
 
 

@@ -1,4 +1,4 @@
-"""Views with their surroundings: one shift and one clipping, whoever sees them, whatever stands beside the patch."""
+"""Views and their surroundings are shifted and clipped in the same way by renderers and cameras."""
 
 from dataclasses import replace
 from functools import partial
@@ -32,7 +32,7 @@ def box(size, at) -> trimesh.Trimesh:
 
 
 def things() -> dict[str, trimesh.Trimesh]:
-    """Objects whose surroundings stand out: what lies beside a patch is nearer than the patch's nearest point."""
+    """Objects with protruding surroundings, which are nearer than the patch's nearest point."""
     table = box((60, 60, 10), (0, 0, -5))
     ring = trimesh.creation.torus(14e-3, 3e-3, major_sections=32, minor_sections=12)
     ring.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, (0, 1, 0), (0, 0, 0)))
@@ -87,14 +87,14 @@ FLAT = np.asarray(contact_frame(jnp.zeros(3), jnp.array([0.0, 0, 1])))
 ALONG = (np.arange(WIDE_PIXELS) + 0.5 - WIDE_PIXELS / 2) * 17e-3 / PATCH_PIXELS  # m, x of the pixels
 
 
-def test_what_stands_out_is_shown_by_as_much_as_it_does():
+def test_protruding_surroundings_have_negative_depths():
     wide, up = np.asarray(look(THINGS["ledge"], FLAT).wide), np.abs(ALONG - 11.5e-3) < 2.5e-3
     np.testing.assert_allclose(wide[:, up], -3e-3, atol=ROUNDING)
     np.testing.assert_allclose(wide[:, ~up], 0, atol=ROUNDING)
     np.testing.assert_allclose(np.asarray(look(THINGS["step"], FLAT).wide)[:, ALONG > 9.3e-3], -12e-3, atol=ROUNDING)
 
 
-def test_a_camera_s_noise_does_not_stand_out_and_a_wall_does():
+def test_a_wall_protrudes_and_a_camera_s_noise_does_not():
     z = jnp.zeros((WIDE_PIXELS, WIDE_PIXELS)).at[:, :3].set(-0.9 * SAME_SURFACE_M).at[:, -3:].set(-2e-3)
     wide = np.asarray(camera_view(z).wide)
     assert not wide[:, :-3].any()
@@ -116,7 +116,7 @@ def test_nearest_is_a_surface_and_not_a_pixel():
     beside, walled = look(view.copy())
     np.testing.assert_array_equal(beside.depth, patch.depth)
     np.testing.assert_array_equal(walled[:, :70], wide[:, :70])
-    np.testing.assert_allclose(walled[:, 70:], -22e-3, atol=ROUNDING)  # it stands out, and is said to
+    np.testing.assert_allclose(walled[:, 70:], -22e-3, atol=ROUNDING)  # it protrudes, so its depth is negative
     view[20, 5] = -40e-3  # one wrong pixel there is no surface either
     np.testing.assert_allclose(look(view.copy()).wide[20, 5], -22e-3, atol=ROUNDING)
     # Nothing at all, and a tip alone, which a larger surface beside the patch does not hide.
@@ -135,7 +135,7 @@ def test_nearest_is_a_surface_and_not_a_pixel():
 
 
 def test_a_depth_image_and_the_mesh_show_one_view():
-    """A camera above a step sees what the renderer says, surroundings included."""
+    """A camera above a step sees the same view as the renderer, including the surroundings."""
     camera = Camera(240, 240, fx=300.0, fy=300.0, cx=119.5, cy=119.5)
     T_w_c = FLAT.copy()
     T_w_c[2, 3] = 0.1
@@ -157,9 +157,9 @@ def nominal():
 
 @pytest.fixture(scope="module")
 def crowded():
-    """Poses on the table, their patches between what stands out, which is under the skin's rim."""
+    """Poses on the table, with protruding surroundings under the skin's rim."""
     drawn = [(0, 0, 0, 0, 0.0), (2e-4, -2e-4, 0, 0, np.pi / 2), (-2e-4, 0, 0.01, 0, np.pi), (0, 2e-4, 0, -0.01, 0.02)]
-    return np.stack([pose(each) for each in drawn])
+    return np.stack([pose(place) for place in drawn])
 
 
 @pytest.mark.full
@@ -174,7 +174,7 @@ def test_a_touch_alone_is_the_same_as_in_a_batch(nominal, crowded, name):
 
 @partial(jax.jit, static_argnames="cfg")
 def pressed(thing, poses, cfg):
-    """Newtons on cells of 1 mm, of presses with 1 N."""
+    """Compute the force (N) on cells of 1 mm of presses with 1 N."""
 
     def one(T):
         z = render_heights(thing, inverse(T), PAD_WINDOW, cfg.grid.cells)
@@ -186,17 +186,17 @@ def pressed(thing, poses, cfg):
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_the_pressure_is_that_of_a_press_at_the_same_pose(nominal, crowded):
-    """What stands out under the skin is met first, as in the simulation: it carries the load."""
-    cfg, one = replace(nominal.pressure, smooth=False, tilt=0.0), np.ones(len(crowded), np.float32)
+    """Protruding surroundings under the skin are met first and carry the load, as in the simulation."""
+    cfg, newton = replace(nominal.pressure, smooth=False, tilt=0.0), np.ones(len(crowded), np.float32)
     for name in HIGH:
         seen = nominal.render_touches(THINGS[name], crowded)
-        found = np.asarray(predict_pressures(cfg, seen.view, one, np.nan * one).pressure)
+        predicted = np.asarray(predict_pressures(cfg, seen.view, newton, np.nan * newton).pressure)
         true = np.asarray(pressed(THINGS[name], jnp.asarray(crowded), cfg))
-        shared = np.minimum(found, true).sum((1, 2)) / true.sum((1, 2))
+        shared = np.minimum(predicted, true).sum((1, 2)) / true.sum((1, 2))
         assert (shared > 0.7).all(), f"{name}: only {shared.min():.0%} of the load lies where the skin is met"
 
 
-def test_each_touch_s_view_is_judged_by_itself_and_what_is_met_first_beside_the_patch_is_said(nominal, crowded):
+def test_views_are_checked_one_by_one_and_protruding_surroundings_are_reported(nominal, crowded):
     patches = np.zeros((5, PATCH_PIXELS, PATCH_PIXELS), np.float32)
     views = np.zeros((5, WIDE_PIXELS, WIDE_PIXELS), np.float32)
     views[3, 20:] = 3e-3

@@ -26,13 +26,13 @@ OFFSET = np.array([1.4, -0.9, 0.6, -0.06, 0.08, 0.05]) * 1e-3
 
 
 def measured(rng, true: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Linear measurements of a twist in standard deviations, some directions of which they hardly show."""
+    """Measure a twist linearly, in standard deviations; some of its directions hardly have an effect."""
     design = rng.normal(size=(rows, 6)) * [3, 3, 1, 1, 0.1, 5]
     return design, design @ true + rng.normal(size=rows)
 
 
 def estimate_of(design: np.ndarray, value: np.ndarray) -> SessionEstimate:
-    """What one session says with the prior: a ridge regression."""
+    """Estimate a twist from a session and the prior by ridge regression."""
     covariance = np.linalg.inv(np.eye(6) + design.T @ design)
     twist = covariance @ design.T @ value
     both = np.zeros((12, 12))
@@ -43,35 +43,35 @@ def estimate_of(design: np.ndarray, value: np.ndarray) -> SessionEstimate:
 def test_pooled_sessions_are_one_ridge_regression_on_all_of_them():
     rng = np.random.default_rng(0)
     parts = [measured(rng, OFFSET / STD, rows) for rows in (4, 9, 30, 12)]
-    found = pool_hand_eye([estimate_of(*part) for part in parts])
-    design, value = (np.concatenate(each) for each in zip(*parts, strict=True))
+    pooled = pool_hand_eye([estimate_of(*part) for part in parts])
+    design, value = (np.concatenate(part) for part in zip(*parts, strict=True))
     information = np.eye(6) + design.T @ design
     expected = np.linalg.solve(information, design.T @ value)
-    np.testing.assert_allclose(to_twist(found.T_t_camera) / STD, expected, atol=1e-4)
-    assert found.sessions == 4
-    widened = max(1.0, found.disagreement) ** 2
-    np.testing.assert_allclose(found.covariance / np.outer(STD, STD), np.linalg.inv(information) * widened, rtol=1e-3)
+    np.testing.assert_allclose(to_twist(pooled.T_t_camera) / STD, expected, atol=1e-4)
+    assert pooled.sessions == 4
+    widened = max(1.0, pooled.disagreement) ** 2
+    np.testing.assert_allclose(pooled.covariance / np.outer(STD, STD), np.linalg.inv(information) * widened, rtol=1e-3)
 
 
-def test_twists_lie_in_their_ranges_and_sessions_agree_but_where_the_camera_was_moved():
+def test_intervals_cover_the_truth_and_a_moved_camera_makes_sessions_disagree():
     rng, standard, disagreements = np.random.default_rng(1), [], []
     for _ in range(200):
         true = rng.normal(size=6)
-        found = pool_hand_eye([estimate_of(*measured(rng, true, 12)) for _ in range(5)])
-        error = to_twist(found.T_t_camera) - STD * true
-        standard.append(error / np.sqrt(np.diag(found.covariance)))
-        disagreements.append(found.disagreement)
+        pooled = pool_hand_eye([estimate_of(*measured(rng, true, 12)) for _ in range(5)])
+        error = to_twist(pooled.T_t_camera) - STD * true
+        standard.append(error / np.sqrt(np.diag(pooled.covariance)))
+        disagreements.append(pooled.disagreement)
     assert 0.94 < np.mean(np.abs(standard) < 1.96) < 0.985  # never narrowed, at times widened by chance
     assert 0.9 < np.median(disagreements) < 1.1
     moved = pool_hand_eye([estimate_of(*measured(rng, rng.normal(size=6), 12)) for _ in range(5)])
     assert moved.disagreement > 4
-    with pytest.raises(ValueError, match="there is none"):
+    with pytest.raises(ValueError, match="the list is empty"):
         pool_hand_eye([])
 
 
 @pytest.mark.parametrize("looked_from", [(0.0, 0.0, 0.0), (0.01, -0.02, -0.06)])
 def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
-    """A camera that is 1.8 mm aside and turned by half a degree; outside of silhouettes only the noise is left."""
+    """The camera is displaced by 1.8 mm and turned by half a degree. Outside of silhouettes only noise remains."""
     back = np.eye(4)
     back[:3, 3] = looked_from
     offset = np.asarray(from_twist(jnp.float32(OFFSET)), float)
@@ -96,7 +96,7 @@ def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
     assert corrected.patch.max() <= np.float32(REACH)
 
 
-def test_cropped_views_stay_cropped_and_views_of_nothing_stay_as_they_were():
+def test_cropped_views_stay_cropped_and_empty_views_stay_unchanged():
     offset = np.asarray(from_twist(jnp.float32(OFFSET)), float)
     touches = embree_touches(MESHES[0], SURFACES["hexagon"], np.eye(4), offset)
     wide, nearest = np.array(touches.wide), np.array(touches.nearest)
@@ -105,12 +105,12 @@ def test_cropped_views_stay_cropped_and_views_of_nothing_stay_as_they_were():
     wide[:, cropped] = np.nan
     nearest[3] = np.inf
     dataset = Dataset.simulated(touches._replace(wide=wide, nearest=nearest), ("hexagon",), i2t.nominal_pad())
-    found = with_hand_eye(dataset, offset).touches
-    assert np.isfinite(found.patch).all()
-    assert (np.isnan(found.wide) == np.isnan(wide)).all()
-    np.testing.assert_array_equal(found.patch[3], touches.patch[3])
-    assert np.isposinf(found.nearest[3])
-    assert (np.abs(found.patch - touches.patch).mean((1, 2)) > 0).sum() == len(nearest) - 1
+    corrected = with_hand_eye(dataset, offset).touches
+    assert np.isfinite(corrected.patch).all()
+    assert (np.isnan(corrected.wide) == np.isnan(wide)).all()
+    np.testing.assert_array_equal(corrected.patch[3], touches.patch[3])
+    assert np.isposinf(corrected.nearest[3])
+    assert (np.abs(corrected.patch - touches.patch).mean((1, 2)) > 0).sum() == len(nearest) - 1
 
 
 @pytest.mark.full

@@ -16,7 +16,7 @@ def squares(residual, parameters: int, size: int) -> LeastSquares:
             linearised[1].T @ linearised[1],
             linearised[1].T @ linearised[0],
         ),
-        unseen=(jnp.full(size, 1e6), jnp.zeros((size, parameters))),
+        placeholder=(jnp.full(size, 1e6), jnp.zeros((size, parameters))),
     )
 
 
@@ -27,12 +27,12 @@ def test_the_valley_of_rosenbrock_ends_at_its_minimum():
     np.testing.assert_allclose(x, [1, 1], atol=1e-5)
 
 
-def test_marquardts_damping_knows_no_units():
+def test_marquardts_damping_is_independent_of_units():
     """In other units the same steps are taken."""
     a, b = np.random.default_rng(0).normal(size=(8, 3)), np.random.default_rng(1).normal(size=8)
     units = np.array([1.0, 64.0, 1 / 1024])  # powers of two, which round nothing
-    one, other = (
+    solution, scaled = (
         levenberg_marquardt(squares(lambda x, u=u: (a * u) @ x - b, 3, 8), jnp.zeros(3), jnp.ones(3))[0]
         for u in (np.ones(3), units)
     )
-    np.testing.assert_allclose(other * units, one, rtol=1e-5)
+    np.testing.assert_allclose(scaled * units, solution, rtol=1e-5)

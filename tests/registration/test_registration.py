@@ -60,22 +60,22 @@ def draw(keys, surface: Surface):
 
 
 def runs(surface: Surface, seed: int, count: int = RUNS):
-    """True poses and what was registered."""
+    """Draw true poses and register them."""
     true, contacts, hit = draw(jax.random.split(jax.random.key(seed), RUNS), surface)
     keys = jax.random.split(jax.random.key(seed + 100), RUNS)
-    found = [register(keys[i], surface, jnp.eye(4), contacts[i], hit[i]) for i in range(count)]
-    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+    estimates = [register(keys[i], surface, jnp.eye(4), contacts[i], hit[i]) for i in range(count)]
+    return np.asarray(true)[:count], jax.tree.map(lambda *leaves: np.stack(leaves), *estimates)
 
 
 def once(contacts, touched):
     """One run on the hexagon."""
-    found = register(jax.random.key(1), SURFACES[0], jnp.eye(4), jnp.asarray(contacts), jnp.asarray(touched))
-    return jax.tree.map(np.asarray, found)
+    estimate = register(jax.random.key(1), SURFACES[0], jnp.eye(4), jnp.asarray(contacts), jnp.asarray(touched))
+    return jax.tree.map(np.asarray, estimate)
 
 
-def errors(found, true) -> np.ndarray:
+def errors(estimated, true) -> np.ndarray:
     """Twists from the true to the found pose; their first order is enough for what is left of a degree."""
-    return to_twist(np.linalg.inv(np.asarray(true, float)) @ np.asarray(found, float))
+    return to_twist(np.linalg.inv(np.asarray(true, float)) @ np.asarray(estimated, float))
 
 
 @pytest.mark.full
@@ -98,17 +98,17 @@ def test_corners_on_a_plane():
         rows.append([*normal, *(np.cross(point, normal) / TWIST_LEVER_M)])
     a = np.array(rows)
     precision = np.diag(SPREAD**-2.0) + (STUDENT_T_DOF + 1) / STUDENT_T_DOF * a.T @ a / NOISE**2
-    found = once(np.float32(poses), np.ones(TOUCHES, bool))
+    estimate = once(np.float32(poses), np.ones(TOUCHES, bool))
     root = np.linalg.cholesky(precision)
-    values = np.linalg.eigvalsh(root.T @ found.covariance.astype(float) @ root)
+    values = np.linalg.eigvalsh(root.T @ estimate.covariance.astype(float) @ root)
     # Ten factors (1 + r^2 / 4)^-2.5 have a variance 50 / 47 of what their curvature says, if all are of one kind; 3 of
     # them share each direction here, which gives up to 15 / 12. From 256 draws it is known to 9 %.
     noise = math.sqrt(2 / 256)
     assert values.min() > 1 - 2 * noise
     assert values.max() < 15 / 12 * (1 + 2 * noise)
-    error = errors(found.T_w_o[None], np.eye(4)[None])[0]
+    error = errors(estimate.T_w_o[None], np.eye(4)[None])[0]
     assert np.abs(root.T @ error).max() < 3 / math.sqrt(256)
-    np.testing.assert_allclose(found.residual, 0, atol=1e-6)
+    np.testing.assert_allclose(estimate.residual, 0, atol=1e-6)
 
 
 @pytest.mark.full
@@ -117,15 +117,16 @@ def test_covariance_is_calibrated(which):
     """Squared errors in units of the covariance are chi square of six degrees: over 12 runs their mean is 6 within
     sqrt(12 / 12) = 1, taken four times. A spanner's edges make posteriors that are not normal.
     """
-    true, found = runs(SURFACES[which], 3)
-    error = errors(found.T_w_o, true)
-    covariance = np.asarray(found.covariance, float)
+    true, estimates = runs(SURFACES[which], 3)
+    error = errors(estimates.T_w_o, true)
+    covariance = np.asarray(estimates.covariance, float)
     squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
     assert abs(squared.mean() - 6) < 4 * math.sqrt(12 / RUNS)
     predicted = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2).mean(0)) / SPREAD
     left = np.sqrt((error**2).mean(0)) / SPREAD
-    # Ten touches know the height to 0.1 mm / sqrt(10), and tilts to that over their spread, 10 mm on the hexagon and
-    # lengthwise on the spanner; what meets first is off the middle, which mixes the two: two and a half times as much.
+    # Ten touches determine the height to 0.1 mm / sqrt(10), and tilts to that over their spread, 10 mm on the hexagon
+    # and lengthwise on the spanner; what meets first is off the middle, which mixes the two: two and a half times as
+    # much.
     predicted, left = (part[2:5] if which == 0 else part[[2, 4]] for part in (predicted, left))
     assert predicted[0] < 2.5 * NOISE / math.sqrt(TOUCHES) / DISTANCE
     assert (predicted[1:] < 2.5 * NOISE / math.sqrt(TOUCHES) / 10e-3 / ANGLE).all()
@@ -133,21 +134,21 @@ def test_covariance_is_calibrated(which):
 
 
 @pytest.mark.full
-def test_what_is_symmetric_stays_at_the_prior():
-    """Touched on its top, a prism tells height and tilts; a cylinder nowhere tells its spin."""
-    _, found = runs(SURFACES[1], 5, 4)
-    spin = np.sqrt(np.asarray(found.covariance)[:, 5, 5]) / SPREAD[5]
+def test_symmetric_directions_keep_the_prior():
+    """Touches on the top of a prism determine height and tilts, but no touch determines the spin of a cylinder."""
+    _, estimates = runs(SURFACES[1], 5, 4)
+    spin = np.sqrt(np.asarray(estimates.covariance)[:, 5, 5]) / SPREAD[5]
     np.testing.assert_allclose(spin, 1, atol=0.02)  # its 71 sides are flat to 60 um
-    assert np.abs(errors(found.T_w_o, np.tile(np.eye(4), (4, 1, 1)))[:, 5]).max() < 0.2 * SPREAD[5]
+    assert np.abs(errors(estimates.T_w_o, np.tile(np.eye(4), (4, 1, 1)))[:, 5]).max() < 0.2 * SPREAD[5]
 
 
 @pytest.mark.full
-def test_air_tells_nothing():
+def test_touches_in_air_keep_the_prior():
     """With no touch left the answer is the prior, whatever the poses hold."""
     nowhere = jnp.full((TOUCHES, 4, 4), jnp.nan, jnp.float32)
-    found = once(nowhere, jnp.zeros(TOUCHES, bool))
-    np.testing.assert_allclose(found.T_w_o, np.eye(4), atol=1e-7)
-    np.testing.assert_allclose(found.covariance, np.diag(SPREAD**2), rtol=1e-4, atol=1e-11)
+    estimate = once(nowhere, jnp.zeros(TOUCHES, bool))
+    np.testing.assert_allclose(estimate.T_w_o, np.eye(4), atol=1e-7)
+    np.testing.assert_allclose(estimate.covariance, np.diag(SPREAD**2), rtol=1e-4, atol=1e-11)
     contacts = draw(jax.random.split(jax.random.key(0), RUNS), SURFACES[0])[1][0]
     some = jnp.arange(TOUCHES) < 6
     kept = once(contacts, some)
@@ -168,7 +169,7 @@ def test_a_wrong_touch_does_not_pull():
     assert (np.abs(apart) < 0.2 * np.sqrt(np.diagonal(without.covariance))).all()
 
 
-def test_faces_that_fill_up_a_surface_are_no_candidates():
+def test_padding_faces_are_not_candidates():
     """Rounding may give a face of three equal corners an area, and such a face was met wherever it was put."""
     surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
     assert len(surface.triangles) > 12
@@ -181,10 +182,10 @@ def test_another_edge_of_the_skin_compiles_nothing():
     surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
     T_w_contact = np.diag([1.0, -1.0, -1.0, 1.0])[None] + np.eye(4)[3] * [[0.0], [0.0], [0.021], [0.0]]
     config = touch.TouchRegistrationConfig(num_starts=1, annealing_steps=2, steps=1, draws=16, rounds=1)
-    told = surface, np.eye(4), T_w_contact, np.ones(1)
-    register_by_touch(jax.random.key(0), *told, **prior, config=config)
+    arguments = surface, np.eye(4), T_w_contact, np.ones(1)
+    register_by_touch(jax.random.key(0), *arguments, **prior, config=config)
     with compilations() as compiled:
-        register_by_touch(jax.random.key(0), *told, **prior, config=replace(config, half_edge=5e-3))
+        register_by_touch(jax.random.key(0), *arguments, **prior, config=replace(config, half_edge=5e-3))
     assert compiled == []
 
 
@@ -252,20 +253,20 @@ def off(rng: np.random.Generator, distance: float = 7e-3, degrees: float = 5.0) 
 
 @pytest.mark.parametrize(("name", "at"), [("hexagon", 0.0), ("hammer", 0.06), ("dome", 0.0)])
 def test_depth_finds_the_pose(name, at):
-    """About a thousand points of 1 mm know a face to 0.03 mm; what they see least of, a side in few rows, to ten times
-    that. A dome does not tell how it is turned, and its facets, flat to 60 um, must not say much.
+    """About a thousand points with 1 mm noise determine a face to 0.03 mm, and a side that covers few rows to ten times
+    that. A dome does not show its spin, and its facets, which are flat to 60 um, must have little effect.
     """
     rng, mesh = np.random.default_rng(1), make_object(name).mesh
     squared = []
     for degrees in (25, 35, 45, 55):
         T_w_c = look_at(np.array([at, 0, 15e-3]), degrees)
-        found = register_by_depth(mesh, off(rng), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c)
-        error = errors(found.T_w_o[None], np.eye(4)[None])[0]
+        estimate = register_by_depth(mesh, off(rng), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c)
+        error = errors(estimate.T_w_o[None], np.eye(4)[None])[0]
         assert np.linalg.norm(error[:3]) < 1e-3
         if name != "dome":
             assert np.linalg.norm(error[3:]) < math.radians(1) * TWIST_LEVER_M
-        squared.append(error @ np.linalg.solve(np.asarray(found.covariance, float), error))
-        assert np.median(np.abs(found.residual)) < 1e-3
+        squared.append(error @ np.linalg.solve(np.asarray(estimate.covariance, float), error))
+        assert np.median(np.abs(estimate.residual)) < 1e-3
     if name != "dome":
         # Chi square of six degrees: the mean of four is 6 within sqrt(12 / 4); edges, where a point may belong to the
         # other face, add as much again.
@@ -273,22 +274,22 @@ def test_depth_finds_the_pose(name, at):
 
 
 def test_covariance_from_depth_includes_the_prior():
-    """Nothing is known less well than before: not how a dome is turned, and not a place that was known to 1 um, of
-    which a thousand points of 1 mm tell nothing.
+    """No direction becomes less certain: neither the spin of a dome, nor a position that was certain to 1 um, to which
+    a thousand points with 1 mm noise add nothing.
     """
     rng, mesh = np.random.default_rng(5), make_object("dome").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 35)
     std, angle = 1e-6, 0.02
-    found = register_by_depth(
+    estimate = register_by_depth(
         mesh, np.eye(4), noisy_image(mesh, T_w_c, rng), CAMERA, T_w_c, translation_std=std, rotation_std=angle
     )
-    predicted = np.sqrt(np.diagonal(np.asarray(found.covariance, float)))
+    predicted = np.sqrt(np.diagonal(np.asarray(estimate.covariance, float)))
     np.testing.assert_allclose(predicted[:3], std, rtol=1e-2)
     assert (predicted[3:] < angle * TWIST_LEVER_M * (1 + 1e-6)).all()
     assert predicted[5] > 0.5 * angle * TWIST_LEVER_M
 
 
-def test_an_object_is_as_far_off_as_its_camera():
+def test_errors_of_the_camera_move_the_object():
     rng = np.random.default_rng(0)
     distance, angle, count = 1e-3, math.radians(0.5), 20_000
     T_c_o = np.eye(4)
@@ -298,9 +299,9 @@ def test_an_object_is_as_far_off_as_its_camera():
     moved[:, :3, :3] = Rotation.from_rotvec(angle * rng.normal(size=(count, 3))).as_matrix()
     twists = to_twist(np.linalg.inv(T_c_o) @ moved @ T_c_o)
     before = np.diag(np.arange(1.0, 7.0)) * 1e-7
-    found = camera_covariance(before, T_c_o, distance, angle)
-    scale = np.sqrt(np.diagonal(found))
-    np.testing.assert_allclose((before + np.cov(twists.T) - found) / np.outer(scale, scale), 0, atol=0.05)
+    predicted = camera_covariance(before, T_c_o, distance, angle)
+    scale = np.sqrt(np.diagonal(predicted))
+    np.testing.assert_allclose((before + np.cov(twists.T) - predicted) / np.outer(scale, scale), 0, atol=0.05)
     np.testing.assert_array_equal(camera_covariance(before, T_c_o, 0.0, 0.0), before)
 
 
@@ -314,7 +315,7 @@ def test_what_cannot_be_registered_is_refused():
     small = mesh._replace(vertices=0.3 * mesh.vertices)
     for given, word in (
         ((mesh, far, depth, CAMERA, T_w_c), "points lie within"),
-        ((small, lifted, depth, CAMERA, T_w_c), "near the object fit its surface within 3 mm, of 30 % needed"),
+        ((small, lifted, depth, CAMERA, T_w_c), "near the object fit its surface within 3 mm, but 30 % are needed"),
         ((mesh, far, depth, CAMERA, 2 * T_w_c), "T_w_c: is not a rigid"),
         ((mesh, far, depth[:-1], CAMERA, T_w_c), "has the shape"),
     ):
@@ -324,9 +325,9 @@ def test_what_cannot_be_registered_is_refused():
         register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), jnp.zeros((0, 4, 4)), jnp.zeros(0), **prior)
     poses, unknown = np.tile(np.eye(4), (3, 1, 1)), np.full((4, 4), np.nan)
     poses[1] = np.nan
-    with pytest.raises(ValueError, match="1 touches have a pose or a weight that is not finite, the first in row 1"):
+    with pytest.raises(ValueError, match="1 touches have a non-finite pose or weight, the first in row 1"):
         register_by_touch(jax.random.key(0), SURFACES[0], jnp.eye(4), poses, np.ones(3), **prior)
-    with pytest.raises(ValueError, match="T_w_o has numbers that are not finite"):
+    with pytest.raises(ValueError, match="T_w_o has non-finite numbers"):
         register_by_touch(jax.random.key(0), SURFACES[0], unknown, poses, np.array([1.0, 0.0, 1.0]), **prior)
 
 
@@ -342,7 +343,7 @@ def test_depth_of_a_real_camera(shared_data):
         mesh = read_mesh(shared_data / "ycb_meshes" / f"{item.name}.stl", "m", table=False)[0].mesh
         camera, depths, _, T_c_o = frames(shared_data / "ycbvideo", item)
         for depth, T in zip(depths[::2], T_c_o[::2], strict=True):
-            found = register_by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table_height=None)
-            error = errors(found.T_w_o[None], T[None])[0]
+            estimate = register_by_depth(mesh, T @ off(rng), depth, camera, np.eye(4), table_height=None)
+            error = errors(estimate.T_w_o[None], T[None])[0]
             assert np.linalg.norm(error[:3]) < 2e-3
             assert np.linalg.norm(error[3:]) < math.radians(2) * TWIST_LEVER_M

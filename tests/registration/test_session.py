@@ -58,39 +58,39 @@ def embree_touches(mesh, surface, T_w_o: np.ndarray, T_t_camera: np.ndarray, n: 
     return Touches(*seen, np.zeros((n, 15)), force, depth, np.float32(T_w_t), still, none, none, none, code)
 
 
-def twist_between(true: np.ndarray, found: np.ndarray) -> np.ndarray:
-    return to_twist(np.linalg.inv(np.asarray(found, float)) @ np.asarray(true, float))
+def twist_between(true: np.ndarray, estimated: np.ndarray) -> np.ndarray:
+    return to_twist(np.linalg.inv(np.asarray(estimated, float)) @ np.asarray(true, float))
 
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
-def test_views_of_embree_and_contacts_tell_where_object_and_camera_are(name):
+def test_object_and_camera_are_located_by_embree_views_and_contacts(name):
     """Both are off by a millimetre and more along each axis, and by a degree about some."""
     placed, camera = (np.asarray(from_twist(jnp.float32(twist)), float) for twist in APART)
     touches = embree_touches(MESHES[NAMES.index(name)], SURFACES[name], placed, camera)
-    found = register_session(touches, SURFACES[name], config=CONFIG)
-    error = np.concatenate([twist_between(placed, found.T_w_o), twist_between(camera, found.T_t_camera)])
-    assert np.abs(error / np.sqrt(np.diag(found.covariance))).max() < 4
+    estimate = register_session(touches, SURFACES[name], config=CONFIG)
+    error = np.concatenate([twist_between(placed, estimate.T_w_o), twist_between(camera, estimate.T_t_camera)])
+    assert np.abs(error / np.sqrt(np.diag(estimate.covariance))).max() < 4
     assert np.abs(error[[0, 1, 6, 7]]).max() < 0.08e-3
-    assert np.median(found.view_residual) < 1.5
+    assert np.median(estimate.view_residual) < 1.5
     # The contacts of a wrong mesh and its views agree nowhere.
     other = NAMES[1 - NAMES.index(name)]
     assert np.median(register_session(touches, SURFACES[other], config=CONFIG).view_residual) > 5
 
 
 @pytest.mark.full
-def test_twists_lie_in_their_ranges_as_often_as_these_say():
+def test_intervals_of_session_twists_cover_the_truth():
     """Eight sessions with all errors of a lab, 96 twists; the truth is what the simulator drew."""
     errors, pad = SimulationErrors(), i2t.sample_pad(jax.random.key(0))
     touches = i2t.simulate_touches(jax.random.key(0), list(SURFACES.values()), pad, errors, 4 * 36)
     dataset = Dataset.simulated(touches, NAMES, pad)
     standard = []
     few = SessionRegistrationConfig(num_starts=2)
-    for number, found in register_sessions(dataset, SURFACES, config=few).items():
+    for number, estimate in register_sessions(dataset, SURFACES, config=few).items():
         key = jax.random.split(jax.random.fold_in(jax.random.key(0), number), 4)[0]
         true = sample_session_errors(key, errors)
-        error = [twist_between(true.T_o_placed, found.T_w_o), twist_between(true.T_t_camera, found.T_t_camera)]
-        standard.append(np.concatenate(error) / np.sqrt(np.diag(found.covariance)))
+        error = [twist_between(true.T_o_placed, estimate.T_w_o), twist_between(true.T_t_camera, estimate.T_t_camera)]
+        standard.append(np.concatenate(error) / np.sqrt(np.diag(estimate.covariance)))
         # Sideways, a millimetre before the session is some hundredths after it.
         assert np.abs(np.concatenate(error)[[0, 1, 6, 7]]).max() < 0.15e-3
     inside = np.abs(standard) < 1.96
@@ -135,13 +135,13 @@ def test_noise_is_measured_and_what_cannot_be_registered_is_refused():
         images, np.zeros((2, 72, 72), np.float32), numbers, np.zeros((2, 15)), numbers, numbers, still, still,
         np.zeros(2, int), np.zeros(2, int), np.arange(2), np.full(2, ReturnCode.AIR),
     )  # fmt: skip
-    with pytest.raises(ValueError, match="of 2 sessions"):
+    with pytest.raises(ValueError, match="from 2 sessions"):
         register_session(touches, SURFACES["hammer"])
     with pytest.raises(ValueError, match="none met the object"):
         register_session(touches._replace(session=np.zeros(2, int)), SURFACES["hammer"])
 
 
-def test_views_of_registered_sessions_are_rendered_from_where_the_tool_was():
+def test_views_of_registered_sessions_are_rendered_at_the_estimated_poses():
     """Of two sessions one is registered; the other keeps what the camera saw."""
     n = 3
     pose = np.asarray(i2t.contact_pose(MESHES[0], np.array([0.0, 0.0, 0.03])), np.float32)
@@ -154,19 +154,19 @@ def test_views_of_registered_sessions_are_rendered_from_where_the_tool_was():
     )  # fmt: skip
     pad = i2t.nominal_pad()
     dataset = Dataset.simulated(touches, ("hexagon",), pad)
-    found = SessionEstimate(from_twist(jnp.float32(APART[0])), jnp.eye(4), jnp.eye(12), numbers[:n], numbers[:n])
-    after = with_registered_views(dataset, SURFACES, {1: found}).touches
+    estimate = SessionEstimate(from_twist(jnp.float32(APART[0])), jnp.eye(4), jnp.eye(12), numbers[:n], numbers[:n])
+    after = with_registered_views(dataset, SURFACES, {1: estimate}).touches
     np.testing.assert_array_equal(after.wide[:n], 0)
     for row in range(n, 2 * n):
-        expected = render_view(SURFACES["hexagon"], inverse(found.T_w_o) @ T_w_t[row])
+        expected = render_view(SURFACES["hexagon"], inverse(estimate.T_w_o) @ T_w_t[row])
         np.testing.assert_allclose(after.wide[row], expected.wide, atol=1e-6)
         np.testing.assert_allclose(after.patch[row], expected.patch.depth, atol=1e-6)
         assert after.nearest[row] == pytest.approx(float(expected.patch.nearest), abs=1e-6)
-        np.testing.assert_array_equal(after.T_w_o[row], found.T_w_o)
+        np.testing.assert_array_equal(after.T_w_o[row], estimate.T_w_o)
 
 
 @pytest.mark.full
-def test_a_collection_says_where_object_and_camera_are():
+def test_a_collection_reports_the_errors_of_object_and_camera():
     """The camera is off in tool axes at the pose from which it looks, so that what it turns by moves its views too."""
     rig, hammer = read_rig(LabArgs(), real=False), MESHES[1]
     placed, camera = (np.asarray(from_twist(jnp.float32(twist)), float) for twist in APART)
@@ -174,13 +174,13 @@ def test_a_collection_says_where_object_and_camera_are():
     back[:3, 3] = -(rig.looking_distance * rig.T_tool_camera[:3, 2] + rig.T_tool_camera[:3, 3])
     touches = embree_touches(hammer, SURFACES["hammer"], placed, back @ camera @ np.linalg.inv(back))
     dataset = Dataset.simulated(touches, ("hammer",), i2t.nominal_pad())
-    said = where_all_stood(dataset, hammer, 0, rig)
-    numbers = [float(part) for pair in re.findall(r"([\d.]+) mm and ([\d.]+) degrees \(", said) for part in pair]
+    report = where_all_stood(dataset, hammer, 0, rig)
+    numbers = [float(part) for pair in re.findall(r"([\d.]+) mm and ([\d.]+) degrees \(", report) for part in pair]
     expected = [
         value
         for motion in (placed, camera)
         for value in (1e3 * np.linalg.norm(motion[:3, 3]), np.degrees(Rotation.from_matrix(motion[:3, :3]).magnitude()))
     ]
     np.testing.assert_allclose(numbers, expected, atol=0.2)
-    assert said.endswith("calibrate the rig again (docs/hardware.md)")
+    assert report.endswith("calibrate the rig again (docs/hardware.md)")
     assert "11 touches" in where_all_stood(dataset.select(slice(11)), hammer, 0, rig)

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from i2t.geometry import so3_exp, transform
 from i2t.objects.catalogue import make_object
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
-from i2t.rendering.bvh import DENSE_CLUSTER_FACES, layout_clusters
+from i2t.rendering.bvh import CLUSTER_SIZES, layout_clusters
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Surface
 
@@ -68,7 +68,7 @@ def test_against_central_differences_by_pose_and_corners():
     """
     things = [make_object(name).mesh for name in THINGS]
     T = np.stack([poses(thing, 2, seed) for seed, thing in enumerate(things)])
-    dense = [layout_clusters(prepare_surface(thing).triangles, DENSE_CLUSTER_FACES, 32) for thing in things]
+    dense = [layout_clusters(prepare_surface(thing).triangles, CLUSTER_SIZES.dense, 32) for thing in things]
     with jax.enable_x64(True):
         surfaces = jax.tree.map(lambda a: jnp.asarray(a, jnp.float64), stack_surfaces(dense))
 

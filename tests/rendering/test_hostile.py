@@ -54,7 +54,7 @@ def test_singular_maps_flatten_the_surface():
 
 
 @pytest.mark.full
-def test_a_corner_that_is_not_a_number_takes_its_face_away():
+def test_a_nan_corner_removes_its_face():
     """`prepare_surface` refuses such meshes; where a surface is moved afterwards, by an optimiser that diverged, its
     broken faces are never met and its whole ones stay as they were.
     """
@@ -78,7 +78,7 @@ def mesh(vertices=CORNERS, faces=FACE) -> SimpleNamespace:
 
 
 @pytest.mark.parametrize(
-    ("thing", "says"),
+    ("thing", "message"),
     [
         (CORNERS, "a ndarray has no vertices and faces"),
         (mesh(np.zeros((0, 3)), np.zeros((0, 3), int)), "no faces"),
@@ -95,13 +95,13 @@ def mesh(vertices=CORNERS, faces=FACE) -> SimpleNamespace:
         (mesh(CORNERS * 101), "lies 101 m out"),
     ],
 )
-def test_hostile_meshes_get_a_sentence(thing, says):
-    with pytest.raises(ValueError, match=says):
+def test_hostile_meshes_get_a_sentence(thing, message):
+    with pytest.raises(ValueError, match=message):
         prepare_surface(thing)
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("given", "message"),
     [
         ({"window": 0.0}, "window: is 0"),
         ({"window": np.nan}, "window: is nan"),
@@ -118,11 +118,11 @@ def test_hostile_meshes_get_a_sentence(thing, says):
         ),
     ],
 )
-def test_sizes_and_shapes_that_mean_nothing_get_a_sentence(given, says):
+def test_invalid_sizes_and_shapes_are_refused(given, message):
     for render in (render_patch, *([render_heights] if given.keys() <= {"window", "pixels", "surface"} else [])):
         unchecked = getattr(render, "__wrapped__", render)  # without the tests' own check of shapes
         place = {"T_o_t" if render is render_patch else "A_t_w": jnp.asarray(LOOK)}
-        with pytest.raises((ValueError, TypeError), match=says) as caught:
+        with pytest.raises((ValueError, TypeError), match=message) as caught:
             unchecked(**{"surface": PYRAMID, **place, **given})
         assert "\n" not in str(caught.value)
 

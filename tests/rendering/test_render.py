@@ -1,6 +1,6 @@
 """The renderer against closed forms, Embree, an exact float64 ray caster, rigid motion and its own batches.
 
-Coordinates here stay below 0.1 m (0.3 m where said), where one step of float32 is 7e-9 m. A corner on its way to the
+Coordinates here stay below 0.1 m (0.3 m where stated), where one step of float32 is 7e-9 m. A corner on its way to the
 tool frame takes about ten roundings, so it is known to NEAR = 1e-7 m, and a height on a surface of slope s to (1 + s)
 NEAR.
 """
@@ -21,8 +21,8 @@ from scipy.spatial.transform import Rotation
 from i2t.objects.catalogue import make_object
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF
 from i2t.rendering.bitset import pack_bits
-from i2t.rendering.bvh import CLUSTERS_PER_GROUP, DENSE_CLUSTER_FACES
-from i2t.rendering.raycast import GROUPS_PER_PASS
+from i2t.rendering.bvh import CLUSTER_SIZES, CLUSTERS_PER_GROUP
+from i2t.rendering.raycast import PASS_SIZES
 from i2t.rendering.render import contact_mask, prepare_surface, render_heights, render_patch, stack_surfaces
 
 NEAR = 1e-7
@@ -161,10 +161,10 @@ def test_dense_meshes_against_embree():
     hooks = trimesh.creation.torus(6e-3, 2e-3, major_sections=120, minor_sections=60)
     hooks.update_faces(np.random.default_rng(6).random(len(hooks.faces)) > 0.1)
     ball = trimesh.creation.icosphere(6, 8e-3)  # 81 920 faces in one window: many passes
-    assert len(prepare_surface(ball).boxes) > GROUPS_PER_PASS
+    assert len(prepare_surface(ball).boxes) > PASS_SIZES.groups
     for thing in (skins, hooks, ball):
         surface = prepare_surface(thing)
-        assert len(surface.triangles) == len(surface.boxes) * CLUSTERS_PER_GROUP * DENSE_CLUSTER_FACES
+        assert len(surface.triangles) == len(surface.boxes) * CLUSTERS_PER_GROUP * CLUSTER_SIZES.dense
     assert_like_embree([skins, hooks, ball], seed=200, count=15)
 
 
@@ -193,7 +193,7 @@ def test_tilted_plane_and_the_axes_of_the_image(cells):
     """
     slope_x, slope_y, offset = 0.3, -0.15, 2e-3
     plane = prepare_surface(sheet(lambda x, y: offset + slope_x * x + slope_y * y, cells, 0.02))
-    dense = len(plane.triangles) == len(plane.boxes) * CLUSTERS_PER_GROUP * DENSE_CLUSTER_FACES
+    dense = len(plane.triangles) == len(plane.boxes) * CLUSTERS_PER_GROUP * CLUSTER_SIZES.dense
     assert dense == (cells == 60)
     views = (PATCH_WINDOW, PATCH_PIXELS, REACH), (0.03, 21, np.inf)
     for window, pixels, reach in views[: 1 if dense else 2]:
@@ -214,9 +214,9 @@ def moved(thing, A: np.ndarray) -> SimpleNamespace:
     return SimpleNamespace(vertices=thing.vertices @ A[:3, :3].T + A[:3, 3], faces=thing.faces)
 
 
-def assert_same(one, other, atol: float) -> None:
-    np.testing.assert_allclose(one.depth, other.depth, rtol=0, atol=atol)
-    np.testing.assert_allclose(one.nearest, other.nearest, rtol=0, atol=atol)
+def assert_same(patch, other, atol: float) -> None:
+    np.testing.assert_allclose(patch.depth, other.depth, rtol=0, atol=atol)
+    np.testing.assert_allclose(patch.nearest, other.nearest, rtol=0, atol=atol)
 
 
 @settings(max_examples=30, deadline=None)

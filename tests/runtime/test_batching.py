@@ -1,4 +1,4 @@
-"""Batches give what a loop gives; calls laid over devices give what one device gives, to the last bit."""
+"""Batches equal a loop; calls distributed over devices equal those on a single device, to the last bit."""
 
 import os
 import subprocess
@@ -25,19 +25,19 @@ def started(words, devices=1):
     return subprocess.Popen([sys.executable, *words], env=environment, text=True, **pipes)
 
 
-def said(process):
+def output_of(process):
     output = process.communicate(timeout=540)[0]
     assert process.returncode == 0, output
     return output
 
 
-def test_with_one_device_calls_are_made_one_after_the_other_when_they_are_asked_for():
-    asked = []
-    calls = (asked.append(i) or (jnp.float32(i),) for i in range(3))
-    made = spread(jax.jit(jnp.multiply), calls, shared=(2.0,))
-    assert float(next(made)) == 0.0
-    assert asked == [0]
-    assert [float(each) for each in made] == [2.0, 4.0]
+def test_a_single_device_makes_calls_in_turn_when_they_are_requested():
+    requested = []
+    calls = (requested.append(i) or (jnp.float32(i),) for i in range(3))
+    results = spread(jax.jit(jnp.multiply), calls, shared=(2.0,))
+    assert float(next(results)) == 0.0
+    assert requested == [0]
+    assert [float(result) for result in results] == [2.0, 4.0]
     assert list(spread(jnp.multiply, [])) == []
     x = jnp.arange(3.0)
     assert spread_rows(lambda x: x, (x,)) is x
@@ -80,27 +80,27 @@ print(jax.device_count(), "devices")
 
 
 def test_over_four_devices_every_call_finds_its_own_arguments():
-    assert said(started(["-c", FOUR], devices=4)) == "4 devices\n"
+    assert output_of(started(["-c", FOUR], devices=4)) == "4 devices\n"
 
 
 @pytest.mark.full
 def test_touches_beliefs_and_networks_are_the_same_on_four_devices(tmp_path):
     work = str(ROOT / "tests" / "helpers" / "bulk_work.py")
-    assert said(started([work, str(tmp_path / "one.npz")])) == "1 devices\n"
-    assert said(started([work, str(tmp_path / "four.npz")], devices=4)) == "4 devices\n"
-    one, four = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("one", "four"))
-    assert len(one) > 60
-    assert set(four) == set(one)
-    for field, value in one.items():
+    assert output_of(started([work, str(tmp_path / "one.npz")])) == "1 devices\n"
+    assert output_of(started([work, str(tmp_path / "four.npz")], devices=4)) == "4 devices\n"
+    single, four = (dict(np.load(tmp_path / f"{name}.npz")) for name in ("one", "four"))
+    assert len(single) > 60
+    assert set(four) == set(single)
+    for field, value in single.items():
         np.testing.assert_array_equal(four[field], value, err_msg=field)
 
 
-def test_calls_at_a_time_keep_their_order_their_precision_and_their_mistakes():
-    asked = []
+def test_calls_in_threads_keep_their_order_precision_and_exceptions():
+    requested = []
 
     def calls():
         for i in range(9):
-            asked.append(i)
+            requested.append(i)
             yield (np.float32(i),)
 
     def work(i, shared):
@@ -110,12 +110,12 @@ def test_calls_at_a_time_keep_their_order_their_precision_and_their_mistakes():
         return i + shared, precision == "highest"
 
     with jax.default_matmul_precision("highest"):
-        made = spread(work, calls(), shared=(10.0,))
-        assert next(made) == (10.0, True)
-        assert asked == [0]  # asked for as they are needed
-        assert [next(made) for _ in range(6)] == [(10.0 + i, True) for i in range(1, 7)]
+        results = spread(work, calls(), shared=(10.0,))
+        assert next(results) == (10.0, True)
+        assert requested == [0]  # requested when they are needed
+        assert [next(results) for _ in range(6)] == [(10.0 + i, True) for i in range(1, 7)]
         with pytest.raises(ValueError, match="the seventh"):
-            next(made)
+            next(results)
 
 
 @pytest.mark.parametrize("n", [1, 11])
@@ -130,7 +130,7 @@ def test_any_number_of_items_gives_what_a_loop_gives(n):
     np.testing.assert_allclose(map_batches(one, items, batch_size=4), expected, rtol=1e-6)
 
 
-def test_a_rest_is_not_traced_again():
+def test_a_smaller_last_batch_is_not_traced_again():
     traced = []
     map_batches(lambda x: traced.append(x.shape) or x, jnp.zeros(11), batch_size=4)
     assert traced == [()]

@@ -1,4 +1,4 @@
-"""What commands compile is kept, in a folder that is bounded and never stands in the way."""
+"""Programs that commands compile are cached, in a folder of bounded size that never causes a failure."""
 
 import os
 import subprocess
@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from i2t.runtime import compile_cache
-from i2t.runtime.compile_cache import JAX_FOLDER, VARIABLE, use_compile_cache
+from i2t.runtime.compile_cache import CACHE_VARIABLE, JAX_CACHE_VARIABLE, use_compile_cache
 
 SETTINGS = (
-    JAX_FOLDER,
+    JAX_CACHE_VARIABLE,
     "JAX_COMPILATION_CACHE_MAX_SIZE",
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
 )
@@ -19,8 +19,8 @@ SETTINGS = (
 
 @pytest.fixture
 def no_settings(monkeypatch):
-    """As a user's shell is, with JAX not yet imported, and what is set taken back."""
-    for name in (VARIABLE, *SETTINGS):
+    """An environment without settings, in which JAX is not imported yet; it is restored after the test."""
+    for name in (CACHE_VARIABLE, *SETTINGS):
         monkeypatch.setenv(name, "")
         monkeypatch.delenv(name)
     monkeypatch.delitem(sys.modules, "jax")
@@ -32,26 +32,26 @@ def test_the_folder_is_in_the_users_cache_and_bounded(no_settings, tmp_path):
     folder = use_compile_cache()
     assert folder is not None
     assert folder.is_relative_to(tmp_path / "i2t")
-    assert os.environ[JAX_FOLDER] == str(folder)
+    assert os.environ[JAX_CACHE_VARIABLE] == str(folder)
     assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_CACHE_BYTES
 
 
-def test_it_can_be_switched_off_and_who_set_jax_himself_is_left_alone(no_settings, tmp_path):
+def test_it_can_be_disabled_and_respects_settings_of_jax(no_settings, tmp_path):
     no_settings.setenv("XDG_CACHE_HOME", str(tmp_path))
-    no_settings.setenv(VARIABLE, "OFF")
+    no_settings.setenv(CACHE_VARIABLE, "OFF")
     assert use_compile_cache() is None
-    assert JAX_FOLDER not in os.environ
+    assert JAX_CACHE_VARIABLE not in os.environ
     assert not list(tmp_path.iterdir())
-    no_settings.delenv(VARIABLE)
-    no_settings.setenv(JAX_FOLDER, str(tmp_path / "mine"))
+    no_settings.delenv(CACHE_VARIABLE)
+    no_settings.setenv(JAX_CACHE_VARIABLE, str(tmp_path / "mine"))
     assert use_compile_cache() is None
-    assert os.environ[JAX_FOLDER] == str(tmp_path / "mine")
+    assert os.environ[JAX_CACHE_VARIABLE] == str(tmp_path / "mine")
 
 
 def test_another_machine_has_a_folder_of_its_own(no_settings, tmp_path):
-    no_settings.setenv(VARIABLE, str(tmp_path))
+    no_settings.setenv(CACHE_VARIABLE, str(tmp_path))
     here = use_compile_cache()
-    no_settings.delenv(JAX_FOLDER)
+    no_settings.delenv(JAX_CACHE_VARIABLE)
     no_settings.setattr(compile_cache.platform, "processor", lambda: "another")
     assert use_compile_cache() not in (here, None)
 
@@ -60,12 +60,12 @@ def test_another_machine_has_a_folder_of_its_own(no_settings, tmp_path):
 def test_a_folder_that_cannot_be_made_costs_one_line_at_most(no_settings, tmp_path, capsys, asked):
     """A file where the folder should be is refused to every user, to root as well."""
     (tmp_path / "file").write_text("")
-    no_settings.setenv(VARIABLE if asked else "XDG_CACHE_HOME", str(tmp_path / "file"))
+    no_settings.setenv(CACHE_VARIABLE if asked else "XDG_CACHE_HOME", str(tmp_path / "file"))
     assert use_compile_cache() is None
-    assert JAX_FOLDER not in os.environ
-    said = capsys.readouterr().err
-    assert said.count("\n") == asked
-    assert not asked or VARIABLE in said
+    assert JAX_CACHE_VARIABLE not in os.environ
+    warnings = capsys.readouterr().err
+    assert warnings.count("\n") == asked
+    assert not asked or CACHE_VARIABLE in warnings
 
 
 PROGRAM = """
@@ -83,7 +83,7 @@ sys.exit(exit_code_of(work))
 def _run(folder: Path, spoil: str = "") -> subprocess.CompletedProcess:
     environment = {name: value for name, value in os.environ.items() if not name.startswith("JAX_")}
     command = [sys.executable, "-W", "always", "-c", PROGRAM.format(spoil=spoil or "pass")]
-    return subprocess.run(command, env=environment | {VARIABLE: str(folder)}, capture_output=True, text=True)
+    return subprocess.run(command, env=environment | {CACHE_VARIABLE: str(folder)}, capture_output=True, text=True)
 
 
 def _kept(folder: Path) -> list[str]:
@@ -102,12 +102,12 @@ def test_a_second_process_finds_what_the_first_compiled(tmp_path):
 
 
 @pytest.mark.full
-def test_a_disk_that_fills_up_later_is_not_spoken_of(tmp_path):
+def test_a_disk_that_fills_up_later_causes_no_warning(tmp_path):
     """The folder is gone and cannot be made again once JAX writes into it."""
     spoil = (
         "import os, shutil, pathlib; f = pathlib.Path(os.environ['JAX_COMPILATION_CACHE_DIR']); "
         "jax.jit(lambda x: x + 1)(1.0); shutil.rmtree(f); f.write_text('')"
     )
-    found = _run(tmp_path, spoil)
-    assert found.returncode == 0, found.stderr
-    assert "cache" not in found.stderr
+    process = _run(tmp_path, spoil)
+    assert process.returncode == 0, process.stderr
+    assert "cache" not in process.stderr

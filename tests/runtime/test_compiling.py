@@ -1,4 +1,4 @@
-"""A program that compiles quickly gives what any does, wherever it is called; a configuration's floats are traced."""
+"""Quickly compiled programs give the usual results everywhere, and floats of configurations are traced."""
 
 from dataclasses import dataclass, field, replace
 
@@ -20,18 +20,18 @@ QUICK = jit_quickly(curve, static_argnames="power")
 X = jnp.linspace(0.0, 1.0, 50)
 
 
-def test_alone_inside_of_another_program_and_in_a_batch_it_is_the_function() -> None:
+def test_quick_programs_equal_the_function_alone_nested_and_batched() -> None:
     np.testing.assert_allclose(QUICK(X, power=2), curve(X, 2), rtol=1e-6)
     np.testing.assert_allclose(jax.jit(lambda x: 2 * QUICK(x, power=2))(X), 2 * curve(X, 2), rtol=1e-6)
-    known = jax.jit(lambda x: x + QUICK(np.asarray(X), power=2))  # of arguments that are numbers
-    np.testing.assert_allclose(known(X), X + curve(X, 2), rtol=1e-6)
+    of_constant = jax.jit(lambda x: x + QUICK(np.asarray(X), power=2))  # of arguments that are numbers
+    np.testing.assert_allclose(of_constant(X), X + curve(X, 2), rtol=1e-6)
     np.testing.assert_allclose(jax.vmap(lambda x: QUICK(x, power=2))(X[None]), curve(X, 2)[None], rtol=1e-6)
     slope = jax.grad(lambda x: QUICK(x, power=2)[-1])(X)
     np.testing.assert_allclose(slope, 2 * curve(X, 1)[-1] * jnp.cos(X), rtol=1e-5)
 
 
 def test_a_compiler_without_the_options_compiles_as_usual(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(compiling.QUICKLY, "xla_of_another_version", True)
+    monkeypatch.setitem(compiling.QUICK_OPTIONS, "xla_of_another_version", True)
     compiling._options.cache_clear()
     assert compiling._options() is None
     np.testing.assert_allclose(jit_quickly(curve, static_argnames="power")(X, power=3), curve(X, 3), rtol=1e-6)
@@ -64,7 +64,7 @@ def draw(drawing: Drawing) -> jax.Array:
     return jnp.tile(line.slope * x + drawing.offset, line.copies)
 
 
-def test_other_floats_of_a_configuration_run_the_same_program_and_what_is_static_another() -> None:
+def test_floats_of_a_configuration_are_traced_and_other_fields_static() -> None:
     np.testing.assert_array_equal(draw(Drawing()), [0.5, 4.5, 8.5])
     with compilations() as compiled:
         other = draw(Drawing(Line(-1.0), 1e-3))

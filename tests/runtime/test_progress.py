@@ -1,4 +1,4 @@
-"""Progress: a bar on a terminal, a line now and then in a log, and one helper for both."""
+"""Progress is a bar on a terminal and an occasional line in a log."""
 
 import os
 import subprocess
@@ -32,13 +32,15 @@ def test_a_terminal_has_a_bar(monkeypatch):
 
 
 def test_the_environment_silences_it():
-    said = "from i2t.runtime.progress import progress; list(progress(range(3), desc='three', mininterval=0))"
-    asked = {**os.environ, "TQDM_DISABLE": "1"}
-    done = subprocess.run([sys.executable, "-c", said], env=asked, capture_output=True, text=True, check=True)
-    assert done.stderr == ""
+    program = "from i2t.runtime.progress import progress; list(progress(range(3), desc='three', mininterval=0))"
+    environment = {**os.environ, "TQDM_DISABLE": "1"}
+    process = subprocess.run(
+        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True
+    )
+    assert process.stderr == ""
 
 
 @pytest.mark.parametrize("kind", [module._Bar, module._Lines])
 def test_progress_whose_making_was_interrupted_is_closed_in_silence(kind):
-    """Ctrl-C may come before tqdm has set a field; `__del__` closes what there is all the same."""
+    """Ctrl-C may come before tqdm has set its fields; `__del__` must still succeed."""
     kind.__new__(kind).close()

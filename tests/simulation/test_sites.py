@@ -52,8 +52,8 @@ def test_points_are_uniform_over_the_wanted_area_and_never_on_empty_faces():
     assert np.isfinite(wanted).all()
     some, _ = points_of(jax.random.key(0), surface, 1000, jnp.arange(8) == 3)
     np.testing.assert_allclose(some[:, 2], sides[1], atol=DELTA)
-    for found in points_of(jax.random.key(0), surface, 1000, jnp.zeros(8, bool)):
-        assert np.isnan(found).all()  # of no face there are no points
+    for empty in points_of(jax.random.key(0), surface, 1000, jnp.zeros(8, bool)):
+        assert np.isnan(empty).all()  # of no face there are no points
 
 
 @pytest.mark.parametrize(("height", "aside", "safe"), [(2.9, 5, True), (3.1, 5, False), (60, 5, False), (60, 12, True)])
@@ -101,15 +101,15 @@ def test_sites_pass_an_independent_check():
             assert (T[2, 3] + R[2, 0] * x + R[2, 1] * y + R[2, 2] * z >= 1e-3 - DELTA).all()
 
 
-def test_what_fills_up_is_no_pose_and_too_few_sites_are_said():
+def test_missing_sites_are_nan_and_too_few_sites_are_refused():
     # Beside the stamp's relief, 3.5 mm above its base, most of the base is unsafe; nothing else is.
     stamp = make_object("stamp-triangle").mesh
     sites = sites_of(jax.random.key(0), of_hammer_s_size(stamp), 40, SiteLimits(), 8)
-    found = int(sites.safe.sum())
-    assert 0 < found < 40
-    np.testing.assert_array_equal(sites.safe, np.arange(40) < found)
-    assert np.isnan(sites.T_w_t[found:]).all()  # no arm goes there
-    for T in np.asarray(sites.T_w_t[:found], np.float64):
+    count = int(sites.safe.sum())
+    assert 0 < count < 40
+    np.testing.assert_array_equal(sites.safe, np.arange(40) < count)
+    assert np.isnan(sites.T_w_t[count:]).all()  # no arm goes there
+    for T in np.asarray(sites.T_w_t[:count], np.float64):
         assert clipped_nearest(stamp, T, HALF - DELTA, 10.0) >= -3e-3 - DELTA
     pyramid, upright = make_object("pyramid").mesh, SiteLimits(min_cos=0.99)
     frames = collect_sites(jax.random.key(0), prepare_surface(pyramid), 20, upright, "pyramid")
@@ -146,11 +146,11 @@ def test_occlusion_of_fewer_candidates_is_checked_for_the_same_sites(name, n):
     obstacles = prepare_surface(transform_mesh(rod, transform(np.eye(3), np.array([18e-3, 0, 0]))))
     surface = of_hammer_s_size(make_object(name).mesh)
     keys = jax.random.split(jax.random.key(3), 4)
-    wanted = all_candidates_checked(keys, surface, n, SiteLimits(), obstacles)
-    assert (wanted[1].sum() == 4 * n) == (name == "star")
-    assert wanted[1].any()
-    made = jax.jit(jax.vmap(lambda key: sample_sites(key, surface, n, SiteLimits(), 8, obstacles)))
-    jax.tree.map(np.testing.assert_array_equal, tuple(made(jax.random.clone(keys))), wanted)
+    expected = all_candidates_checked(keys, surface, n, SiteLimits(), obstacles)
+    assert (expected[1].sum() == 4 * n) == (name == "star")
+    assert expected[1].any()
+    sample = jax.jit(jax.vmap(lambda key: sample_sites(key, surface, n, SiteLimits(), 8, obstacles)))
+    jax.tree.map(np.testing.assert_array_equal, tuple(sample(jax.random.clone(keys))), expected)
 
 
 def test_touch_sites_of_a_mesh_are_safe_contacts_on_its_surface():

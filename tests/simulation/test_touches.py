@@ -1,7 +1,7 @@
 """Simulated touches in a world whose only errors are where the object stands and how soft the skin has become; then
 each other error by itself.
 
-True poses are drawn again from the keys, and everything seen and felt is worked out from them by other means.
+True poses are drawn again from the keys, and views and readings are computed from them by other means.
 """
 
 from dataclasses import fields, replace
@@ -28,7 +28,6 @@ from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation import sites
 from i2t.simulation.touches import (
     CAMERA_DISTANCE_M,
-    POSE_ERRORS,
     SessionErrors,
     SimulationErrors,
     apply_camera_model,
@@ -63,23 +62,23 @@ many = partial(simulate_touches, errors=PLACED, n=N, limits=LIMITS, touches_per_
 
 @pytest.fixture(scope="module")
 def solids() -> list[Surface]:
-    made = trimesh.creation.icosphere(1, 0.03), trimesh.creation.box((0.06, 0.06, 0.06))
-    both = stack_surfaces([prepare_surface(mesh.apply_translation((0, 0, 0.03))) for mesh in made])
-    return [element(both, i) for i in range(2)]  # of one size class: one compilation
+    meshes = trimesh.creation.icosphere(1, 0.03), trimesh.creation.box((0.06, 0.06, 0.06))
+    stacked = stack_surfaces([prepare_surface(mesh.apply_translation((0, 0, 0.03))) for mesh in meshes])
+    return [element(stacked, i) for i in range(2)]  # of one size class: one compilation
 
 
 @pytest.fixture(scope="module")
 def pad() -> Pad:
-    """Of sixteen chips, as any board will do, and without friction, which the rule that ends a press does not know."""
+    """A pad with sixteen chips and without friction, which does not influence the end of a press."""
     return sample_pad(jax.random.key(3), board=make_board("grid-4x4"))._replace(friction=jnp.zeros(()))
 
 
 @pytest.fixture(scope="module")
 def touches(solids, pad) -> Touches:
     counts: list[int] = []
-    made = many(jax.random.key(SEED), solids, pad, progress=counts.append)
+    simulated = many(jax.random.key(SEED), solids, pad, progress=counts.append)
     assert counts == [3, 3, 3, 3]
-    return made
+    return simulated
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +95,7 @@ def along_z(T: np.ndarray, distance: float) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def first_contact(solids):
-    """How far (m) beyond the given T_o_t the first contact of object i lies."""
+    """Compute the distance (m) from a pose T_o_t to first contact with object i."""
     press = jax.jit(approach.first_contact)
 
     def ahead(i: int, T: np.ndarray) -> float:
@@ -111,11 +110,11 @@ def behind(z: np.ndarray, nearest: float) -> np.ndarray:
     return np.clip(np.where(np.isfinite(z), z, 1.0) - nearest, 0, REACH)
 
 
-def test_every_error_of_the_lab_is_there_unless_there_are_none():
-    for errors, are in ((SimulationErrors(), 1), (SimulationErrors.none(), 0), (SimulationErrors().scaled(0.0), 0)):
-        sizes = [getattr(errors, each.name) for each in fields(errors)]
-        np.testing.assert_array_equal(np.sign(sizes[:POSE_ERRORS]), are)
-        np.testing.assert_array_equal(np.sign(sizes[POSE_ERRORS:-2]), errors.force > 0)
+def test_all_errors_of_a_lab_are_above_zero_unless_disabled():
+    for errors, sign in ((SimulationErrors(), 1), (SimulationErrors.none(), 0), (SimulationErrors().scaled(0.0), 0)):
+        sizes = [getattr(errors, error.name) for error in fields(errors)]
+        np.testing.assert_array_equal(np.sign(sizes[: SimulationErrors.num_pose_errors]), sign)
+        np.testing.assert_array_equal(np.sign(sizes[SimulationErrors.num_pose_errors : -2]), errors.force > 0)
     assert SimulationErrors().scaled(0.0).noise == SimulationErrors().noise != SimulationErrors.none().noise
 
 
@@ -209,25 +208,27 @@ def test_presses_end_at_the_limit_and_are_felt_by_a_skin_that_softens(touches):
 
 @pytest.mark.full
 def test_measured_force_and_travel_err_by_their_sizes_and_a_slant_is_felt_by_friction(solids):
-    """Presses on the top of the box, which is met where it is believed to be, wherever the arm goes."""
+    """The presses are on the top of the box, whose height is the same at all poses of the arm."""
     pad, n = sample_pad(jax.random.key(3)), 12
     T_w_site = jnp.diag(jnp.asarray([1.0, -1.0, -1.0, 1.0])).at[2, 3].set(0.06)
     errors = replace(SimulationErrors.none(), force=0.2, slant=np.radians(2.0).item(), repeatability=0.1e-3)
-    one = partial(
+    press = partial(
         simulate_touch, session=SessionErrors(jnp.eye(4), jnp.eye(4)), errors=errors, limits=PressLimits(overshoot=0.0)
     )
 
     @jax.jit
     @partial(jax.vmap, in_axes=(0, None))
     def pressed(key, friction):
-        return one(key, solids[1], jnp.eye(4), T_w_site, pad=pad._replace(friction=friction))
+        return press(key, solids[1], jnp.eye(4), T_w_site, pad=pad._replace(friction=friction))
 
     keys = jax.random.split(jax.random.key(8), n)
-    smooth, rough = (jax.device_get(pressed(jax.random.clone(keys), each)) for each in (jnp.zeros(()), pad.friction))
-    for made in (smooth, rough):
-        assert stats.kstest((made.force - made.truth.force) / 0.2, "norm").pvalue > 1e-6
-        travelled = made.truth.indentation + made.truth.force / PressLimits.stiffness
-        assert stats.kstest((made.depth - travelled) / 0.1e-3, "norm").pvalue > 1e-6
+    smooth, rough = (
+        jax.device_get(pressed(jax.random.clone(keys), friction)) for friction in (jnp.zeros(()), pad.friction)
+    )
+    for touches in (smooth, rough):
+        assert stats.kstest((touches.force - touches.truth.force) / 0.2, "norm").pvalue > 1e-6
+        travelled = touches.truth.indentation + touches.truth.force / PressLimits.stiffness
+        assert stats.kstest((touches.depth - travelled) / 0.1e-3, "norm").pvalue > 1e-6
     # A flat top feels alike everywhere, and a press ends as it would straight on.
     np.testing.assert_allclose(smooth.truth.reading, np.broadcast_to(smooth.truth.reading[:1], (n, 15)), atol=1e-3)
     np.testing.assert_allclose(rough.truth.force, smooth.truth.force, rtol=WITHIN)
@@ -236,7 +237,7 @@ def test_measured_force_and_travel_err_by_their_sizes_and_a_slant_is_felt_by_fri
 
 
 @pytest.mark.full
-def test_the_key_is_all_there_is_to_chance_and_an_object_without_safe_sites_is_named(touches, solids, pad):
+def test_the_key_determines_all_draws_and_an_object_without_safe_sites_is_named(touches, solids, pad):
     few = many(jax.random.key(SEED), solids[:1], pad, n=[3])  # and fewer touches are the first ones
     for name in ("patch", "reading", "force", "depth", "T_w_t", "code"):
         np.testing.assert_array_equal(getattr(few, name), getattr(touches, name)[:3])
