@@ -1,7 +1,10 @@
 """Commands that installing i2t puts on the path, and the list of those to run from the checkout."""
 
 import importlib
+import platform
+import re
 import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -30,6 +33,18 @@ def test_ten_commands_are_listed_first_and_all_when_asked(capsys):
     assert len(FIRST) == 10
     assert sorted(listed()) == sorted(FIRST)
     assert listed("--all") == [*COMMANDS, *EXPERIMENTS]
+
+
+def test_versions_name_python_and_each_installed_package_that_is_required(capsys):
+    assert main(["--versions"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"i2t {PROJECT['version']}"
+    listed = {line.split()[0]: line.split()[-1] for line in lines}
+    assert listed["Python"] == platform.python_version()
+    for requirement in PROJECT["dependencies"]:
+        name = re.match(r"[\w-]+", requirement)[0]
+        assert listed[name] == metadata.version(name)
+    assert "imagine2touch" not in listed
 
 
 def test_an_installed_command_says_how_it_is_used(capsys, monkeypatch):

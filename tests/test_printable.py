@@ -7,6 +7,7 @@ from helpers.random_touches import make
 
 from experiments.common.tables import text_table
 from i2t.cli import exit_codes as cli
+from i2t.cli.pipes import ExitCode
 from i2t.convert.commands import main
 from i2t.dataset import save_dataset
 from i2t.dataset.card import card_of
@@ -46,6 +47,6 @@ def test_an_error_that_quotes_a_file_is_one_line_without_controls(capsys):
     def refuse():
         raise ValueError(f"{EVIL}: cannot be read")
 
-    assert cli.exit_code_of(refuse) == cli.WRONG_USE
+    assert cli.exit_code_of(refuse) == ExitCode.WRONG_USE
     assert capsys.readouterr().err == f"error: {SHOWN}: cannot be read\n"
     assert not controls(str(DataError(EVIL)))

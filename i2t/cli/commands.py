@@ -1,10 +1,14 @@
-"""List the commands: `python -m i2t` lists those that users begin with, and --all lists all.
+"""List the commands: `python -m i2t` lists those that users begin with, and --all lists all. --versions prints what a
+report of a fault should contain.
 
 Experiments are not installed; they are listed if the checkout exists.
 """
 
+import platform
+import re
 import sys
 from collections.abc import Sequence
+from importlib import metadata
 from pathlib import Path
 
 from i2t._version import __version__
@@ -55,7 +59,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """List the commands.
 
     Args:
-        argv: The words after the program's name; only --all and --help are allowed.
+        argv: The words after the program's name; only --all, --versions and --help are allowed.
 
     Returns:
         The exit code of the command.
@@ -66,6 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     help_requested = words in (["--help"], ["-h"])
     everything = words == ["--all"]
+    if words == ["--versions"]:
+        return exit_code_of(lambda: print(versions()))
     if words and not help_requested and not everything:
         usage = "python -m i2t lists the commands, and each has its own --help"
         remedy = did_you_mean(words[0], (*COMMANDS, *EXPERIMENTS), usage)
@@ -75,6 +81,23 @@ def main(argv: Sequence[str] | None = None) -> int:
     if help_requested:
         raise SystemExit(code)  # as all commands end after their help
     return code
+
+
+def versions() -> str:
+    """List the versions of i2t, Python and the installed packages that i2t uses.
+
+    Returns:
+        One line for each.
+    """
+    lines = [f"i2t {__version__}", f"Python {platform.python_version()}", platform.platform()]
+    distribution = "imagine2touch"
+    required = {re.split(r"[^\w.-]", requirement)[0] for requirement in metadata.requires(distribution) or ()}
+    for name in sorted(required - {distribution}, key=str.lower):
+        try:
+            lines.append(f"{name} {metadata.version(name)}")
+        except metadata.PackageNotFoundError:  # of an extra
+            continue
+    return "\n".join(lines)
 
 
 def _list(everything: bool) -> None:
@@ -87,7 +110,7 @@ def _list(everything: bool) -> None:
         print(f"\nin the folder of the checkout:\n\n{_table(experiments)}")
     print("\nEach has its own --help. Try python -m i2t.imagine first, then i2t.collect, which can simulate the lab.")
     if not everything:
-        print(f"All {len(COMMANDS) + len(EXPERIMENTS)} are listed by: python -m i2t --all")
+        print(f"--all lists all {len(COMMANDS) + len(EXPERIMENTS)}, --versions prints what a report of a fault needs.")
 
 
 def _table(commands: dict[str, str]) -> str:
