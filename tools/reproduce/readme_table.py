@@ -93,8 +93,8 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
 def _others(results: Mapping[str, Measured]) -> list[list[str]]:
     heads = results["fidelity"]["recordings"]["20250316_155729_probe"]["Heads"]["heads"]
     rebuilt = results["reconstruct_baselines"]
-    left = {name: found["after"]["5"] for name, found in rebuilt["conditions"].items()}
-    read, posed = left.pop("reading"), min(left.values(), key=lambda found: found["ratio"][0])
+    read, posed = _with_and_without_readings(rebuilt)
+    fitted_read, fitted_posed = _with_and_without_readings(results["reconstruct_fitted"])
     tip = heads["position"]["whole blocks or strokes"]["kept"]["median"]
     later = results["strokes"]["splits"]["in file order"]["methods"]
     best, flattered = (
@@ -127,7 +127,8 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             f"({cell(read['chamfer_mm'][0], 1)} mm), without readings {cell(posed['ratio'], 2)} "
             f"({cell(posed['chamfer_mm'][0], 1)} mm) "
             "([reconstruction](docs/reconstruction.md))",
-            "needs like objects; edges",
+            f"pad fitted from 300 presses, pose known to 3 mm and 5 degrees: {cell(fitted_read['ratio'][0], 2)}, without "
+            f"readings {cell(fitted_posed['ratio'][0], 2)}; needs like objects",
         ],
         [
             "drivers: ReSkin, UR arm, RealSense",
@@ -136,3 +137,10 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             "no real device was tried",
         ],
     ]
+
+
+def _with_and_without_readings(measured: Measured) -> tuple[Measured, Measured]:
+    """Scores after 5 touches with readings, and of the better condition without them."""
+    scores = {name: condition["after"]["5"] for name, condition in measured["conditions"].items()}
+    with_readings = scores.pop(next(name for name in scores if name.startswith("reading")))
+    return with_readings, min(scores.values(), key=lambda entry: entry["ratio"][0])

@@ -112,6 +112,7 @@ STEPS = (
         "-m experiments.reconstruct --objects random_urdfs --unit cm --across-mm 50 72 --train 800 --test 54 "
         '--touches 5 --conditions "reading, fitted pad, 3 mm and 5 degrees" "contact pose only, 3 mm and 5 degrees" '
         '"contact pose only, likeliest shapes, 3 mm and 5 degrees"',
+        minutes=25,
         again=OVERWRITE,
     ),
     Step(
