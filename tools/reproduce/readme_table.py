@@ -127,8 +127,8 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             f"({cell(read['chamfer_mm'][0], 1)} mm), without readings {cell(posed['ratio'], 2)} "
             f"({cell(posed['chamfer_mm'][0], 1)} mm) "
             "([reconstruction](docs/reconstruction.md))",
-            f"pad fitted from 300 presses, pose known to 3 mm and 5 degrees: {cell(fitted_read['ratio'][0], 2)}, without "
-            f"readings {cell(fitted_posed['ratio'][0], 2)}; needs like objects",
+            f"pad fitted from 300 presses, pose known to 3 mm and 5 degrees: {cell(fitted_read['ratio'][0], 2)}, "
+            f"without readings {cell(fitted_posed['ratio'][0], 2)}; needs like objects",
         ],
         [
             "drivers: ReSkin, UR arm, RealSense",

@@ -99,7 +99,6 @@ TABLES: dict[str, dict[str, Table]] = {
     "reconstruct_objects": {"conditions": conditions_and_goals, "savings": savings, "hidden": hidden},
     "reconstruct_baselines": {"conditions": conditions, "savings": savings},
     "reconstruct_fitted": {"conditions": conditions, "savings": savings},
-    "reconstruct_fitted": {"conditions": conditions, "savings": savings},
     "reconstruct_policies": {"policies": policies},
     "reconstruct_patch": {"methods": local_shapes, "by source": local_shapes_by_source},
     "reconstruct_patch_exact": {"methods": local_shapes},
