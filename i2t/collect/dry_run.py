@@ -1,4 +1,4 @@
-"""Dry run of a collection: what would be touched, and whether every device does its part, with nothing moved."""
+"""Dry run of a collection: check the sites and every device, and describe the collection, without any motion."""
 
 from pathlib import Path
 
@@ -17,19 +17,19 @@ from i2t.hardware.rig import summary
 
 
 def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> int:
-    """Check sites, settings and devices of a collection, and report what it would do.
+    """Check sites, settings and devices of a collection, and print a description of it.
 
     Args:
-        procedure: Its devices are connected.
-        sampler: Of the sites.
-        args: Of the collection; the rig's picture is drawn next to its folder.
+        procedure: The procedure, with connected devices.
+        sampler: Source of the sites.
+        args: Arguments of the collection. The picture of the rig is drawn next to its folder.
 
     Returns:
-        The exit code.
+        The exit code: 0 if no check found a defect.
 
     Raises:
-        ValueError: The settings are beyond the arm's limits.
-        DeviceError: A device does not do its part.
+        ValueError: If the settings exceed the arm's limits.
+        DeviceError: If a device fails.
     """
     path, arm = procedure.path, procedure.arm
     path.check_settings()
@@ -44,37 +44,38 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> in
 
 
 def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
-    """Sentences on the force of a collision and of a press, by the formula of `i2t.hardware.collision`.
+    """Describe the forces of a collision and of a press by the formula of `i2t.hardware.collision`.
 
     Args:
-        path: Of the touches.
-        stall_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
+        path: Path of the touches.
+        stall_s: Time (s) after which an arm stops by itself when its computer stalls; None if only the arm's own
+            settings determine it.
 
     Returns:
-        Lines.
+        Lines of text on the motion in the air and on the press.
     """
     limits, settings = path.rig.limits, path.settings
 
-    def more(late: float) -> float:
-        """N that a press gains when it is told to stop, so late (s)."""
-        return overrun_force(settings.press, limits.stiffness, braking=BRAKING_M_S2, delay=REACTION_S + late)
+    def extra(delay: float) -> float:
+        """Compute the force (N) that a press gains when the command to stop is late (s)."""
+        return overrun_force(settings.press, limits.stiffness, braking=BRAKING_M_S2, delay=REACTION_S + delay)
 
     stiff = f"at {limits.stiffness / 1e3:g} N/mm"
     asked = f" ({1e3 * settings.speed:.0f} asked)" if path.free_speed < settings.speed else ""
-    stall = f"{more(stall_s):.1f} N" if stall_s is not None else "what the arm's own watch allows"
+    stall = f"{extra(stall_s):.1f} N" if stall_s is not None else "what the arm's own watch allows"
     hit = limits.collision_force(path.free_speed, limits.trip_force)
     return [
         f"free      {1e3 * path.free_speed:.0f} mm/s{asked}: stopped at {limits.trip_force:.0f} N, a collision {stiff} "
         f"ends at {hit:.0f} N at the most, of {limits.force:g} N allowed",
-        f"press     {1e3 * settings.press:g} mm/s: ends at {settings.force + more(0.0):.1f} N at the most, {stiff}; a "
-        f"stall of this computer adds {stall}, a skin that falls silent {more(settings.silence):.1f} N, and no more "
+        f"press     {1e3 * settings.press:g} mm/s: ends at {settings.force + extra(0.0):.1f} N at the most, {stiff}; a "
+        f"stall of this computer adds {stall}, a skin that falls silent {extra(settings.silence):.1f} N, and no more "
         "than that",
     ]
 
 
 def _draw_rig(procedure: Procedure, sampler: SiteSampler, site: Site, path: Path) -> None:
-    """Draw base, box, object, and the tool with its camera at a site, for a person to compare with the lab."""
-    # Not above: matplotlib takes a third of a second, and most collections draw no picture.
+    """Draw base, box, object, and the tool with its camera at a site, for comparison with the lab by eye."""
+    # Imported late: matplotlib takes a third of a second, and most collections draw no picture.
     from i2t.viz.rig_scene import RigScene, plot_rig
     from i2t.viz.style import save_figure
 

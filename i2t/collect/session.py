@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.beginning import NO_RIG, Beginning
+from i2t.collect.beginning import MISSING_RIG_MESSAGE, Beginning
 from i2t.collect.checks import require_checks, still_checks, touch_checks
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import dry_run
@@ -72,7 +72,7 @@ def collect(
     with ExitStack() as stack:
         devices = make_devices(args, rig, stack, begin=max(done.values(), default=0.0) + 1.0)
         if args.lab.rig is None and devices.arm.features.source == "real":
-            raise ValueError(NO_RIG)
+            raise ValueError(MISSING_RIG_MESSAGE)
         procedure = _connect(args, devices, rig, sampler, notes, stack)
         kinds = f"arm {args.arm.kind}, skin {args.skin.kind}, camera {args.camera.kind}"
         print(f"{printable(name)}: {kinds} ({SAID_OF_SOURCES[devices.source]})")

@@ -101,7 +101,7 @@ def test_a_real_arm_of_another_package_needs_a_rig(acme, monkeypatch, tmp_path, 
     real = property(lambda arm: features(arm)._replace(source="real"))
     monkeypatch.setattr(acme_devices.AcmeArm, "features", real)
     monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: pytest.fail("the arm was connected"))
-    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why="a real arm needs to know its lab")
+    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why="a real arm needs the calibration of its lab")
 
 
 @pytest.mark.full
@@ -141,7 +141,7 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(acme, 
 @pytest.mark.parametrize(
     ("board", "said"),
     [
-        (None, "AcmeSkin: does not say where its chips are; give it an attribute board"),
+        (None, "AcmeSkin: does not state where its chips are; give it an attribute board"),
         (reskin_board(), "Acme's skin sends 12 values, and a board of 5 chips"),
     ],
 )

@@ -105,7 +105,7 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
     code, said = run("--object", "star", touches=2)
     assert code == 2
     assert "begun with another object" in said
-    (tmp_path / "set" / notes.NOTES).unlink()
+    (tmp_path / "set" / notes.NOTES_FILE).unlink()
     code, said = run(touches=2)
     assert code == 2
     assert "another making" in said
@@ -174,7 +174,7 @@ def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
         session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
     assert ended.value.code == 128 + signal.SIGTERM
     assert len(dataset.load_dataset(tmp_path / "stopped")) == 1
-    assert "the same command goes on" in capsys.readouterr().out
+    assert "the same command resumes the collection" in capsys.readouterr().out
 
 
 def test_what_needs_no_model_is_refused_before_jax_is_imported(tmp_path):
