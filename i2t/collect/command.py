@@ -34,7 +34,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     def work() -> int:
         args.check()
-        from i2t.collect.beginning import begin
+        from i2t.collect.start import begin
 
         begun = begin(args)
         from i2t.collect.session import (

@@ -47,9 +47,9 @@ def test_a_right_rig_passes_and_says_what_it_found():
     first_touch(procedure, Block(), said.append)
     assert "0 % of the object's pixels" in said[0]
     assert [line.split(": met the object ")[0] for line in said[1:]] == [
-        "first looks: they could not tell whether the camera is aside",
+        "first looks: they could not measure the lateral offset of the camera",
         "top",
-        "first touches: 0 of 2 sides can be touched, so that what is aside may go unnoticed",
+        "first touches: 0 of 2 sides can be touched; a lateral error may go unnoticed",
     ]
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029  # it has retreated
 
@@ -166,7 +166,7 @@ def test_one_site_is_looked_at_again_with_the_tool_turned_as_far_as_the_arm_can(
 @pytest.mark.parametrize(("off", "unsure", "said"), [
     (4.4e-3, 0.0, r"the camera is off by [+-]0\.0 and \+4\.4 mm along the tool's x and y$"),
     (-4.6e-3, 3.9e-3, "refused"),
-    (9e-3, 12e-3, "maybe further in directions that they could not tell"),
+    (9e-3, 12e-3, "maybe further in directions that they could not measure"),
     (np.nan, 0.0, "refused"),
 ])  # fmt: skip
 def test_a_camera_that_is_aside_of_what_the_rig_has_is_told_from_an_object_that_is(off, unsure, said):
@@ -175,9 +175,9 @@ def test_a_camera_that_is_aside_of_what_the_rig_has_is_told_from_an_object_that_
     looks = [Look(0.0, 1.0, moved - aside @ turn.T, turn) for turn in turns]
     if said == "refused":
         with pytest.raises(RigContradictedError, match="check T_flange_tool and T_tool_camera"):
-            module._compared(*looks)
+            module._compare_looks(*looks)
     else:
-        assert re.search(said, module._compared(*looks))
+        assert re.search(said, module._compare_looks(*looks))
 
 
 def test_sides_are_met_where_the_object_ends_from_square_directions_with_the_camera_above():
@@ -201,7 +201,7 @@ def test_a_flat_object_has_no_sides_and_looks_that_would_not_miss_it_say_so(monk
     sampler.limits, sampler.placed = SiteLimits(), flat
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 0.0))
     first_touch(procedure, sampler, said.append)
-    assert "could not judge" in said[2]
+    assert "prove nothing" in said[2]
     assert "0 of 2 sides can be touched" in said[-1]
 
 

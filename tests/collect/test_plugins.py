@@ -101,7 +101,9 @@ def test_a_real_arm_of_another_package_needs_a_rig(acme, monkeypatch, tmp_path, 
     real = property(lambda arm: features(arm)._replace(source="real"))
     monkeypatch.setattr(acme_devices.AcmeArm, "features", real)
     monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: pytest.fail("the arm was connected"))
-    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why="a real arm needs the calibration of its lab")
+    refused(
+        capsys, command.main, "--out", tmp_path / "set", *CLASSES, why="a real arm needs the calibration of its lab"
+    )
 
 
 @pytest.mark.full

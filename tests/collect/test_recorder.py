@@ -10,7 +10,7 @@ import pytest
 from helpers.closed_form import GAIN, HEIGHT, WALL, listed, make, names, site
 
 from i2t import dataset
-from i2t.collect import notes, recorder
+from i2t.collect import folder_notes, recorder
 from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, written_at
 from i2t.errors import DataError, DeviceError
 from i2t.files.writing import unwritable
@@ -41,7 +41,7 @@ def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(l
     np.testing.assert_array_equal(record.images["colour"].values, 0)
     np.testing.assert_allclose(record.series["ambient"].values[0], touched.skins[""].ambient, rtol=1e-6)
     assert [text for _, text in record.events][:3] == ["site 3, attempt 1", "look", "prepare"]
-    for name in (recorder.UNDER_WAY, recorder.INTERRUPTED):  # no raw file is left
+    for name in (".under-way", recorder.INTERRUPTED):  # no raw file is left
         assert not (recording.folder / name).exists()
 
     tactile, pose, wrench = (record.series[name] for name in ("tactile", "pose", "wrench"))
@@ -196,5 +196,5 @@ def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(lab, mon
     recording.save(outcome.touch)
     assert done[:3] == ["file", "rename", "folder"]
     done.clear()
-    notes.write_notes(recording.folder, {"seed": 0})
+    folder_notes.write_notes(recording.folder, {"seed": 0})
     assert done == ["file", "rename", "folder"]

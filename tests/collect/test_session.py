@@ -15,11 +15,11 @@ import trimesh
 from helpers import random_touches
 
 from i2t import dataset
-from i2t.collect import command, notes, recorder, session
+from i2t.collect import command, folder_notes, recorder, session
 from i2t.collect.arguments import CollectArgs, LabArgs
-from i2t.collect.beginning import begin
 from i2t.collect.devices import Devices
 from i2t.collect.site_plan import SiteSampler
+from i2t.collect.start import begin
 from i2t.collect.touch import SkinOnTool, UnreachableError
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
@@ -105,7 +105,7 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
     code, said = run("--object", "star", touches=2)
     assert code == 2
     assert "begun with another object" in said
-    (tmp_path / "set" / notes.NOTES_FILE).unlink()
+    (tmp_path / "set" / folder_notes.NOTES_FILE).unlink()
     code, said = run(touches=2)
     assert code == 2
     assert "another making" in said
@@ -130,8 +130,8 @@ def test_no_session_starts_and_no_dry_run_passes_on_a_skin_that_lies(tmp_path, r
 
 def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
     args = CollectArgs(out=tmp_path)
-    _, begun = notes.resume(args, "hexagon", Rig(), BOX)
-    notes.write_notes(tmp_path, begun)
+    _, begun = folder_notes.resume(args, "hexagon", Rig(), BOX)
+    folder_notes.write_notes(tmp_path, begun)
     harder = replace(args, settings=replace(args.settings, press=0.004, force=9.0))
     heavier, larger = replace(Rig(), mass=Rig().mass + 0.1), BOX._replace(vertices=1.1 * BOX.vertices)
     fingers = replace(Rig(), skins=(CarriedSkin("right", "simulated", np.diag([1.0, -1, -1, 1])),))
@@ -140,21 +140,21 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
         *(((args, "hexagon", other, BOX), "begun with another rig") for other in (heavier, fingers)),
         ((args, "hexagon", Rig(), larger), "begun with another mesh"),  # of the same name, in another folder
     ]
-    refuse(DataError, [(notes.resume, *other) for other in others])
+    refuse(DataError, [(folder_notes.resume, *other) for other in others])
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
-    _, begun = notes.resume(patient, "hexagon", Rig(), BOX)
+    _, begun = folder_notes.resume(patient, "hexagon", Rig(), BOX)
     for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):
         for serial in ("", "A1", "", "A1"):  # a number that is known only later counts from then on
             device = SimpleNamespace(serial_number=serial)
-            notes.keep_same(begun, notes.device_notes(kind, device, name), tmp_path)
-        other = notes.device_notes(kind, SimpleNamespace(serial_number="B2"), name)
+            folder_notes.keep_same(begun, folder_notes.device_notes(kind, device, name), tmp_path)
+        other = folder_notes.device_notes(kind, SimpleNamespace(serial_number="B2"), name)
         with pytest.raises(DataError, match=rf"begun with another {kind}_serial.*: A1, now B2\); use that again"):
-            notes.keep_same(begun, other, tmp_path)
+            folder_notes.keep_same(begun, other, tmp_path)
     for board in (grid_board(2, 2), grid_board(2, 2)):
-        notes.keep_same(begun, notes.board_notes(SkinOnTool("", None, board)), tmp_path)
+        folder_notes.keep_same(begun, folder_notes.board_notes(SkinOnTool("", None, board)), tmp_path)
     with pytest.raises(DataError, match="begun with another layout of chips"):
-        notes.keep_same(begun, notes.board_notes(SkinOnTool("", None, grid_board(2, 3))), tmp_path)
-    assert notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
+        folder_notes.keep_same(begun, folder_notes.board_notes(SkinOnTool("", None, grid_board(2, 3))), tmp_path)
+    assert folder_notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
 
 
 def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
@@ -180,7 +180,7 @@ def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
 def test_what_needs_no_model_is_refused_before_jax_is_imported(tmp_path):
     """Speeds beyond what the rig can stop, another seed, another pad, and devices that are not known."""
     args = CollectArgs(out=tmp_path)
-    notes.write_notes(tmp_path, begin(args).notes)
+    folder_notes.write_notes(tmp_path, begin(args).notes)
     wrong = {
         "--settings.press .05": "told to stop at 8 N it would end at 34 N",
         "--seed 1": "was begun with another seed (seed: 0, now 1); use that again",
@@ -203,7 +203,7 @@ def test_what_needs_no_model_is_refused_before_jax_is_imported(tmp_path):
 def test_a_folder_of_an_earlier_version_goes_on_with_the_pad_that_its_touches_name(tmp_path):
     args = CollectArgs(out=tmp_path)
     begun = {key: value for key, value in begin(args).notes.items() if key != "pad-name"}
-    notes.write_notes(tmp_path, begun)
+    folder_notes.write_notes(tmp_path, begun)
     assert begin(replace(args, pad_name="red")).notes["pad-name"] == "red"  # nobody knows
     made = random_touches.make(1)
     touch = replace(made, pads=("blue",), touches=made.touches._replace(pad=np.zeros(1)))

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import require_together
-from i2t.collect.notes import resume
+from i2t.collect.folder_notes import resume
 from i2t.collect.path import TouchPath
 from i2t.errors import printable
 from i2t.hardware.plugins import find_plugin
@@ -26,7 +26,7 @@ MISSING_RIG_MESSAGE = (
 )
 
 
-class Beginning(NamedTuple):
+class PreparedCollection(NamedTuple):
     """A collection before its devices are made."""
 
     args: CollectArgs
@@ -34,10 +34,10 @@ class Beginning(NamedTuple):
     name: str  # name of the object
     target: Object
     done: dict[int, float]  # Unix time (s) of each touch, by the number of its site
-    notes: dict[str, Any]  # notes of the folder (`i2t.collect.notes`)
+    notes: dict[str, Any]  # notes of the folder (`i2t.collect.folder_notes`)
 
 
-def begin(args: CollectArgs) -> Beginning:
+def begin(args: CollectArgs) -> PreparedCollection:
     """Begin a collection, or resume the one that was begun in its folder.
 
     Args:
@@ -59,7 +59,7 @@ def begin(args: CollectArgs) -> Beginning:
     if not args.lab.trust_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
     TouchPath(rig, args.settings, highest_point(target, rig.T_world_object)).check_settings()
-    return Beginning(args, rig, name, target, *resume(args, name, rig, target.mesh))
+    return PreparedCollection(args, rig, name, target, *resume(args, name, rig, target.mesh))
 
 
 def read_rig(args: LabArgs, *, real: bool) -> Rig:

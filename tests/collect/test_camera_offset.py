@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from i2t.collect.turned_look import camera_aside, matching_shifts
+from i2t.collect.camera_offset import lateral_offset, matching_shifts
 
 PIXEL, TOLERANCE = (0.75e-3, 0.75e-3), 6e-3
 ROWS, COLUMNS = np.indices((90, 100))
@@ -59,6 +59,6 @@ def test_what_shifts_alike_is_the_object_and_what_turns_with_the_tool_the_camera
     turned = first * Rotation.from_euler("z", degrees, degrees=True)
     moved, aside = np.array([4e-3, -2e-3, 1e-3]), np.array([5e-3, -3e-3, 0.0])
     shifts = [(moved - pose.apply(aside))[None] for pose in (first, turned)]
-    along, found, unsure = camera_aside(*shifts, (first.as_matrix(), turned.as_matrix()))
-    np.testing.assert_allclose(found, along @ aside[:2], atol=1e-12)
-    np.testing.assert_allclose(unsure, 0.0, atol=1e-12)
+    along, offset, uncertainty = lateral_offset(*shifts, (first.as_matrix(), turned.as_matrix()))
+    np.testing.assert_allclose(offset, along @ aside[:2], atol=1e-12)
+    np.testing.assert_allclose(uncertainty, 0.0, atol=1e-12)
