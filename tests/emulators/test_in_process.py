@@ -101,8 +101,8 @@ def test_a_contact_model_in_a_thread_finds_the_same(scene):
     waits, threaded = ContactModel(scene), ContactModel(scene, wait=False)
     for model in (waits, threaded):
         stand(model, 0.4, 0.07)
-    assert threaded._coming is not None
-    threaded._coming.result()
+    assert threaded._pending is not None
+    threaded._pending.result()
     at = np.array([0.4, 0.0, 0.0297])
     np.testing.assert_allclose(threaded(at, DOWN), waits(at, DOWN), rtol=1e-5, atol=1e-7)
     assert waits(at, DOWN)[2] > 0.3
