@@ -89,9 +89,12 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab
         for (kind, value), (whole_kind, whole_value) in zip(read, entries, strict=False):
             assert kind == whole_kind
             assert np.array_equal(value, whole_value) if kind != "event" else value == whole_value
-    for text, said in (("something", "not a raw file"), ('{"touch": "i2t raw", "version": 1}\n', "by an earlier version")):
+    for text, message in (
+        ("something", "not a raw file"),
+        ('{"touch": "i2t raw", "version": 1}\n', "by an earlier version"),
+    ):
         raw.write_text(text)
-        with pytest.raises(DataError, match=said):
+        with pytest.raises(DataError, match=message):
             list(read_raw(raw))
 
 
