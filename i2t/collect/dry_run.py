@@ -61,13 +61,13 @@ def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
         return overrun_force(settings.press, limits.stiffness, braking=BRAKING_M_S2, delay=REACTION_S + delay)
 
     stiff = f"at {limits.stiffness / 1e3:g} N/mm"
-    asked = f" ({1e3 * settings.speed:.0f} asked)" if path.free_speed < settings.speed else ""
+    requested = f" ({1e3 * settings.speed:.0f} requested)" if path.free_speed < settings.speed else ""
     stall = f"{extra(stall_s):.1f} N" if stall_s is not None else "what the arm's own watch allows"
     hit = limits.collision_force(path.free_speed, limits.trip_force)
     return [
-        f"free      {1e3 * path.free_speed:.0f} mm/s{asked}: stopped at {limits.trip_force:.0f} N, a collision {stiff} "
-        f"ends at {hit:.0f} N at the most, of {limits.force:g} N allowed",
-        f"press     {1e3 * settings.press:g} mm/s: ends at {settings.force + extra(0.0):.1f} N at the most, {stiff}; a "
+        f"free      {1e3 * path.free_speed:.0f} mm/s{requested}: stopped at {limits.trip_force:.0f} N, a collision "
+        f"{stiff} ends at {hit:.0f} N at most, of {limits.force:g} N allowed",
+        f"press     {1e3 * settings.press:g} mm/s: ends at {settings.force + extra(0.0):.1f} N at most, {stiff}; a "
         f"stall of this computer adds {stall}, a skin that falls silent {extra(settings.silence):.1f} N, and no more "
         "than that",
     ]

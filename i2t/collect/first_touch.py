@@ -69,7 +69,7 @@ class FirstTouchConfig:
     min_measured_fraction: float = 0.3  # of the object's pixels
     min_offset_tolerance: float = 4e-3  # m, smallest tolerance of the camera's lateral offset
     max_offset_uncertainty: float = 4e-3  # m; the offset along a direction with a larger one counts as unknown
-    # Turns of the tool for the repeated look, of which the first that can be reached is taken.
+    # Turns of the tool for the repeated look; the first that can be reached is used.
     turns_deg: tuple[float, ...] = (180, 120, -120, 90, -90)
     # Slow touches.
     min_touch_tolerance: float = 4e-3  # m, smallest tolerance of the contact's position
@@ -491,4 +491,4 @@ def _touch(touch: SlowTouch) -> str:
     if defect:
         raise RigContradictedError(f"{slow.skins[0].skin.features.name}: {defect}")
     size = float(np.sqrt(np.nansum(change**2)))
-    return f"{name}: met the object {1e3 * offset:+.1f} mm from where the rig has it, {force:.1f} N, {size:.0f} uT"
+    return f"{name}: met the object {1e3 * offset:+.1f} mm from its pose in the rig, {force:.1f} N, {size:.0f} uT"

@@ -121,7 +121,7 @@ class TouchPath:
         if not final_force <= limits.force:
             allowed = fastest_speed(limits.force - force, limits.stiffness, braking=BRAKING_M_S2)
             raise ValueError(
-                f"{name} is {speed:g} m/s: told to stop at {force:g} N it would end at {final_force:.0f} N, at "
+                f"{name} is {speed:g} m/s: stopped at {force:g} N, it would end at {final_force:.0f} N, at "
                 f"{limits.stiffness / 1e3:g} N/mm, above the rig's limit, {limits.force:g} N; give {allowed:.2g} m/s "
                 "or less, or lower settings.force"
             )

@@ -74,7 +74,7 @@ def describe_offsets(
         return "the views fit the mesh at no pose near the believed one: look for a wrong mesh, unit, pose or hand-eye"
     placed, camera = offsets(estimate, here.touches.T_w_o[0])
     advice = "; calibrate the rig again (docs/hardware.md)" if placed.certain or camera.certain else ""
-    return f"by these touches the object stands {placed} from where the rig has it, and the camera {camera}{advice}"
+    return f"by these touches, the object is {placed} from its pose in the rig, and the camera {camera}{advice}"
 
 
 def offsets(estimate: SessionEstimate, T_w_o: np.ndarray) -> tuple[Offset, Offset]:

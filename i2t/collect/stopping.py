@@ -45,9 +45,9 @@ class StopCondition:
         self._watch, self._asked = watch, False
         self._above: Literal["force", "torque"] | None = None
         self._skins, self._settings, self._ambient, self._log = skins, settings, ambient, log
-        silence = max(settings.silence, 0.4)  # s, while the arm still stands
-        self._numbers = {each.name: int(each.skin.latest(silence).number[-1]) for each in skins}
-        self._last: dict[str, list[Array]] = {each.name: [] for each in skins}
+        silence = max(settings.silence, 0.4)  # s, before the arm has started
+        self._numbers = {on_tool.name: int(on_tool.skin.latest(silence).number[-1]) for on_tool in skins}
+        self._last: dict[str, list[Array]] = {on_tool.name: [] for on_tool in skins}
 
     def __call__(self, state: ArmState) -> float | str | None:
         """Test whether a skin has changed enough, or whether force or torque exceeds its limit.
@@ -67,7 +67,7 @@ class StopCondition:
         self._above = self._watch(state)
         if self._above:
             return self._above
-        answers = {each.name: self._stopping_change(each) for each in self._skins}
+        answers = {on_tool.name: self._stopping_change(on_tool) for on_tool in self._skins}
         self.stopped_by = [name for name, answer in answers.items() if answer is not None]
         return answers[self.stopped_by[0]] if self.stopped_by else None
 

@@ -81,7 +81,7 @@ def convert(
         DataError: If a recording cannot be used.
     """
     if not 0 < radius < np.inf:
-        raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is no radius; give a positive length in mm")
+        raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is not a radius; give a positive length in mm")
     notes = ReadingLog(skip_bad)
     sessions = sorted({file.parent for file in source.rglob("states.csv*")}) if source.is_dir() else []
     if not sessions:
@@ -184,7 +184,7 @@ def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog
     if check.zero is not None and check.zero.identifiable:
         notes.info(f"depth in {name} counts from z = {1e3 * zero:.3f} mm, where readings begin")
     elif np.isnan(zero):
-        notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm where it is known")
+        notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm if it is known")
     else:
         notes.info(
             f"assumed in {name}: first contact at the highest z = {1e3 * zero:.3f} mm; depth counts from there, so "
@@ -238,7 +238,7 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ReadingLog)
         notes.skip(data_error(path, f"time does not increase at row {back[0]}, as {wrong}"))
     if len(verdict.restarts):
         row = verdict.restarts[0] + 1
-        raise DataError(f"{path}: time goes back at row {row} and goes on from there; make a session of each part")
+        raise DataError(f"{path}: time goes back at row {row}; make a session of each part")
     return table[~verdict.damaged]
 
 

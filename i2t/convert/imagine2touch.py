@@ -248,7 +248,9 @@ def _forces(stem: Path, axis: np.ndarray, damaged: np.ndarray, notes: ReadingLog
     codes = _optional(stem, "contact_returns", (), damaged, notes, unknown=float(ReturnCode.UNDEFINED))
     wrong = ~np.isin(codes, [int(code) for code in ReturnCode])
     for k in np.flatnonzero(wrong & ~np.isnan(codes)):
-        notes.skip(data_error(stem, f"contact_returns hold a value at touch {k + 1} that is no return code (-1 to 4)"))
+        notes.skip(
+            data_error(stem, f"contact_returns hold a value at touch {k + 1} that is not a return code (-1 to 4)")
+        )
     damaged |= wrong
     codes = np.where(wrong, float(ReturnCode.UNDEFINED), codes)
     return -np.sum(wrenches[:, :3] * axis, axis=1), codes
@@ -298,7 +300,7 @@ def _optional(
     wanted = stem.with_name(f"{stem.name}_{name}")
     path = npy.find(wanted)
     if path is None:
-        notes.info(f"{wanted} is missing: what it holds is unknown")
+        notes.info(f"{wanted} is missing: its values are unknown")
         return np.full(shape, unknown)
     values = npy.read(path)
     try:
@@ -327,7 +329,7 @@ def _depth_image(path: Path, notes: ReadingLog) -> np.ndarray:
     except DataError:
         raise
     except (OSError, ValueError) as error:
-        raise data_error(path, f"is no readable TIF ({str(error).removeprefix(f'{path}: ')})") from error
+        raise data_error(path, f"is not a readable TIF ({str(error).removeprefix(f'{path}: ')})") from error
     if image.dtype != np.uint16 or not 8 <= max(image.shape) <= 1024:
         raise data_error(path, f"is an image {image.shape} of {image.dtype} where a crop of uint16 should be")
     rows, columns = image.shape

@@ -72,7 +72,7 @@ class LogRows(NamedTuple):
         return LogRows(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
     @property
-    def heard(self) -> np.ndarray:
+    def complete(self) -> np.ndarray:
         """Mask of the rows in which every chip answered."""
         return ~np.isnan(self.readings).any(1)
 
@@ -253,8 +253,8 @@ def _note_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
     if clock.assumed:
         seen = f"in steps of {clock.resolution:g} s" if clock.resolution else "always the same"
         notes.info(
-            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} and does not tell (Unix time in float32 "
-            "has steps of 128 s); give --rate-hz where it is known; the times of presses are unknown"
+            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} and does not show it (Unix time in "
+            "float32 has steps of 128 s); give --rate-hz if it is known; the times of presses are unknown"
         )
     elif clock.by_rows and clock.resolution:
         notes.info(

@@ -76,8 +76,8 @@ def read(path: Path) -> np.ndarray | list[Any]:
     except Exception as error:  # a damaged header can make its parser fail in any way
         kind, remedy = kind_of(stream.getvalue()[:HEAD_BYTES])
         if kind and not kind.startswith("a NumPy array"):
-            raise DataError(f"{path}: is {kind} and no output of np.save; {remedy}") from error
-        raise data_error(path, "is no output of np.save") from error
+            raise DataError(f"{path}: is {kind}, not an output of np.save; {remedy}") from error
+        raise data_error(path, "is not an output of np.save") from error
     payload = stream.read()
     if dtype.hasobject:
         values = _unpickled(path, payload)

@@ -97,7 +97,7 @@ def _means(path: Path, touches: list[list[list[float]]], order: str, notes: Read
     for k in np.flatnonzero(np.isinf(means).any(1)):
         notes.skip(
             data_error(
-                path, f"item {k + 1} holds a value that is no field (not finite, or above {MAX_SAMPLE_VALUE:g} uT)"
+                path, f"item {k + 1} holds a value that is not a field (not finite, or above {MAX_SAMPLE_VALUE:g} uT)"
             )
         )
     return means
@@ -165,5 +165,5 @@ def _detected(path: Path, samples: np.ndarray) -> str:
         spread[order] = float(values.std()) if plausible and values.std() < 10 else math.inf
     best, other = sorted(spread, key=lambda order: spread[order])
     if not 3 * spread[best] < spread[other]:  # both could be a temperature, and neither is much steadier
-        raise DataError(f"{path}: does not show whether temperature stands first or last; say --order binary or ascii")
+        raise DataError(f"{path}: does not show whether temperature comes first or last; pass --order binary or ascii")
     return best

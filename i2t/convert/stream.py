@@ -94,7 +94,7 @@ class _Search:
     def take(self, rows: LogRows, step: float) -> None:
         """Search presses in further rows of a clock with this step (s), without those of silent chips."""
         self.end = float(rows.time[-1]) - self.origin
-        rows = rows.pick(rows.heard)
+        rows = rows.pick(rows.complete)
         if not len(rows.time):
             return
         order = 1e-6 * step * np.arange(self.rows, self.rows + len(rows.time))  # of rows that share a time
@@ -110,7 +110,7 @@ class _Search:
         if self.rows >= log_rows.ROWS_READ_AT_ONCE:
             self._begin()
 
-    def goes_on_pressed(self, rows: LogRows) -> bool:
+    def continues_press(self, rows: LogRows) -> bool:
         """Test whether the skin was pressed at the end, and these rows continue the press."""
         if self.head is None or self.tail is None or not len(rows.time) or self.rows < MIN_ROWS:
             return False
@@ -193,7 +193,7 @@ def convert(
     missing = [name for name in ("x_mm", "y_mm") if name not in table.header]
     if missing:
         raise DataError(
-            f"{source}: column {' and '.join(missing)} is missing, so where it was pressed is not known; end DST in "
+            f"{source}: column {' and '.join(missing)} is missing, so the positions of presses are unknown; end DST in "
             ".csv, complete that table of presses, and convert it with the sub-command presses"
         )
     dataset, notes = presses.convert(
@@ -356,7 +356,7 @@ class _Searches:
 def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Columns:
     """List the columns of a log; refuse a table without time or without the values of the board."""
     header = table.header
-    remedy = f"so this is no log of a board of {chips} chips: name columns as in docs/data.md"
+    remedy = f"so this is not a log of a board of {chips} chips: name columns as in docs/data.md"
     if timed and TIME not in header:
         remedy = "name the column of time by its unit (time_s, time_ms, time_us), or give --rate-hz where there is none"
     values = field_columns(source, header, chips, [TIME] if timed else [], remedy)
@@ -404,11 +404,11 @@ def _needed(empty: np.ndarray, *, timed: int) -> np.ndarray:
 def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
     """Run a search from each pause, each beginning of the clock and each change of the pad."""
     search: _Search | None = None
-    last_heard, pad = np.nan, ""
+    last_complete, pad = np.nan, ""
     for piece in pieces:
-        rows, heard = piece.rows, piece.rows.heard
-        heard_at = np.fmax.accumulate(np.concatenate([[last_heard], np.where(heard, rows.time, np.nan)]))
-        silences = np.flatnonzero(heard & (rows.time - heard_at[:-1] > pause_of(piece.step)))
+        rows, complete = piece.rows, piece.rows.complete
+        complete_at = np.fmax.accumulate(np.concatenate([[last_complete], np.where(complete, rows.time, np.nan)]))
+        silences = np.flatnonzero(complete & (rows.time - complete_at[:-1] > pause_of(piece.step)))
         begins = {*np.flatnonzero(piece.begins).tolist(), *silences.tolist()}
         pads = [name[columns.index("pad")] if "pad" in columns else "" for name in names]
         others, pad = _other_pads(rows, pads, pad)
@@ -419,7 +419,7 @@ def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tup
                 yield search
                 search = None
             if search is not None and start in begins:
-                if search.goes_on_pressed(part.pick(part.heard)):
+                if search.continues_press(part.pick(part.complete)):
                     search.origin = float(part.time[0]) - search.end - piece.step
                 else:
                     search.finish()
@@ -427,7 +427,7 @@ def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tup
                     search = _Search(origin=float(part.time[0]), earlier=search.rest)
             search = search or _Search(origin=float(part.time[0]))
             search.take(part, piece.step)
-        last_heard = float(heard_at[-1])
+        last_complete = float(complete_at[-1])
     if search is not None:
         search.finish()
         yield search

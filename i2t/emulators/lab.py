@@ -65,7 +65,7 @@ def _check(args: LabArgs) -> None:
     require_path("--pad", args.world.pad, "file")
     make_board(args.board)
     if args.link.exists() and not args.link.is_symlink():
-        raise ValueError(f"--link {args.link}: exists and is no link; give another name")
+        raise ValueError(f"--link {args.link}: exists and is not a link; give another name")
 
 
 def _contacts(args: LabArgs, rig: Rig, stack: ExitStack) -> "Contacts":

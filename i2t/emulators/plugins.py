@@ -153,7 +153,7 @@ def _lab_of(arm: Any) -> Any:
     """Return the lab of a simulated arm; refuse other arms."""
     lab = getattr(arm, "lab", None)
     if lab is None:
-        raise ValueError("a simulated skin feels only what a simulated arm does; pass --arm simulated")
+        raise ValueError("a simulated skin needs a simulated arm; pass --arm simulated")
     return lab
 
 

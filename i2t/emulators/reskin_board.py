@@ -212,7 +212,7 @@ def main(args: Sequence[str] | None = None) -> int:
     def work() -> None:
         board = make_board(options.board)
         if options.link and options.link.exists() and not options.link.is_symlink():
-            raise ValueError(f"--link {options.link}: exists and is no link; give another name")
+            raise ValueError(f"--link {options.link}: exists and is not a link; give another name")
         if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
             raise ValueError(f"the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more")
         port = BoardPort(options.link)

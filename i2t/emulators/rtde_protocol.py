@@ -47,7 +47,7 @@ class Recipe(NamedTuple):
     types: tuple[str, ...]
 
     @property
-    def known(self) -> bool:
+    def valid(self) -> bool:
         """Whether every name exists on this controller."""
         return NOT_FOUND not in self.types
 

@@ -148,12 +148,12 @@ class Server:
                 (frequency,) = struct.unpack_from(">d", body)
                 wanted = rtde_protocol.recipe(body[8:].decode())
                 client.every = max(1, round(1 / TICK / frequency))
-                client.outputs = wanted if wanted.known else client.outputs
-                return bytes([wanted.known]) + ",".join(wanted.types).encode()
+                client.outputs = wanted if wanted.valid else client.outputs
+                return bytes([wanted.valid]) + ",".join(wanted.types).encode()
             case PacketType.INPUTS:
                 wanted = rtde_protocol.recipe(body.decode())
-                number = len(client.inputs) + 1 if wanted.known else 0
-                if wanted.known:
+                number = len(client.inputs) + 1 if wanted.valid else 0
+                if wanted.valid:
                     client.inputs[number] = wanted
                 return bytes([number]) + ",".join(wanted.types).encode()
             case PacketType.START | PacketType.PAUSE:
@@ -165,7 +165,7 @@ class Server:
         received = b""
         while data := await client.reader.read(1 << 16):
             received += data
-            # The only program that is known here.
+            # The only emulated program.
             if b"def rtde_control():" in received and b"\nend\n" in received and not self.muted:
                 received = b""
                 self.controller.upload()
