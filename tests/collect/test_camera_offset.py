@@ -38,7 +38,7 @@ def test_a_shifted_view_is_found_within_half_a_pixel_along_a_tilted_table(u, v, 
     assert shifts[0, 2] == pytest.approx(2e-4 * u - nearer, abs=1e-4)
 
 
-def test_a_plane_tells_no_shift_an_edge_one_direction_and_nothing_measured_none():
+def test_a_plane_determines_no_shift_and_an_edge_one_direction():
     every = _matching(TABLE, TABLE)
     assert len(every) == 33**2
     along_v = _matching(_seen((slice(None), slice(37, 67))), _seen((slice(None), slice(35, 65))))
@@ -48,13 +48,13 @@ def test_a_plane_tells_no_shift_an_edge_one_direction_and_nothing_measured_none(
     assert len(_matching(TABLE[:20, :20], TABLE[:20, :20], (slice(5, 9), slice(5, 9)))) == 33**2  # no room for shifts
 
 
-def test_a_finer_view_is_shifted_in_no_more_steps():
+def test_a_finer_view_is_shifted_in_as_many_steps():
     shifts = _matching(_seen((slice(30, 60), slice(44, 74))), _seen(AROUND), pixel=(0.4e-3, 0.4e-3))
     np.testing.assert_allclose(shifts.mean(0)[:2], [3.6e-3, 0.0], atol=0.4e-3)
 
 
 @pytest.mark.parametrize("degrees", [180, 120, -90])
-def test_what_shifts_alike_is_the_object_and_what_turns_with_the_tool_the_camera(degrees):
+def test_an_offset_that_turns_with_the_tool_is_the_camera_s(degrees):
     first = Rotation.from_euler("xyz", [170, 8, 40], degrees=True)
     turned = first * Rotation.from_euler("z", degrees, degrees=True)
     moved, aside = np.array([4e-3, -2e-3, 1e-3]), np.array([5e-3, -3e-3, 0.0])

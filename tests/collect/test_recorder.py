@@ -26,7 +26,7 @@ def lab(tmp_path):
         yield procedure, recording
 
 
-def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(lab):
+def test_a_touch_is_read_back_unchanged_with_the_whole_press_in_unix_time(lab):
     procedure, recording = lab
     (outcome,) = procedure.run(listed(site(3)), recording)
     (path,) = touches_in(recording.folder)
@@ -61,12 +61,12 @@ def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(l
     np.testing.assert_allclose(-wrench.values[:, 2], at, atol=0.05)
 
 
-def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab):
+def test_the_raw_file_of_an_interrupted_touch_is_kept_and_readable_at_any_cut(lab):
     procedure, recording = lab
     approach = procedure.arm.approach
 
-    def interrupted(*how, **named):
-        approach(*how, **named)
+    def interrupted(*motion, **options):
+        approach(*motion, **options)
         raise KeyboardInterrupt
 
     procedure.arm.approach = interrupted
@@ -98,7 +98,7 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab
             list(read_raw(raw))
 
 
-def test_a_folder_that_cannot_be_used_and_a_disk_that_is_nearly_full_are_found_before_the_arm_moves(tmp_path):
+def test_an_unusable_folder_and_a_nearly_full_disk_are_found_before_any_motion(tmp_path):
     (tmp_path / "file").write_text("")
     procedure = make()
     with pytest.raises(DeviceError, match="choose a folder you may write to"):
@@ -112,25 +112,25 @@ def test_a_folder_that_cannot_be_used_and_a_disk_that_is_nearly_full_are_found_b
 
 
 @pytest.mark.parametrize(
-    ("where", "code", "said"), [("raw", errno.ENOSPC, "No space left"), ("touch", errno.EROFS, "Read-only")]
+    ("where", "code", "sentence"), [("raw", errno.ENOSPC, "No space left"), ("touch", errno.EROFS, "Read-only")]
 )
-def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypatch, where, code, said):
+def test_a_failure_of_the_disk_is_one_sentence_and_the_arm_stops(lab, monkeypatch, where, code, sentence):
     procedure, recording = lab
     list(procedure.run(listed(site(0)), recording))
     error, write, states = OSError(code, os.strerror(code)), recorder.EventLog._write, []
 
-    def failing(made, entry):
+    def failing(log, entry):
         states.extend(entry[:1] if entry[0] == "arm" else [])
         if len(states) > 20:  # in the middle of an approach
             raise recorder._not_kept(recording.folder, error)
-        write(made, entry)
+        write(log, entry)
 
     if where == "raw":
         monkeypatch.setattr(recorder.EventLog, "_write", failing)
     else:
         monkeypatch.setattr(recorder.dataset, "write_touch", Mock(side_effect=unwritable(recording.folder, error)))
     acknowledged = []
-    with pytest.raises(StorageError, match=said) as ended:
+    with pytest.raises(StorageError, match=sentence) as ended:
         acknowledged.extend(procedure.run(listed(site(1)), recording))
     assert "\n" not in str(ended.value)
     assert not acknowledged
@@ -150,15 +150,15 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
 
     list(procedure.run(listed(site(0)), recording))
     procedure.camera.capture = jumped
-    for said in (r"jumped by -3600\.0 s; the touch is saved", "behind the newest touch"):
-        with pytest.raises(StorageError, match=said):
+    for sentence in (r"jumped by -3600\.0 s; the touch is saved", "behind the newest touch"):
+        with pytest.raises(StorageError, match=sentence):
             list(procedure.run(listed(site(1)), recording))
     first, second = touches_in(recording.folder)
     assert 5 < written_at(second) - written_at(first) < 30
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
 
 
-def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the_order_of_time(lab):
+def test_names_of_touches_ascend_even_if_the_clock_goes_back(lab):
     """The clock of a later touch is read between its check and its date: set back by 0.3 s, it would sort first."""
     procedure, recording = lab
     (outcome,) = procedure.run(listed(site(0)), recording)

@@ -24,7 +24,7 @@ def test_the_newest_field_counts_and_one_of_another_board_ends_the_board():
             _newest_field(inbox, before)
 
 
-def test_a_quiet_board_tells_its_presses_and_its_temperature():
+def test_a_board_shows_its_presses_and_its_temperature():
     quiet, signal = Readings(noise=0.0, press=2.0, seed=0), BoardSignal()
     (rest, celsius), (pressed, _) = (quiet.at(now) for now in (0.0, signal.press_period / 4))
     change = pressed - rest - 2 * np.ravel(signal.press)
