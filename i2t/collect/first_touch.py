@@ -58,15 +58,15 @@ class FirstTouchConfig:
     num_candidates: int = 32  # sites among which those of the looks and touches are chosen
     num_looks: int = 3
     num_sides: int = 2
-    standard_deviations: float = 3.0  # deviation of a right rig that is still accepted
+    num_standard_deviations: float = 3.0  # largest accepted deviation of a right rig, in standard deviations
     # Looks.
     look_radius: float = 40e-3  # m around a site within which depth is compared
     min_depth_tolerance: float = 6e-3  # m, smallest tolerance of depth
     # Standard deviation (m) of the camera's line of sight: 1 mm of position, and half a degree seen from 120 mm.
     camera_std: float = 1.5e-3
-    max_wrong_fraction: float = 0.1  # of the pixels of all looks
-    max_wrong_fraction_of_look: float = 0.3  # of the pixels of a single look, which fails at once
-    min_measured_fraction: float = 0.3  # of the object's pixels
+    max_wrong_pixel_fraction: float = 0.1  # limit for all looks together
+    max_wrong_pixel_fraction_of_look: float = 0.3  # limit for a single look, which fails at once
+    min_measured_pixel_fraction: float = 0.3  # minimum fraction of the object's pixels with a depth
     min_offset_tolerance: float = 4e-3  # m, smallest tolerance of the camera's lateral offset
     max_offset_uncertainty: float = 4e-3  # m; the offset along a direction with a larger one counts as unknown
     # Turns of the tool for the repeated look; the first that can be reached is used.
@@ -74,7 +74,7 @@ class FirstTouchConfig:
     # Slow touches.
     min_touch_tolerance: float = 4e-3  # m, smallest tolerance of the contact's position
     felt_within: float = 1e-3  # m past first contact within which a press is felt
-    side_tilts_deg: tuple[float, ...] = (60.0, 45.0)  # of the tool at a side
+    side_tilts_deg: tuple[float, ...] = (60.0, 45.0)  # tilts of the tool at a side, tried in this order
     side_step_deg: int = 15  # between the sides that are tried
     side_edge: float = 0.5e-3  # m within which several corners of a mesh are touched at once
     max_side_cosine: float = 0.5  # between the directions of two sides
@@ -190,7 +190,7 @@ def touch_tolerance(rig: Rig, site: Site) -> float:
     """
     along = site.T_w_t[:3, 2]
     variance = float(along @ place_covariance(rig, site.T_w_t[:3, 3]) @ along)
-    return max(_CONFIG.min_touch_tolerance, _CONFIG.standard_deviations * float(np.sqrt(variance)))
+    return max(_CONFIG.min_touch_tolerance, _CONFIG.num_standard_deviations * float(np.sqrt(variance)))
 
 
 def place_covariance(rig: Rig, point: Array) -> np.ndarray:
@@ -297,14 +297,14 @@ def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[st
     procedure.retreat()
     looks = [_look(procedure, sampler, site) for site in (*plan.looks, *plan.pair[1:])]
     wrong, missed = (float(np.mean(shares)) for shares in zip(*(look[:2] for look in looks), strict=True))
-    if not wrong <= _CONFIG.max_wrong_fraction:
+    if not wrong <= _CONFIG.max_wrong_pixel_fraction:
         raise _displaced_error("in the first looks", wrong, procedure, plan.looks[0])
     report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not where the rig has them")
     if plan.pair:
         report(_compare_looks(looks[plan.looks.index(plan.pair[0])], looks[-1]))
     else:
         report("first looks: none can be repeated with the tool turned; a lateral error of the TCP may go unnoticed")
-    if not missed > _CONFIG.max_wrong_fraction:
+    if not missed > _CONFIG.max_wrong_pixel_fraction:
         report(
             "first looks: they prove nothing, because they would look alike without the object; the slow touches decide"
         )
@@ -405,12 +405,12 @@ def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> Look:
     depth, middle = np.asarray(view.depth, float), float(np.median(expected[on_object]))
     within = tolerance, max(1, round(camera.fx * tolerance / middle))
     seen, wrong = depth_contradiction(depth, expected, on_object, *within)
-    if not seen >= _CONFIG.min_measured_fraction:
+    if not seen >= _CONFIG.min_measured_pixel_fraction:
         raise RigContradictedError(
             f"the camera measured {100 * seen:.0f} % of the pixels in which site {site.number} should be; is it "
             f"covered, shiny or too near? Else {CHECK_CAMERA_ADVICE}"
         )
-    if not wrong <= _CONFIG.max_wrong_fraction_of_look:
+    if not wrong <= _CONFIG.max_wrong_pixel_fraction_of_look:
         raise _displaced_error(f"at site {site.number}", wrong, procedure, site)
     missed = depth_contradiction(table, expected, on_object, *within)[1]
     pixel = middle / camera.fx, middle / camera.fy
@@ -426,7 +426,9 @@ def _compare_looks(first: Look, second: Look) -> str:
         return "first looks: they could not measure the lateral offset of the camera"
     worst = int(np.argmax(np.abs(offset) * measured))
     x, y = 1e3 * offset[worst] * along[worst]
-    if not abs(offset[worst]) <= max(_CONFIG.min_offset_tolerance, _CONFIG.standard_deviations * _CONFIG.camera_std):
+    if not abs(offset[worst]) <= max(
+        _CONFIG.min_offset_tolerance, _CONFIG.num_standard_deviations * _CONFIG.camera_std
+    ):
         raise RigContradictedError(
             f"two looks at a site, with the tool turned in between, show that the camera is off by {x:+.0f} and "
             f"{y:+.0f} mm along the tool's x and y; check T_flange_tool and T_tool_camera"
@@ -446,7 +448,7 @@ def look_tolerance(rig: Rig, point: Array) -> float:
         Distance (m): three standard deviations of object and camera together, and at least 6 mm.
     """
     variance = np.linalg.eigvalsh(place_covariance(rig, point))[-1] + _CONFIG.camera_std**2
-    return max(_CONFIG.min_depth_tolerance, _CONFIG.standard_deviations * float(np.sqrt(variance)))
+    return max(_CONFIG.min_depth_tolerance, _CONFIG.num_standard_deviations * float(np.sqrt(variance)))
 
 
 def _displaced_error(where: str, share: float, procedure: Procedure, site: Site) -> RigContradictedError:
@@ -460,10 +462,8 @@ def _displaced_error(where: str, share: float, procedure: Procedure, site: Site)
 def _touch(touch: SlowTouch) -> str:
     """Touch a site slowly. Return a sentence on where it was met, or raise RigContradictedError."""
     name, site, tolerance, slow = touch
-    settings, log = (
-        slow.settings,
-        EventLog(BytesIO(), slow.clock),
-    )  # not recorded: the touch is not part of the data set
+    settings = slow.settings
+    log = EventLog(BytesIO(), slow.clock)  # in memory, because the touch is not part of the data set
     prepare = slow.path.poses(site)[1]
     slow.move_above(prepare)
     slow.clock.sleep(settings.settle)

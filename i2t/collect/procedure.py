@@ -15,7 +15,7 @@ callable, `choose(history) -> site`, chooses the next site. Numbers are those of
 them, except where `TouchSettings` gives a reason.
 
 All skins on the tool are read, and each may stop an approach. A skin has felt a press if the part of its change that
-differs between its chips is at least half of what stops a press. For a skin that felt nothing, the press met air,
+differs between its chips exceeds half of what stops a press. For a skin that felt nothing, the press met air,
 whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one force for
 all skins: it is assigned to a skin if no other felt the press, and is unknown (NaN) otherwise.
 
