@@ -37,9 +37,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         from i2t.collect.start import begin
 
         begun = begin(args)
-        from i2t.collect.session import (
-            collect,
-        )  # imported late, because JAX takes seconds and a refusal does not need it
+        # Imported late, because JAX takes seconds and a refusal does not need it.
+        from i2t.collect.session import collect
 
         return collect(begun)
 

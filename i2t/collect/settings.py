@@ -19,17 +19,15 @@ class TouchSettings:
     prepare: Annotated[float, Limits(2e-3, 0.3)] = 40e-3  # distance (m) before the site
     # distance (m) before the site at which the fast approach ends and the ambient is measured (paper: 10 mm)
     near: Annotated[float, Limits(2e-4, 0.3)] = 5e-3
-    overtravel: Annotated[float, Limits(1e-4, 0.1)] = (
-        6e-3  # distance (m) past the site at which a press ends without contact
-    )
+    # distance (m) past the site at which a press ends without contact
+    overtravel: Annotated[float, Limits(1e-4, 0.1)] = 6e-3
     skin_change: Annotated[float, Limits(1, 1e4)] = 25.0  # norm (uT) of the change of a reading that ends a press
     # fraction of that change that must differ between chips: a uniform change is a field of the room
     nonuniform_share: Annotated[float, Limits(0, 1)] = 0.5
     # number of averaged samples; a single one is off by 25 uT in two of a thousand cases
     averaged_samples: Annotated[int, Limits(1, 1000)] = 10
-    force: Annotated[float, Limits(0.2, MAX_SKIN_FORCE_N)] = (
-        8.0  # force (N) that ends a press; the paper's recognition uses 7
-    )
+    # force (N) that ends a press; the paper's recognition uses 7
+    force: Annotated[float, Limits(0.2, MAX_SKIN_FORCE_N)] = 8.0
     torque: Annotated[float, Limits(0.05, 50)] = 8.0  # torque (Nm) that ends a press
     ambient: Annotated[int, Limits(1, 1000)] = 10  # number of samples before contact
     contact: Annotated[int, Limits(1, 1000)] = 10  # number of samples in contact
@@ -41,9 +39,8 @@ class TouchSettings:
     acceleration: Annotated[float, Limits(0.01, 5)] = 0.3  # acceleration (m/s^2)
     settle: Annotated[float, Limits(0, 10)] = 0.2  # time (s) for the arm to stop swinging, before it looks or zeroes
     hold: Annotated[float, Limits(0, 10)] = 0.05  # time (s) from the stop to the samples in contact
-    clearance: Annotated[float, Limits(5e-3, 1)] = (
-        0.1  # height (m) of the tool above the object's highest point between sites
-    )
+    # height (m) of the tool above the object's highest point between sites
+    clearance: Annotated[float, Limits(5e-3, 1)] = 0.1
     # fraction of the patch's pixels that the camera must have measured
     min_visible_share: Annotated[float, Limits(0, 1)] = 0.5
     # distance (m) before the site at which the camera may still see the surface

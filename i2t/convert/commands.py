@@ -120,10 +120,9 @@ class Recording(Writing):
 
     window_mm: float = 1e3 * PATCH_WINDOW  # edge (mm) of the square that a patch shows; presses outside it are left out
     reach_mm: float = 1e3 * REACH  # patches are clipped to this depth behind the nearest point
-    stated_source: Annotated[Literal["real", "simulated"] | None, tyro.conf.arg(name="source")] = (
-        None  # source of the touches
-    )
-    as_stated: bool = False  # search and correct no mistakes (units, signs, axes, lag, height zero, chips)
+    # source of the touches
+    stated_source: Annotated[Literal["real", "simulated"] | None, tyro.conf.arg(name="source")] = None
+    as_stated: bool = False  # neither search nor correct mistakes (units, signs, axes, lag, height zero, chips)
 
     def _shared(self) -> dict[str, Any]:
         """Return the options that all converters share; refuse invalid lengths."""
@@ -161,9 +160,8 @@ class FromImagine2touch(Recording):
     board: Literal["reskin", "anyskin"] = "reskin"  # board, with the order and rotation of its chips
     pad: str = "reskin"  # name of the skin
     camera_mm: float = 1e3 * CAMERA_OFFSET_M  # distance of the camera behind the tool's origin
-    quarter_turns: int = (
-        0  # counter-clockwise quarter turns after which image rows run along tool y and columns along tool x
-    )
+    # counter-clockwise quarter turns after which image rows run along tool y and columns along tool x
+    quarter_turns: int = 0
     tool_forces: bool = False  # whether forces are in the tool's axes instead of the robot base's
 
     def run(self) -> None:
@@ -183,9 +181,8 @@ class FromEflesh(Recording):
     sensor_post_baselines.csv), or a folder of sessions.
     """
 
-    window_mm: float = (
-        1e3 * EFLESH_WINDOW_M
-    )  # edge (mm) of the square that a patch shows; presses outside it are left out
+    # edge (mm) of the square that a patch shows; presses outside it are left out
+    window_mm: float = 1e3 * EFLESH_WINDOW_M
     tip_radius_mm: float = 1e3 * TIP_RADIUS_M  # radius of the probe's spherical tip, which the recordings do not state
     z0_mm: float | None = None  # the robot's z (mm) at first contact; by default where readings begin, or the highest z
     pad: str | None = None  # one name for the skin of all sessions; by default each session's own
@@ -237,9 +234,8 @@ class FromStream(_FromTable):
     for a data set, x_mm, y_mm and depth_mm or z_mm; convert them, or write them as a table where DST ends in .csv.
     """
 
-    rate_hz: float | None = (
-        None  # rate (Hz) of the rows, for a log without time stamps or with stamps that do not show it
-    )
+    # rate (Hz) of the rows, for a log without time stamps or with stamps that do not show it
+    rate_hz: float | None = None
 
     def run(self) -> None:
         """Convert, or write the table."""

@@ -178,7 +178,7 @@ def convert(
         window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
         unit: Unit of a mesh file.
-        as_stated: Whether to search and correct no mistakes.
+        as_stated: Whether to skip the search and correction of mistakes.
         skip_bad: Whether to leave out damaged rows, with a note on their number.
         rate: Rate (Hz) of the rows, if no time stamps show it.
         stated_source: "real" or "simulated", if the log does not state it.

@@ -69,10 +69,8 @@ class Robot:
         self.speed_fraction = 1.0  # set by the speed slider
         self.max_speed = 0.0  # m/s, the maximum so far
         self.contact, self.noise = contact, noise
-        self.external_wrench, self.wrench_zero = (
-            np.zeros(6),
-            np.zeros(6),
-        )  # an additional wrench, and the one that reads as zero
+        self.external_wrench = np.zeros(6)  # added to the wrench of contact
+        self.wrench_zero = np.zeros(6)  # wrench that the sensor reports as zero
         self.rng = np.random.default_rng(0)
 
     @property

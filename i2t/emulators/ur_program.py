@@ -55,16 +55,10 @@ class Controller:
         self.in_ints, self.in_doubles = [0] * registers, [0.0] * registers
         self.out_ints, self.out_doubles = [0] * registers, [0.0] * registers
         self.watchdog: float | None = None  # s, timeout
-        self.asynchronous, self.operation, self.changes = (
-            False,
-            0,
-            0,
-        )  # whether a motion is under way, its number, state changes
-        self.payload, self.tcp_offset, self.pendant_tcp = (
-            0.0,
-            [0.0] * 6,
-            [0.0] * 6,
-        )  # the last is the TCP with which a program begins
+        # Whether a motion is under way, its number, and the number of state changes.
+        self.asynchronous, self.operation, self.changes = False, 0, 0
+        # The pendant's TCP is the one with which a program begins.
+        self.payload, self.tcp_offset, self.pendant_tcp = 0.0, [0.0] * 6, [0.0] * 6
         self.commands: list[int] = []
         self.uploads = 0
         self.outputs: dict[str, rtde_protocol.Value] = {}
