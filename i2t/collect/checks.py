@@ -22,7 +22,7 @@ from i2t.hardware.skin_health import check_skin, rest_samples
 Check: TypeAlias = Callable[[Procedure], list[str]]
 
 
-def still_checks(*, strict: bool) -> dict[str, Check]:
+def motionless_checks(*, strict: bool) -> dict[str, Check]:
     """List the checks without motion that every session requires.
 
     Args:
@@ -34,7 +34,7 @@ def still_checks(*, strict: bool) -> dict[str, Check]:
     return {"camera": _camera_fits, "skins": partial(_skins_healthy, strict=strict)}
 
 
-def dry_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
+def dry_run_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
     """List the checks of a dry run, during which nothing moves.
 
     Args:
@@ -48,7 +48,7 @@ def dry_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
         "rig": partial(_rig_plausible, sampler=sampler),
         "reach": partial(_sites_reached, sampler=sampler, count=count),
     }
-    return {"arm": _arm_ready, "view": _view_measured, **still_checks(strict=True), **plans}
+    return {"arm": _arm_ready, "view": _view_measured, **motionless_checks(strict=True), **plans}
 
 
 def touch_checks(sampler: SiteSampler) -> dict[str, Check]:

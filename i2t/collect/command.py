@@ -42,16 +42,16 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         return collect(begun)
 
-    with left_by_signals():
+    with exiting_on_signals():
         return exit_code_of(work, f"stopped; everything is in {args.out}: the same command resumes the collection")
 
 
 @contextmanager
-def left_by_signals() -> Iterator[None]:
+def exiting_on_signals() -> Iterator[None]:
     """Within the block, make signals that end a program leave it through every `finally`."""
     # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
     signals = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, end_by_signal) for number in signals}
+    before = {number: signal.signal(number, exit_on_signal) for number in signals}
     try:
         yield
     finally:
@@ -59,7 +59,7 @@ def left_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def end_by_signal(number: int, *_: Any) -> None:
+def exit_on_signal(number: int, *_: Any) -> None:
     """End the program with the signal's exit code, but through every `finally`.
 
     Args:

@@ -34,7 +34,7 @@ class Devices(NamedTuple):
         return stated.pop() if len(stated) == 1 else "mixed"
 
 
-def wanted_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
+def configured_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
     """List the skins of a collection.
 
     Args:
@@ -58,7 +58,7 @@ def wanted_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
     return [pressing, *(replace(further, pad=further.pad or further.name) for further in rig.skins)]
 
 
-def require_together(args: CollectArgs, rig: Rig) -> None:
+def require_compatible(args: CollectArgs, rig: Rig) -> None:
     """Refuse unknown skins, and skins that feel nothing on this arm, before any device is made.
 
     Args:
@@ -68,7 +68,7 @@ def require_together(args: CollectArgs, rig: Rig) -> None:
     Raises:
         ValueError: If a skin cannot be used with the arm; the message names the flag, or the field of the rig.
     """
-    for skin in wanted_skins(args, rig):
+    for skin in configured_skins(args, rig):
         plugin = find_plugin("skin", skin.device, _option(skin))
         if plugin.arms and args.arm.kind not in plugin.arms:
             raise ValueError(
@@ -99,8 +99,8 @@ def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float 
             cannot be used, or a skin does not state the positions of its chips.
         DeviceError: If a driver is not installed.
     """
-    require_together(args, rig)
-    wanted = wanted_skins(args, rig)
+    require_compatible(args, rig)
+    wanted = configured_skins(args, rig)
     plugins = [find_plugin("arm", args.arm.kind), find_plugin("camera", args.camera.kind)]
     plugins += [find_plugin("skin", skin.device, _option(skin)) for skin in wanted]
     clocks = {plugin.make_clock for plugin in plugins}

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.checks import dry_checks, run_checks
+from i2t.collect.checks import dry_run_checks, run_checks
 from i2t.collect.path import TouchPath
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
@@ -38,7 +38,7 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> in
     picture = args.out.with_name(f"{args.out.name}-rig.png")
     _draw_rig(procedure, sampler, sampler.site(0), picture)
     print(f"picture   the rig with object, tool and camera is drawn in {picture}: does it look like the lab?")
-    wrong = run_checks(dry_checks(sampler, args.touches), procedure)
+    wrong = run_checks(dry_run_checks(sampler, args.touches), procedure)
     print("nothing was moved" + ("" if arm.features.source == "simulated" else "; the arm was taken and let go"))
     return int(bool(wrong))
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.devices import wanted_skins
+from i2t.collect.devices import configured_skins
 from i2t.collect.recorder import site_number_of, touches_in, written_at
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.dataset import read_touch
@@ -101,13 +101,13 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         "settings": {key: value for key, value in vars(args.settings).items() if key not in changeable},
         "rig": rig_hash(rig),
         "mesh": _hash(np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)].round(7).tobytes()),
-        **{_pad_flag(skin.name): skin.pad for skin in wanted_skins(args, rig)},
+        **{_pad_flag(skin.name): skin.pad for skin in configured_skins(args, rig)},
     }
-    keep_same(notes, same, args.out)
+    require_same(notes, same, args.out)
     return {site_number_of(file): written_at(file) for file in files}, notes
 
 
-def keep_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> None:
+def require_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> None:
     """Note values that all touches of a folder must have in common.
 
     Args:
@@ -137,7 +137,7 @@ def device_notes(kind: str, device: object, name: str = "") -> dict[str, str]:
         name: Name of a further skin.
 
     Returns:
-        The note, for `keep_same`.
+        The note, for `require_same`.
     """
     return {f"{kind}_serial {name}".strip(): serial_number(device)}
 
@@ -149,7 +149,7 @@ def board_notes(skin: SkinOnTool) -> dict[str, str]:
         skin: The skin, with its board.
 
     Returns:
-        The note, for `keep_same`.
+        The note, for `require_same`.
     """
     board = np.concatenate([np.ravel(part) for part in skin.board]).astype(np.float32).round(5)
     return {f"chips {skin.name}": _hash(board.tobytes())}

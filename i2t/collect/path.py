@@ -87,7 +87,7 @@ class TouchPath:
                 )
         # The lines of a touch: down to look, up, across, down to prepare, to the end.
         height = self.transfer_height()
-        above_look, above = (_at_height(pose, height) for pose in (look, prepare))
+        above_look, above = (_raised_to(pose, height) for pose in (look, prepare))
         lines = (*((above_look, look, above_look) if looks else ()), above, prepare, end)
         refused = "" if self.why_unreachable is None else self.why_unreachable(lines)
         return f"site {site.number}: {refused}" if refused else ""
@@ -156,7 +156,7 @@ class TouchPath:
         return float(max(height, low))
 
 
-def _at_height(T_b_t: Array, height: float) -> Array:
+def _raised_to(T_b_t: Array, height: float) -> Array:
     """Raise a pose to a height (m in the base), unless it is already above it."""
     raised = np.array(T_b_t)
     raised[2, 3] = max(raised[2, 3], height)

@@ -241,7 +241,7 @@ class Procedure:
             self.clock.sleep(settings.settle)
         self.arm.zero_wrench()
         distance = settings.prepare - settings.near
-        result, _ = self._approach(distance, settings.approach, self._rest_readings(log), log)
+        result, _ = self._approach(distance, settings.approach, self._measure_ambient(log), log)
         if result.reason != "distance":
             raise TouchFailedError(
                 f"something was met {1e3 * (settings.prepare - result.distance):.0f} mm before the site"
@@ -261,7 +261,7 @@ class Procedure:
         """
         settings = self.settings
         log.event("ambient")
-        ambient = self._rest_readings(log)
+        ambient = self._measure_ambient(log)
         log.event("press")
         started = self.clock.now()
         result, stop = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
@@ -304,7 +304,7 @@ class Procedure:
         if code != ReturnCode.AIR:
             depth = onset_distance(*press_samples(press.log, on_tool, press.period, T_b_s), ambient, change)
         seen = self.extract_patch(view, self.camera.camera, T_w_c, T_w_s)
-        counters = _counted_since(on_tool.skin.counters, before)
+        counters = _counter_differences(on_tool.skin.counters, before)
         return SkinTouch(T_w_s, code, ambient, change, force, depth, seen, counters)
 
     def _means(self, count: int, log: EventLog) -> dict[str, Array]:
@@ -316,7 +316,7 @@ class Procedure:
             means[on_tool.name] = mean_known(samples.reading, axis=0)
         return means
 
-    def _rest_readings(self, log: EventLog) -> dict[str, Array]:
+    def _measure_ambient(self, log: EventLog) -> dict[str, Array]:
         """Measure the (c,) reading (uT) of each skin at rest, by its name; NaN for a chip that does not answer."""
         means = self._means(self.settings.ambient, log)
         for on_tool in self.skins:
@@ -450,7 +450,7 @@ def _without_images(touch: TouchResult) -> TouchResult:
     return touch._replace(view=None, skins={name: skin._replace(seen=None) for name, skin in touch.skins.items()})
 
 
-def _counted_since(now: SkinCounters, before: SkinCounters) -> SkinCounters:
+def _counter_differences(now: SkinCounters, before: SkinCounters) -> SkinCounters:
     counted = {name: getattr(now, name) - getattr(before, name) for name in now._fields if name != "rate"}
     return SkinCounters(**counted, rate=now.rate)
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.checks import require_checks, still_checks, touch_checks
+from i2t.collect.checks import motionless_checks, require_checks, touch_checks
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import dry_run
-from i2t.collect.folder_notes import board_notes, device_notes, keep_same, serial_number, write_notes
+from i2t.collect.folder_notes import board_notes, device_notes, require_same, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
 from i2t.collect.registration_check import describe_offsets
@@ -81,7 +81,7 @@ def collect(
                 print(printable(named))
         if args.dry_run:
             return dry_run(procedure, sampler, args)
-        require_checks(still_checks(strict=False), procedure)
+        require_checks(motionless_checks(strict=False), procedure)
         info = _session_info(args, procedure, devices, name, notes)
         recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         recorder.check()
@@ -104,14 +104,14 @@ def _connect(
     """
     for on_tool in devices.skins:
         skin = stack.enter_context(on_tool.skin)
-        keep_same(notes, device_notes("skin", skin, on_tool.name) | board_notes(on_tool), args.out)
+        require_same(notes, device_notes("skin", skin, on_tool.name) | board_notes(on_tool), args.out)
     camera = stack.enter_context(devices.camera)
-    keep_same(notes, device_notes("camera", camera), args.out)
+    require_same(notes, device_notes("camera", camera), args.out)
     pose = sampler.site(0).T_w_t
     blank = np.full((camera.camera.height, camera.camera.width), 0.1, np.float32)
     extract_patch(View(0.0, blank, None), camera.camera, pose, pose)  # compiles the function
     arm = stack.enter_context(devices.arm)
-    keep_same(notes, device_notes("arm", arm), args.out)
+    require_same(notes, device_notes("arm", arm), args.out)
     return Procedure(
         arm,
         devices.skins,

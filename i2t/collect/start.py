@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.collect.arguments import CollectArgs, LabArgs
-from i2t.collect.devices import require_together
+from i2t.collect.devices import require_compatible
 from i2t.collect.folder_notes import resume
 from i2t.collect.path import TouchPath
 from i2t.errors import printable
@@ -51,7 +51,7 @@ def begin(args: CollectArgs) -> PreparedCollection:
         UnreachableError: If the transfer height above the object is outside the arm's box.
     """
     rig = read_rig(args.lab, real=find_plugin("arm", args.arm.kind).needs_rig)
-    require_together(args, rig)
+    require_compatible(args, rig)
     target = read_object(args.world.object, args.world.unit, largest_piece=args.world.largest_piece)
     if placement := describe_placement(target):
         print(printable(placement))

@@ -124,7 +124,7 @@ class Recording(Writing):
     stated_source: Annotated[Literal["real", "simulated"] | None, tyro.conf.arg(name="source")] = None
     as_stated: bool = False  # neither search nor correct mistakes (units, signs, axes, lag, height zero, chips)
 
-    def _shared(self) -> dict[str, Any]:
+    def _shared_options(self) -> dict[str, Any]:
         """Return the options that all converters share; refuse invalid lengths."""
         names = ("window_mm", "reach_mm", "camera_mm", "tip_radius_mm")
         lengths = {name: value for name, value in vars(self).items() if name in names}
@@ -167,7 +167,7 @@ class FromImagine2touch(Recording):
     def run(self) -> None:
         """Convert."""
         self._require()
-        shared = self._shared()
+        shared = self._shared_options()
         from i2t.convert import imagine2touch
 
         own: dict[str, Any] = {"order": self.order, "pad": self.pad, "camera": 1e-3 * self.camera_mm}
@@ -190,7 +190,7 @@ class FromEflesh(Recording):
     def run(self) -> None:
         """Convert."""
         self._require()
-        shared = self._shared()
+        shared = self._shared_options()
         from i2t.convert import eflesh
 
         zero = None if self.z0_mm is None else 1e-3 * self.z0_mm
@@ -206,11 +206,11 @@ class _FromTable(Recording):
     board: str = "reskin"  # board, with number, order and rotation of its chips: reskin, anyskin, or grid-RxC
     unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file of mesh:FILE, which does not state it
 
-    def _of_indenter(self, missing: str) -> dict[str, Any]:
+    def _indenter_options(self, missing: str) -> dict[str, Any]:
         """Return the options of the converter."""
         if self.indenter is None:
             raise DataError(f"--indenter is missing; give sphere:RADIUS in mm{missing}")
-        return {"indenter": self.indenter, "unit": self.unit, "board": _board(self.board), **self._shared()}
+        return {"indenter": self.indenter, "unit": self.unit, "board": _board(self.board), **self._shared_options()}
 
 
 @dataclass(kw_only=True)
@@ -222,7 +222,7 @@ class FromPresses(_FromTable):
     def run(self) -> None:
         """Convert."""
         self._require()
-        options = self._of_indenter("")
+        options = self._indenter_options("")
         from i2t.convert import presses
 
         self._write(presses.convert(self.source, **options))
@@ -245,7 +245,7 @@ class FromStream(_FromTable):
             self._write_table()
             return
         self._require()
-        options = self._of_indenter(", or end DST in .csv for a table of presses")
+        options = self._indenter_options(", or end DST in .csv for a table of presses")
         from i2t.convert import stream
 
         self._write(stream.convert(self.source, rate=self.rate_hz, **options))

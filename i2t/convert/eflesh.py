@@ -71,7 +71,7 @@ def convert(
             unknown.
         pad: One name for all pads; by default, each board of each session is a pad of its own.
         stated_source: "real" (by default) or "simulated".
-        as_stated: Whether to skip the search and correction of mistakes; depth then counts from the session's highest z.
+        as_stated: Whether to skip the search for mistakes; depth then counts from the session's highest z.
         skip_bad: Whether to leave out damaged rows and sessions, with notes.
 
     Returns:

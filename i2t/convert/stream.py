@@ -242,30 +242,30 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     columns = _columns(source, table, board.num_chips, timed=rate is None)
     notes = ReadingLog(skip_bad, [*table.notes, *columns.notes])
     names: list[tuple[str, ...]] = []
-    searches = _Searches(columns)
+    log_presses = _LogPresses(columns)
     timed = on_one_clock(_rows(source, table, columns, notes, names), f"{source}: its time", notes, rate)
-    for search in _searches(timed, columns.names, names):
-        searches.add(search)
+    for search in _search_parts(timed, columns.names, names):
+        log_presses.add(search)
     for note in table.notes:  # again, because notes are added until the last row is read
         notes.info(note)
     notes.require_heard(source)
-    if notes.damaged_rows and not searches.rows:
+    if notes.damaged_rows and not log_presses.rows:
         raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
-    if not searches.presses:
-        cut = len(searches.moved) + searches.unsteady
+    if not log_presses.presses:
+        cut = len(log_presses.moved) + log_presses.unsteady
         but = f" but {cut} that are cut" if cut else ""
         raise DataError(
-            f"{source}: nothing presses in its {searches.rows} rows{but}; "
+            f"{source}: nothing presses in its {log_presses.rows} rows{but}; "
             "give a log that begins at rest and has presses"
         )
-    searches.note(notes)
-    header = [*columns.names, TIME, *searches.labels, *columns.values]
-    rows = [searches.row(press, names) for press in searches.presses]
+    log_presses.note(notes)
+    header = [*columns.names, TIME, *log_presses.labels, *columns.values]
+    rows = [log_presses.row(press, names) for press in log_presses.presses]
     return TextTable(header, rows, notes.sentences())
 
 
 @dataclass
-class _Searches:
+class _LogPresses:
     """Results of the parts of a log."""
 
     columns: _Columns
@@ -401,7 +401,7 @@ def _needed(empty: np.ndarray, *, timed: int) -> np.ndarray:
     return np.tile(np.arange(empty.shape[1]) < timed, (len(empty), 1))
 
 
-def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
+def _search_parts(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
     """Run a search from each pause, each beginning of the clock and each change of the pad."""
     search: _Search | None = None
     last_complete, pad = np.nan, ""

@@ -146,14 +146,14 @@ def test_a_folder_is_not_resumed_with_other_settings_rig_or_skin(tmp_path):
     for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):
         for serial in ("", "A1", "", "A1"):  # a number that is known only later counts from then on
             device = SimpleNamespace(serial_number=serial)
-            folder_notes.keep_same(begun, folder_notes.device_notes(kind, device, name), tmp_path)
+            folder_notes.require_same(begun, folder_notes.device_notes(kind, device, name), tmp_path)
         other = folder_notes.device_notes(kind, SimpleNamespace(serial_number="B2"), name)
         with pytest.raises(DataError, match=rf"begun with another {kind}_serial.*: A1, now B2\); use that again"):
-            folder_notes.keep_same(begun, other, tmp_path)
+            folder_notes.require_same(begun, other, tmp_path)
     for board in (grid_board(2, 2), grid_board(2, 2)):
-        folder_notes.keep_same(begun, folder_notes.board_notes(SkinOnTool("", None, board)), tmp_path)
+        folder_notes.require_same(begun, folder_notes.board_notes(SkinOnTool("", None, board)), tmp_path)
     with pytest.raises(DataError, match="begun with another layout of chips"):
-        folder_notes.keep_same(begun, folder_notes.board_notes(SkinOnTool("", None, grid_board(2, 3))), tmp_path)
+        folder_notes.require_same(begun, folder_notes.board_notes(SkinOnTool("", None, grid_board(2, 3))), tmp_path)
     assert folder_notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
 
 
@@ -170,7 +170,7 @@ def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
 @pytest.mark.full
 def test_sigterm_stops_a_collection_and_keeps_everything(tmp_path, rig, capsys):
     args = CollectArgs(out=tmp_path / "stopped", lab=LabArgs(rig), touches=5, skip_first_touch=True)
-    with pytest.raises(SystemExit) as ended, command.left_by_signals():
+    with pytest.raises(SystemExit) as ended, command.exiting_on_signals():
         session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
     assert ended.value.code == 128 + signal.SIGTERM
     assert len(dataset.load_dataset(tmp_path / "stopped")) == 1
