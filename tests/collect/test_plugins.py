@@ -63,10 +63,10 @@ def test_a_set_is_collected_with_the_example_devices(acme, tmp_path, capsys):
     devices = ["--arm=acme_devices:AcmeArm", "--skin=acme_devices:AcmeSkin", "--camera=acme"]
     assert command.main(["--out", str(tmp_path / "set"), *devices, *shared]) == 0
     assert "SIMULATED" in capsys.readouterr().out
-    touches = dataset.load_dataset(tmp_path / "set")
-    assert touches.touches.reading.shape == (1, 12)
-    assert (touches.source, touches.board.num_chips) == ("simulated", 4)
-    assert np.linalg.norm(touches.touches.reading) > 15
+    collected = dataset.load_dataset(tmp_path / "set")
+    assert collected.touches.reading.shape == (1, 12)
+    assert (collected.source, collected.board.num_chips) == ("simulated", 4)
+    assert np.linalg.norm(collected.touches.reading) > 15
     names = [f"--{kind}=acme" for kind in plugins.GROUPS]
     assert command.main(["--out", str(tmp_path / "dry"), "--dry-run", *names, *shared]) == 0
     output = capsys.readouterr().out
