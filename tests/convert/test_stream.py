@@ -125,7 +125,7 @@ def test_a_log_without_places_becomes_a_table_to_complete(tmp_path, capsys):
     path = write_table(tmp_path / "log.csv", np.delete(NAMES, [1, 2]), np.delete(rows, [1, 2], axis=1))
     data, table = tmp_path / "data", tmp_path / "presses.csv"
     indenter = ("--indenter", "sphere:4")
-    assert "where it was pressed is not known" in refused(capsys, "stream", path, data, *indenter)
+    assert "the positions of presses are unknown" in refused(capsys, "stream", path, data, *indenter)
     refused(capsys, "stream", path, table, *indenter)
     assert "--indenter is missing" in refused(capsys, "stream", path, data)
     assert run("stream", path, tmp_path / "presses.CSV") == 0
