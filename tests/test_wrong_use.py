@@ -75,7 +75,7 @@ COMMANDS = [
     ("i2t.hardware.hand_eye board b.png --dictionary nothing", "nothing"),
     ("i2t.hardware.touch_off", "--height"),
     ("i2t.hardware.realsense --file nothing.bag", "nothing.bag"),
-    ("i2t.emulators.lab --link text.txt", "exists and is no link"),
+    ("i2t.emulators.lab --link text.txt", "exists and is not a link"),
     ("tools.gallery --only nothing", "nothing"),
     ("tools.ready_models --eflesh nowhere", "no such folder"),
     ("experiments.reconstruct --dataset mesh.stl", "is the mesh of an object"),

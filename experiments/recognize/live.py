@@ -33,9 +33,9 @@ from experiments.recognize.plans import load_meshes, meshes_by_name
 from experiments.train.finished import find_pad_model
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
-from i2t.collect.beginning import begin
 from i2t.collect.recorder import touches_in
 from i2t.collect.settings import TouchSettings
+from i2t.collect.start import begin
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
 from i2t.dataset import holds_simulated, read_touch
 from i2t.emulators.world import read_pad

@@ -1,2 +1,3 @@
-"""Collecting touches: one procedure for real, emulated and simulated devices; each touch is on disk before it is
-acknowledged."""
+"""Collection of touches: one procedure for real, emulated and simulated devices. Each touch is on disk before it is
+acknowledged.
+"""

@@ -1,13 +1,13 @@
 """Collect touches of an object: an arm looks, presses and retreats, and every touch becomes a file.
 
-    python -m i2t.collect                                        all simulated: see how it goes
-    python -m i2t.collect --arm emulated --skin emulated         the real drivers with emulators, in a lab's time
+    python -m i2t.collect                                        all simulated, for a first try
+    python -m i2t.collect --arm emulated --skin emulated         the real drivers with emulators, in real time
     python -m i2t.collect --arm ur --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml \\
         --object mug.stl --unit mm --out DATA/mug --dry-run                checks everything, moves nothing
     python -m i2t.collect --arm acme_devices:AcmeArm ...         a device of another package
 
-The same command again goes on where it stopped. Ctrl-C, SIGTERM or a closed terminal stops the arm and keeps
-everything. What it writes is a data set: `python -m experiments.train --dataset DATA`.
+The same command resumes a collection where it stopped. Ctrl-C, SIGTERM or a closed terminal stops the arm and keeps
+everything. The result is a data set: `python -m experiments.train --dataset DATA`.
 """
 
 import signal
@@ -20,38 +20,38 @@ from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import read_options
 from i2t.collect.arguments import CollectArgs
 
-# A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
-ENDING_SIGNALS = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
     Args:
-        argv: Without the program's name; by default that of this process.
+        argv: Arguments without the program's name; by default those of this process.
 
     Returns:
-        The exit code.
+        The exit code of the process.
     """
     args = read_options(CollectArgs, argv, program="python -m i2t.collect", description=__doc__)
 
     def work() -> int:
         args.check()
-        from i2t.collect.beginning import begin
+        from i2t.collect.start import begin
 
         begun = begin(args)
-        from i2t.collect.session import collect  # not above: JAX takes seconds, which a refusal need not wait for
+        # Imported late, because JAX takes seconds and a refusal does not need it.
+        from i2t.collect.session import collect
 
         return collect(begun)
 
-    with left_by_signals():
-        return exit_code_of(work, f"stopped; everything is in {args.out}: the same command goes on")
+    with exiting_on_signals():
+        return exit_code_of(work, f"stopped; everything is in {args.out}: the same command resumes the collection")
 
 
 @contextmanager
-def left_by_signals() -> Iterator[None]:
-    """Within, what ends a program leaves it through every `finally`."""
-    before = {number: signal.signal(number, end_by_signal) for number in ENDING_SIGNALS}
+def exiting_on_signals() -> Iterator[None]:
+    """Within the block, make signals that end a program leave it through every `finally`."""
+    # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
+    signals = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {number: signal.signal(number, exit_on_signal) for number in signals}
     try:
         yield
     finally:
@@ -59,10 +59,10 @@ def left_by_signals() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def end_by_signal(number: int, *_: Any) -> None:
-    """Leave the program as the signal does, but through every `finally`.
+def exit_on_signal(number: int, *_: Any) -> None:
+    """End the program with the signal's exit code, but through every `finally`.
 
     Args:
-        number: Of the signal.
+        number: Number of the signal.
     """
     sys.exit(128 + number)

@@ -1,4 +1,4 @@
-"""Arm, skins and camera of a collection, whoever's they are, from their arguments and a rig."""
+"""Construction of the arm, skins and camera of a collection from its arguments and a rig."""
 
 from contextlib import ExitStack
 from dataclasses import replace
@@ -18,31 +18,31 @@ from i2t.types import Board
 
 
 class Devices(NamedTuple):
-    """Devices that have not been connected, and the clock that they share."""
+    """Devices that have not been connected, and their common clock."""
 
     arm: GuardedArm
-    skins: tuple[SkinOnTool, ...]  # first the one that presses
+    skins: tuple[SkinOnTool, ...]  # the first is the pressing skin
     camera: DepthCamera
     clock: Clock
 
     @property
     def source(self) -> str:
-        """Source of touches that a data set states: real, simulated or mixed."""
+        """Source of the touches for the data set: real, simulated or mixed."""
         sources = [self.arm.features.source, self.camera.features.source]
-        sources += [each.skin.features.source for each in self.skins]
+        sources += [on_tool.skin.features.source for on_tool in self.skins]
         stated = {"real" if source == "real" else "simulated" for source in sources}
         return stated.pop() if len(stated) == 1 else "mixed"
 
 
-def wanted_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
-    """The skins of a collection.
+def configured_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
+    """List the skins of a collection.
 
     Args:
-        args: As on the command line, which names the skin at the tool.
-        rig: With the further skins of the tool.
+        args: Arguments as on the command line, which name the pressing skin.
+        rig: The rig, with the further skins of the tool.
 
     Returns:
-        First the one that presses; each with its name in the data set as its pad.
+        The pressing skin, followed by the further ones. The pad of each is its name in the data set.
     """
     skin, pad = args.skin, "skin"
     if "pad" in find_plugin("skin", skin.kind).takes:
@@ -55,29 +55,29 @@ def wanted_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
         serial_number=skin.skin_serial or "",
         pad=args.pad_name or pad,
     )
-    return [pressing, *(replace(each, pad=each.pad or each.name) for each in rig.skins)]
+    return [pressing, *(replace(further, pad=further.pad or further.name) for further in rig.skins)]
 
 
-def require_together(args: CollectArgs, rig: Rig) -> None:
-    """Refuse skins that are not known, or feel nothing of what the arm does, before any device is made.
+def require_compatible(args: CollectArgs, rig: Rig) -> None:
+    """Refuse unknown skins, and skins that feel nothing on this arm, before any device is made.
 
     Args:
-        args: As on the command line.
-        rig: With the further skins of the tool.
+        args: Arguments as on the command line.
+        rig: The rig, with the further skins of the tool.
 
     Raises:
-        ValueError: The message names the flag, or the field of the rig.
+        ValueError: If a skin cannot be used with the arm; the message names the flag, or the field of the rig.
     """
-    for each in wanted_skins(args, rig):
-        plugin = find_plugin("skin", each.device, _option(each))
+    for skin in configured_skins(args, rig):
+        plugin = find_plugin("skin", skin.device, _option(skin))
         if plugin.arms and args.arm.kind not in plugin.arms:
             raise ValueError(
-                f"{_option(each)} is {each.device}, and feels nothing on this arm; pass --arm "
+                f"{_option(skin)} is {skin.device}, and feels nothing on this arm; pass --arm "
                 f"{' or '.join(plugin.arms)}, or another skin"
             )
-        if plugin.address_follows_arm and bool(args.arm.host) != bool(each.address):
+        if plugin.address_follows_arm and bool(args.arm.host) != bool(skin.address):
             raise ValueError(
-                f"{_option(each)} is {each.device}, and emulators that run already have a --host and a port; give "
+                f"{_option(skin)} is {skin.device}, and emulators that already run have a --host and a port; give "
                 "both, or neither"
             )
 
@@ -86,47 +86,47 @@ def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float 
     """Build the devices of a collection.
 
     Args:
-        args: Which; options of each device are checked (`CollectArgs.check`).
-        rig: Where everything is, with the further skins of the tool.
-        stack: Ends what has to be started for them.
+        args: Arguments whose options were checked (`CollectArgs.check`).
+        rig: The rig, with the further skins of the tool.
+        stack: Exit stack that ends the processes that are started for the devices.
         begin: Unix time (s) at which virtual time may begin.
 
     Returns:
         The devices, not connected.
 
     Raises:
-        ValueError: A name is not known, devices do not go together, a third party's device, an object or a pad cannot
-            be used, or a skin does not say where its chips are.
-        DeviceError: A driver is not installed.
+        ValueError: If a name is unknown, devices contradict each other, a third party's device, an object or a pad
+            cannot be used, or a skin does not state the positions of its chips.
+        DeviceError: If a driver is not installed.
     """
-    require_together(args, rig)
-    wanted = wanted_skins(args, rig)
+    require_compatible(args, rig)
+    wanted = configured_skins(args, rig)
     plugins = [find_plugin("arm", args.arm.kind), find_plugin("camera", args.camera.kind)]
-    plugins += [find_plugin("skin", each.device, _option(each)) for each in wanted]
-    clocks = {each.make_clock for each in plugins}
+    plugins += [find_plugin("skin", skin.device, _option(skin)) for skin in wanted]
+    clocks = {plugin.make_clock for plugin in plugins}
     clock = clocks.pop()(begin) if len(clocks) == 1 else MonotonicClock()
     setup = DeviceSetup(rig, board=args.skin.board, world=args.world, clock=clock, stack=stack)
     arm = load_device("arm", args.arm.kind, replace(setup, address=args.arm.host, watch=args.arm.watch))
     setup = replace(setup, arm=arm)
-    skins = tuple(_make_skin(each, setup) for each in wanted)
+    skins = tuple(_make_skin(skin, setup) for skin in wanted)
     camera = load_device("camera", args.camera.kind, replace(setup, address=args.camera.camera_serial))
     return Devices(arm, skins, camera, clock)
 
 
 def _option(skin: CarriedSkin) -> str:
-    """What names a skin."""
+    """Return the flag or the field of the rig that names a skin."""
     return "--skin" if skin.name == TOOL else f"skins.{skin.name}.device"
 
 
 def _make_skin(wanted: CarriedSkin, setup: DeviceSetup) -> SkinOnTool:
-    """A skin, not connected, with its board."""
+    """Make a skin with its board, without connecting it."""
     own = replace(setup, skin=wanted, address=wanted.address or None, board=wanted.board or None)
     skin = load_device("skin", wanted.device, own, _option(wanted))
     board = getattr(skin, "board", None) or (None if wanted.name == TOOL else make_board(wanted.board))
     if board is None:
         raise ValueError(
-            f"{_option(wanted)} {wanted.device}: does not say where its chips are; give it an attribute board, such as "
-            "i2t.skin.boards.reskin_board(), or grid_board() for chips in a square"
+            f"{_option(wanted)} {wanted.device}: does not state where its chips are; give it an attribute board, such "
+            "as i2t.skin.boards.reskin_board(), or grid_board() for chips in a square"
         )
     board, values = Board(*(np.asarray(part) for part in board)), len(skin.features.channels)
     if values != board.num_readings:

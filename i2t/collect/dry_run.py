@@ -1,11 +1,11 @@
-"""Dry run of a collection: what would be touched, and whether every device does its part, with nothing moved."""
+"""Dry run of a collection: check the sites and every device, and describe the collection, without any motion."""
 
 from pathlib import Path
 
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.checks import dry_checks, run_checks
+from i2t.collect.checks import dry_run_checks, run_checks
 from i2t.collect.path import TouchPath
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
@@ -17,19 +17,19 @@ from i2t.hardware.rig import summary
 
 
 def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> int:
-    """Check sites, settings and devices of a collection, and report what it would do.
+    """Check sites, settings and devices of a collection, and print a description of it.
 
     Args:
-        procedure: Its devices are connected.
-        sampler: Of the sites.
-        args: Of the collection; the rig's picture is drawn next to its folder.
+        procedure: The procedure, with connected devices.
+        sampler: Source of the sites.
+        args: Arguments of the collection. The picture of the rig is drawn next to its folder.
 
     Returns:
-        The exit code.
+        The exit code: 0 if no check found a defect.
 
     Raises:
-        ValueError: The settings are beyond the arm's limits.
-        DeviceError: A device does not do its part.
+        ValueError: If the settings exceed the arm's limits.
+        DeviceError: If a device fails.
     """
     path, arm = procedure.path, procedure.arm
     path.check_settings()
@@ -38,45 +38,46 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> in
     picture = args.out.with_name(f"{args.out.name}-rig.png")
     _draw_rig(procedure, sampler, sampler.site(0), picture)
     print(f"picture   the rig with object, tool and camera is drawn in {picture}: does it look like the lab?")
-    wrong = run_checks(dry_checks(sampler, args.touches), procedure)
+    wrong = run_checks(dry_run_checks(sampler, args.touches), procedure)
     print("nothing was moved" + ("" if arm.features.source == "simulated" else "; the arm was taken and let go"))
     return int(bool(wrong))
 
 
 def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
-    """Sentences on the force of a collision and of a press, by the formula of `i2t.hardware.collision`.
+    """Describe the forces of a collision and of a press by the formula of `i2t.hardware.collision`.
 
     Args:
-        path: Of the touches.
-        stall_s: s, after which an arm whose computer stalls stops by itself; None where only the arm knows.
+        path: Path of the touches.
+        stall_s: Time (s) after which an arm stops by itself when its computer stalls; None if only the arm's own
+            settings determine it.
 
     Returns:
-        Lines.
+        Lines of text on the motion in the air and on the press.
     """
     limits, settings = path.rig.limits, path.settings
 
-    def more(late: float) -> float:
-        """N that a press gains when it is told to stop, so late (s)."""
+    def extra(delay: float) -> float:
+        """Compute the force (N) that a press gains when the command to stop is late (s)."""
         return overrun_force(
-            settings.press, limits.stiffness, braking=SAFETY.braking_m_s2, delay=SAFETY.reaction_time_s + late
+            settings.press, limits.stiffness, braking=SAFETY.braking_m_s2, delay=SAFETY.reaction_time_s + delay
         )
 
     stiff = f"at {limits.stiffness / 1e3:g} N/mm"
-    asked = f" ({1e3 * settings.speed:.0f} asked)" if path.free_speed < settings.speed else ""
-    stall = f"{more(stall_s):.1f} N" if stall_s is not None else "what the arm's own watch allows"
+    requested = f" ({1e3 * settings.speed:.0f} requested)" if path.free_speed < settings.speed else ""
+    stall = f"{extra(stall_s):.1f} N" if stall_s is not None else "what the arm's own watch allows"
     hit = limits.collision_force(path.free_speed, limits.trip_force)
     return [
-        f"free      {1e3 * path.free_speed:.0f} mm/s{asked}: stopped at {limits.trip_force:.0f} N, a collision {stiff} "
-        f"ends at {hit:.0f} N at the most, of {limits.force:g} N allowed",
-        f"press     {1e3 * settings.press:g} mm/s: ends at {settings.force + more(0.0):.1f} N at the most, {stiff}; a "
-        f"stall of this computer adds {stall}, a skin that falls silent {more(settings.silence):.1f} N, and no more "
+        f"free      {1e3 * path.free_speed:.0f} mm/s{requested}: stopped at {limits.trip_force:.0f} N, a collision "
+        f"{stiff} ends at {hit:.0f} N at most, of {limits.force:g} N allowed",
+        f"press     {1e3 * settings.press:g} mm/s: ends at {settings.force + extra(0.0):.1f} N at most, {stiff}; a "
+        f"stall of this computer adds {stall}, a skin that falls silent {extra(settings.silence):.1f} N, and no more "
         "than that",
     ]
 
 
 def _draw_rig(procedure: Procedure, sampler: SiteSampler, site: Site, path: Path) -> None:
-    """Draw base, box, object, and the tool with its camera at a site, for a person to compare with the lab."""
-    # Not above: matplotlib takes a third of a second, and most collections draw no picture.
+    """Draw base, box, object, and the tool with its camera at a site, for comparison with the lab by eye."""
+    # Imported late: matplotlib takes a third of a second, and most collections draw no picture.
     from i2t.viz.rig_scene import RigScene, plot_rig
     from i2t.viz.style import save_figure
 

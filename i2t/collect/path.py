@@ -1,6 +1,6 @@
-"""Path of the tool for a touch, and its check: all goals are checked against the box before the first motion.
+"""Path of the tool for a touch, and its check: all goals are compared with the box before the first motion.
 
-What is outside is refused and never moved inside. Frames: W world, B robot base, T tool; metres.
+A goal outside the box is refused, and never moved inside. Frames: W world, B robot base, T tool; metres.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,13 +20,13 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class TouchPath:
-    """Goals of touches and the way between them.
+    """Goals of touches and the path between them.
 
     Args:
-        rig: Where everything is, with the arm's limits.
-        settings: How a touch is made.
-        top: m, height of the object's highest point in W.
-        why_unreachable: The arm's own answer (`i2t.hardware.protocols.PlanningArm`), where it has one.
+        rig: The rig, with the arm's limits.
+        settings: Settings of a touch.
+        top: Height (m) of the object's highest point in W.
+        why_unreachable: The arm's own check of goals (`i2t.hardware.protocols.PlanningArm`), if it has one.
     """
 
     rig: Rig
@@ -35,13 +35,13 @@ class TouchPath:
     why_unreachable: Callable[[Sequence[Array]], str] | None = None
 
     def poses(self, site: Site) -> tuple[Array, Array, Array, Array]:
-        """Poses at which the touch of a site looks, prepares, slows down and ends at the latest.
+        """Compute the poses at which the touch of a site looks, prepares, slows down and ends at the latest.
 
         Args:
-            site: Where.
+            site: The site to touch.
 
         Returns:
-            Four T_b_t (4, 4), m.
+            Four `(4, 4)` poses T_b_t (m).
         """
         T_w_look = np.array(site.T_w_t)
         T_t_c = self.rig.T_tool_camera
@@ -53,29 +53,30 @@ class TouchPath:
         return to_base @ T_w_look, prepare, near, end
 
     def check(self, site: Site) -> None:
-        """Refuse a site before anything moves.
+        """Refuse an unreachable site before any motion.
 
         Args:
-            site: Where.
+            site: The site to touch.
 
         Raises:
-            UnreachableError: A goal of its touch, or the way there, is outside the box.
+            UnreachableError: If a goal of its touch, or the path to it, is outside the box.
         """
         if why := self.why_not(site):
             raise UnreachableError(why)
 
     def why_not(self, site: Site, looks: bool = True) -> str:
-        """Reason why a site cannot be reached.
+        """Explain why a site cannot be reached.
 
         Args:
-            site: Where.
-            looks: Whether the camera is to look at it before it is touched.
+            site: The site to touch.
+            looks: Whether the camera is to look at the site before it is touched.
 
         Returns:
-            A sentence; empty where it can.
+            A sentence, or the empty string if the site can be reached.
 
         Raises:
-            UnreachableError: No site can, as the way across the object is outside the box.
+            UnreachableError: If no site can be reached, because the transfer height above the object is outside the
+                box.
         """
         look, prepare, near, end = self.poses(site)
         goals = {"look": look} if looks else {}
@@ -87,26 +88,26 @@ class TouchPath:
                 )
         # The lines of a touch: down to look, up, across, down to prepare, to the end.
         height = self.transfer_height()
-        above_look, above = (_at_height(pose, height) for pose in (look, prepare))
+        above_look, above = (_raised_to(pose, height) for pose in (look, prepare))
         lines = (*((above_look, look, above_look) if looks else ()), above, prepare, end)
         refused = "" if self.why_unreachable is None else self.why_unreachable(lines)
         return f"site {site.number}: {refused}" if refused else ""
 
     def check_settings(self) -> None:
-        """Refuse settings that the arm's limits forbid, before anything moves.
+        """Refuse settings that the arm's limits forbid, before any motion.
 
         Raises:
-            ValueError: A speed, force, torque or approach is beyond its limit.
-            UnreachableError: The way across the object is outside the box.
+            ValueError: If a speed, force, torque or approach exceeds its limit.
+            UnreachableError: If the transfer height above the object is outside the box.
         """
         settings, limits = self.settings, self.rig.limits
-        for name, most, unit in (
+        for name, limit, unit in (
             *((name, limits.speed, "m/s") for name in ("speed", "approach", "press", "retreat")),
             ("acceleration", limits.acceleration, "m/s^2"),
         ):
             value = getattr(settings, name)
-            if not value <= most:
-                raise ValueError(f"{name} is {value:g} {unit}, above the rig's limit, {most:g}; lower it")
+            if not value <= limit:
+                raise ValueError(f"{name} is {value:g} {unit}, above the rig's limit, {limit:g}; lower it")
         for distance in (settings.prepare - settings.near, settings.near + settings.overtravel):
             if distance > 0:
                 limits.check_approach(distance, settings.force, settings.torque)
@@ -115,49 +116,49 @@ class TouchPath:
         self.transfer_height()
 
     def _check_stops(self, name: str, speed: float) -> None:
-        """Refuse a guarded motion that runs past the rig's limit once the settings' force has told it to stop."""
+        """Refuse a guarded motion whose overrun exceeds the rig's force limit after a stop at the settings' force."""
         limits, force = self.rig.limits, self.settings.force
-        ends = limits.collision_force(speed, force)
-        if not ends <= limits.force:
+        final_force = limits.collision_force(speed, force)
+        if not final_force <= limits.force:
             allowed = fastest_speed(limits.force - force, limits.stiffness, braking=SAFETY.braking_m_s2)
             raise ValueError(
-                f"{name} is {speed:g} m/s: told to stop at {force:g} N it would end at {ends:.0f} N, at "
+                f"{name} is {speed:g} m/s: stopped at {force:g} N, it would end at {final_force:.0f} N, at "
                 f"{limits.stiffness / 1e3:g} N/mm, above the rig's limit, {limits.force:g} N; give {allowed:.2g} m/s "
                 "or less, or lower settings.force"
             )
 
     @property
     def free_speed(self) -> float:
-        """Speed (m/s) in the air: as asked, but no faster than what can be stopped within the force limit."""
+        """Speed (m/s) in the air: as requested, but no faster than what can be stopped within the force limit."""
         return min(self.settings.speed, self.rig.limits.free_speed)
 
     @property
     def retreat_speed(self) -> float:
-        """Speed (m/s) of retreats, bounded likewise."""
+        """Speed (m/s) of retreats, with the same bound."""
         return min(self.settings.retreat, self.rig.limits.free_speed)
 
     def transfer_height(self) -> float:
-        """Height of the tool from site to site: `clearance` above the object's highest point.
+        """Compute the height at which the tool moves between sites: `clearance` above the object's highest point.
 
         Returns:
-            m, in the base.
+            Height (m) of the tool in the base.
 
         Raises:
-            UnreachableError: The box ends below.
+            UnreachableError: If the box ends below that height.
         """
         low, high = self.rig.limits.lower[2], self.rig.limits.upper[2]
         height = self.top - self.rig.T_world_base[2, 3] + self.settings.clearance
         if not height <= high:
             raise UnreachableError(
-                f"between sites the tool would go across at {height:.3f} m in the base, "
+                f"between sites the tool would move at {height:.3f} m in the base, "
                 f"{1e3 * self.settings.clearance:.0f} mm above the object, and the box ends at {high:.3f} m; raise the "
                 "box, or lower settings.clearance"
             )
         return float(max(height, low))
 
 
-def _at_height(T_b_t: Array, height: float) -> Array:
-    """The pose straight above, at the height of the way across (m in the base) or where it is if that is higher."""
+def _raised_to(T_b_t: Array, height: float) -> Array:
+    """Raise a pose to a height (m in the base), unless it is already above it."""
     raised = np.array(T_b_t)
     raised[2, 3] = max(raised[2, 3], height)
     return raised

@@ -1,21 +1,23 @@
-"""One touch after another, as the paper makes them: choose, look, extract the patch, prepare, ambient, press, retreat.
+"""Procedure that makes one touch after another, as the paper does: choose, look, extract the patch, prepare, measure
+the ambient field, press, retreat.
 
-    look      the camera over the site, `rig.looking_distance` away; the patch is extracted by a function that is given
-    prepare   the skin `prepare` before the site, its z along the site's; the wrench is zeroed where nothing is touched
-    approach  to `near` before the site, quickly: whatever is met here was not expected, and the touch has failed
-    ambient   the mean of some samples at rest
-    press     on, slowly, until a skin, force, torque or the distance is enough; then the mean of some samples
-    retreat   back to where it prepared; between sites the tool goes up, across and down
+    look      The camera looks at the site from `rig.looking_distance`; a given function extracts the patch.
+    prepare   The skin stands at `prepare` before the site, its z along the site's. The wrench is zeroed in the air.
+    approach  The tool goes fast to `near` before the site. A contact here was not expected: the touch has failed.
+    ambient   Mean of some samples at rest.
+    press     The tool goes on slowly until a skin, force, torque or distance limit is reached. Then the mean of some
+              samples in contact is measured.
+    retreat   The tool goes back to where it prepared. Between sites it goes up, across and down.
 
-Every motion is one of an arm that guards itself (`i2t.hardware.protocols.GuardedArm`). Where it goes is
-checked before the first motion (`i2t.collect.path`). A press that met nothing where the camera sees a surface has
-failed. Which site is next is asked of a plain callable, `choose(history) -> site`. Numbers are those of the paper and
-its code where it has them, except where `TouchSettings` says why.
+Every motion is one of an arm that guards itself (`i2t.hardware.protocols.GuardedArm`). Its goals are checked before the
+first motion (`i2t.collect.path`). A press without contact has failed if the camera sees a surface there. A plain
+callable, `choose(history) -> site`, chooses the next site. Numbers are those of the paper and its code, if they state
+them, except where `TouchSettings` gives a reason.
 
-All skins on the tool are read, and each may stop an approach. A skin has felt a press if its change differs between
-its chips by half of what stops a press. One that felt nothing met air, whatever ended the press; where none did, the
-touch is that of the skin at the tool. The arm measures one force for all: it is a skin's own where no other felt the
-press, and unknown (NaN) else.
+All skins on the tool are read, and each may stop an approach. A skin has felt a press if the part of its change that
+differs between its chips exceeds half of what stops a press. For a skin that felt nothing, the press met air,
+whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one force for
+all skins: it is assigned to a skin if no other felt the press, and is unknown (NaN) otherwise.
 
 Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
@@ -73,23 +75,18 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
     "torque": ReturnCode.WRENCH,
     "distance": ReturnCode.AIR,
 }
-LAST_SAMPLES = 48  # of a press, in which a skin must have changed
-MIN_CHIP_SHARE = 0.5  # of the chips, that must answer for an approach
-RECONNECT_WAIT_S = 0.2  # between attempts to connect
-POSE_TOLERANCES = (1e-3, 0.01)  # m, and of a rotation's elements: so near a pose the tool is there
-RETREAT_SHARES = (1.0, 0.5, 0.25, 0.1, 0.0)  # of `prepare`, that a retreat tries to go back along the tool's axis
 
 
 class Press(NamedTuple):
-    """Press that has ended, with the tool still in contact."""
+    """A press that has ended, with the tool still in contact."""
 
     result: ApproachResult
-    log: EventLog  # that heard of everything
-    period: tuple[float, float]  # s, when it began and ended
-    ambient: dict[str, Array]  # (c,) uT of each skin before it, by its name
-    states: list[ArmState]  # before and after the samples in contact
-    changes: dict[str, Array]  # (c,) uT, of each skin in contact
-    felt_by: list[str]  # names of the skins that felt it, of that at the tool where none did
+    log: EventLog  # log of the touch
+    period: tuple[float, float]  # times (s) at which the press began and ended
+    ambient: dict[str, Array]  # (c,) reading (uT) of each skin before the press, by its name
+    states: list[ArmState]  # states before and after the samples in contact
+    changes: dict[str, Array]  # (c,) change (uT) of each skin in contact, by its name
+    felt_by: list[str]  # names of the skins that felt the press; the pressing skin if none did
 
 
 @dataclass
@@ -97,14 +94,14 @@ class Procedure:
     """Touches with these devices.
 
     Args:
-        arm: Connected, as are skins and camera.
-        skins: On the tool, first the one that presses.
-        camera: That the arm carries.
-        rig: Where everything is.
-        extract_patch: Makes a patch of a view, the camera, T_w_c and T_w_t.
-        top: m, height of the object's highest point in W.
-        settings: How a touch is made.
-        clock: That the devices share.
+        arm: The arm; it is connected, like skins and camera.
+        skins: Skins on the tool, the pressing one first.
+        camera: Camera that the arm carries.
+        rig: Calibration of the lab.
+        extract_patch: Function that extracts a patch from a view, the camera, T_w_c and T_w_t.
+        top: Height (m) of the object's highest point in W.
+        settings: Settings of a touch.
+        clock: Common clock of the devices.
     """
 
     arm: GuardedArm
@@ -117,18 +114,18 @@ class Procedure:
     clock: Clock = field(default_factory=MonotonicClock)
 
     def run(self, choose: ChooseSite, recorder: Recorder) -> Iterator[SiteOutcome]:
-        """Touch the chosen sites, until none is chosen.
+        """Touch the chosen sites until none is chosen.
 
         Args:
-            choose: Gives the next site by what became of the others, None at the end.
-            recorder: Records touches.
+            choose: Function that chooses the next site from the outcomes of the others; it returns None at the end.
+            recorder: Recorder of the touches.
 
         Yields:
-            What became of each site, once its touch is safe.
+            The outcome of each site, once its touch is stored.
 
         Raises:
-            ValueError: The settings are beyond the arm's limits; nothing has moved.
-            DeviceError: A person is needed.
+            ValueError: If the settings exceed the arm's limits; nothing has moved then.
+            DeviceError: If a person is needed.
         """
         self.path.check_settings()
         history: list[SiteOutcome] = []
@@ -145,18 +142,18 @@ class Procedure:
                 raise DeviceError(f"{failures} sites in a row could not be touched, the last because: {outcome.reason}")
 
     def attempt(self, site: Site, recorder: Recorder) -> SiteOutcome:
-        """Touch a site, more than once if need be, and record what came of it.
+        """Touch a site, with further attempts if necessary, and record the result.
 
         Args:
-            site: Where.
-            recorder: Records the touch.
+            site: The site to touch.
+            recorder: Recorder of the touch.
 
         Returns:
-            The touch, or why there is none.
+            The touch, or the reason why there is none.
 
         Raises:
-            DeviceError: A person is needed: the arm was stopped, a device does not speak again, the disk is full, or
-                every attempt met nothing where the camera sees a surface.
+            DeviceError: If a person is needed: the arm was stopped, a device does not respond again, the disk is full,
+                or every attempt met nothing although the camera sees a surface.
         """
         errors: list[DeviceError] = []
         for attempt in range(1 + self.settings.retries):
@@ -190,32 +187,34 @@ class Procedure:
         """Make one touch.
 
         Args:
-            site: Where.
-            log: Receives everything that happens.
-            attempt: How often it was tried before.
+            site: The site to touch.
+            log: Log of all events.
+            attempt: Number of earlier attempts.
 
         Returns:
-            The touch; the tool has retreated.
+            The touch, after the retreat of the tool.
 
         Raises:
-            DeviceError: It failed; a TouchFailedError if the site is at fault.
+            DeviceError: If the touch failed; a TouchFailedError if the site is the cause.
         """
         look, prepare, _, _ = self.path.poses(site)
         self.path.check(site)
-        before = {each.name: each.skin.counters for each in self.skins}
+        before = {on_tool.name: on_tool.skin.counters for on_tool in self.skins}
         view, T_w_c = self._look(site, look, log)
         self.prepare(prepare, log)
         press = self.press(log)
         log.event("retreat")
         self.arm.go(prepare, self.path.retreat_speed, self.settings.acceleration)
-        skins = {each.name: self._skin_touch(each, press, view, T_w_c, before[each.name]) for each in self.skins}
+        skins = {
+            on_tool.name: self._skin_touch(on_tool, press, view, T_w_c, before[on_tool.name]) for on_tool in self.skins
+        }
         reason = press.result.reason
         if RETURN_CODES[reason] == ReturnCode.AIR:
             self._check_air(skins[TOOL].seen)
         return TouchResult(site, attempt, reason, skins, view, T_w_c)
 
     def _look(self, site: Site, look: Array, log: EventLog) -> tuple[View, Array]:
-        """A view of the site that the rig does not contradict, and T_w_c (4, 4) where it was taken."""
+        """Take a view of the site that does not contradict the rig. Return it with the camera's pose T_w_c (4, 4)."""
         log.event("look")
         self.move_above(look)
         self.clock.sleep(self.settings.settle)
@@ -225,15 +224,15 @@ class Procedure:
         return view, T_w_c
 
     def prepare(self, prepare: Array, log: EventLog) -> None:
-        """Zero the wrench before a site, and go near it.
+        """Zero the wrench before a site, and approach it.
 
         Args:
-            prepare: T_b_t (4, 4), m, before the site.
-            log: Receives everything that happens.
+            prepare: `(4, 4)` pose T_b_t (m) before the site.
+            log: Log of all events.
 
         Raises:
-            TouchFailedError: Something is met there.
-            DeviceError: A device fails.
+            TouchFailedError: If the approach meets something.
+            DeviceError: If a device fails.
         """
         settings = self.settings
         log.event("prepare")
@@ -242,27 +241,27 @@ class Procedure:
             self.clock.sleep(settings.settle)
         self.arm.zero_wrench()
         distance = settings.prepare - settings.near
-        met, _ = self._approach(distance, settings.approach, self._rest_readings(log), log)
-        if met.reason != "distance":
+        result, _ = self._approach(distance, settings.approach, self._measure_ambient(log), log)
+        if result.reason != "distance":
             raise TouchFailedError(
-                f"something was met {1e3 * (settings.prepare - met.distance):.0f} mm before the site"
+                f"something was met {1e3 * (settings.prepare - result.distance):.0f} mm before the site"
             )
 
     def press(self, log: EventLog) -> Press:
-        """Take the ambient, press until something says stop, and read the skins in contact.
+        """Measure the ambient field, press until a limit is reached, and read the skins in contact.
 
         Args:
-            log: Receives everything that happens.
+            log: Log of all events.
 
         Returns:
-            The press; the tool is still in contact.
+            The press, with the tool still in contact.
 
         Raises:
-            DeviceError: A device fails.
+            DeviceError: If a device fails.
         """
         settings = self.settings
         log.event("ambient")
-        ambient = self._rest_readings(log)
+        ambient = self._measure_ambient(log)
         log.event("press")
         started = self.clock.now()
         result, stop = self._approach(settings.near + settings.overtravel, settings.press, ambient, log)
@@ -277,22 +276,22 @@ class Procedure:
         for state in states:
             log.state(state)
         self._check_alive(log, period)
-        felt_by = [each.name for each in self.skins if felt(changes[each.name], each.board, settings)]
+        felt_by = [on_tool.name for on_tool in self.skins if felt(changes[on_tool.name], on_tool.board, settings)]
         return Press(result, log, period, ambient, states, changes, felt_by or [TOOL])
 
     def _check_alive(self, log: EventLog, period: tuple[float, float]) -> None:
-        """Refuse a press at whose end a skin sent one sample again and again; a simulated one may be without noise."""
-        for each in self.skins:
-            rows = [row[1:] for _, row in sorted(log.readings[each.name].items()) if row[0] >= period[0]]
-            if rows and each.skin.features.source != "simulated":
-                stands = frozen_sentence(np.array(rows[-LAST_SAMPLES:])[:, : each.board.num_readings])
-                if stands:
-                    raise DeviceError(f"{each.skin.features.name}: {stands}")
+        """Refuse a press at whose end a skin, other than a simulated one without noise, repeated one sample."""
+        for on_tool in self.skins:
+            rows = [row[1:] for _, row in sorted(log.readings[on_tool.name].items()) if row[0] >= period[0]]
+            if rows and on_tool.skin.features.source != "simulated":
+                defect = frozen_sentence(np.array(rows[-48:])[:, : on_tool.board.num_readings])
+                if defect:
+                    raise DeviceError(f"{on_tool.skin.features.name}: {defect}")
 
     def _skin_touch(
         self, on_tool: SkinOnTool, press: Press, view: View, T_w_c: Array, before: SkinCounters
     ) -> SkinTouch:
-        """What a skin felt in a press; `before` are its counters before the touch."""
+        """Evaluate a press for one skin; `before` holds its counters before the touch."""
         name = on_tool.name
         change, ambient = press.changes[name], press.ambient[name]
         T_b_s = press.states[-1].T_b_t @ on_tool.T_tool_skin
@@ -305,42 +304,44 @@ class Procedure:
         if code != ReturnCode.AIR:
             depth = onset_distance(*press_samples(press.log, on_tool, press.period, T_b_s), ambient, change)
         seen = self.extract_patch(view, self.camera.camera, T_w_c, T_w_s)
-        counters = _counted_since(on_tool.skin.counters, before)
+        counters = _counter_differences(on_tool.skin.counters, before)
         return SkinTouch(T_w_s, code, ambient, change, force, depth, seen, counters)
 
     def _means(self, count: int, log: EventLog) -> dict[str, Array]:
-        """(c,) uT, the mean of the next samples of each skin, by its name."""
+        """Average the next samples of each skin: (c,) readings (uT) by the names of the skins."""
         means = {}
-        for each in self.skins:
-            samples = each.skin.read(count)
-            log.samples(samples, each.name)
-            means[each.name] = mean_known(samples.reading, axis=0)
+        for on_tool in self.skins:
+            samples = on_tool.skin.read(count)
+            log.samples(samples, on_tool.name)
+            means[on_tool.name] = mean_known(samples.reading, axis=0)
         return means
 
-    def _rest_readings(self, log: EventLog) -> dict[str, Array]:
-        """(c,) uT of each skin at rest, by its name; NaN for a chip that does not answer."""
+    def _measure_ambient(self, log: EventLog) -> dict[str, Array]:
+        """Measure the (c,) reading (uT) of each skin at rest, by its name; NaN for a chip that does not answer."""
         means = self._means(self.settings.ambient, log)
-        for each in self.skins:
-            answering = int(np.isfinite(means[each.name]).sum()) // 3
-            if answering < MIN_CHIP_SHARE * each.board.num_chips:
+        for on_tool in self.skins:
+            answering = int(np.isfinite(means[on_tool.name]).sum()) // 3
+            if answering < 0.5 * on_tool.board.num_chips:
                 raise DeviceError(
-                    f"only {answering} of {each.board.num_chips} chips of {each.skin.features.name} answer, too few to "
-                    "feel a press; check the board's cables"
+                    f"only {answering} of {on_tool.board.num_chips} chips of {on_tool.skin.features.name} answer, too "
+                    "few to feel a press; check the board's cables"
                 )
         return means
 
     def _approach(
         self, distance: float, speed: float, ambient: Mapping[str, Array], log: EventLog
     ) -> tuple[ApproachResult, StopCondition]:
-        """Go along tool z under the skins' stop condition."""
+        """Move along tool z under the stop condition of the skins."""
         settings, start = self.settings, self.arm.state()
-        most = {"force": settings.force, "torque": settings.torque}
-        motion = {"distance": distance, "speed": speed, **most}
+        bounds = {"force": settings.force, "torque": settings.torque}
+        motion = {"distance": distance, "speed": speed, **bounds}
         watch = MotionWatch(self.arm, self.rig.limits, start, **motion, clock=self.clock)
         stop = StopCondition(self.skins, settings, ambient, log, watch)
         if distance <= 0:
             return ApproachResult("distance", None, start, start, 0.0), stop
-        return stop.judged(self.arm.approach(distance, speed, stop, **most, acceleration=settings.acceleration)), stop
+        return stop.corrected(
+            self.arm.approach(distance, speed, stop, **bounds, acceleration=settings.acceleration)
+        ), stop
 
     def _check_view(self, seen: SeenPatch) -> None:
         """Refuse a site that the camera contradicts."""
@@ -355,7 +356,7 @@ class Procedure:
             )
 
     def _check_air(self, seen: SeenPatch | None) -> None:
-        """Refuse a press that met nothing although it went through what the camera sees."""
+        """Refuse a press that met nothing although it went through a surface that the camera sees."""
         if seen is not None and seen.nearest < -self.settings.air_tolerance:
             raise MissedContactError(
                 f"the press met nothing, but the camera sees a surface {-1e3 * seen.nearest:.1f} mm before its end: "
@@ -371,10 +372,10 @@ class Procedure:
         return TouchPath(self.rig, self.settings, self.top, planned)
 
     def move_above(self, goal: Array) -> None:
-        """Go up, across and down to a pose, unless the tool is there.
+        """Move up, across and down to a pose, unless the tool is there.
 
         Args:
-            goal: (4, 4) T_b_t, m.
+            goal: `(4, 4)` pose T_b_t (m).
         """
         state = self.arm.state()
         if is_at(state, goal):
@@ -387,20 +388,20 @@ class Procedure:
                 state = self.arm.go(T_b_t, self.path.free_speed, self.settings.acceleration)
 
     def retreat(self) -> None:
-        """Retreat from whatever the tool may touch: back along its axis, as far as the box allows, then up.
+        """Retreat from a possible contact: back along the tool's axis, as far as the box allows, then up.
 
-        At the edge of the box there may be no way back along the axis. A skin that faces down is then lifted straight
-        up: that leads away from what it pressed, and what slides along its side is stopped by the force limit of free
-        motions. A skin that faces up would be lifted into what it touches, so that a person is asked.
+        At the edge of the box, there may be no room to move back along the axis. A skin that faces down is then lifted
+        straight up, away from what it pressed; contact along its side is stopped by the force limit of free motions.
+        CAUTION: a skin that faces up would be lifted into what it touches, so that a person must move it.
 
         Raises:
-            DeviceError: The tool is outside the box, or faces up where the box ends behind it, or the arm fails.
+            DeviceError: If the tool is outside the box, or faces up where the box ends behind it, or if the arm fails.
         """
         T_b_t = self.arm.state().T_b_t
         height = self.path.transfer_height()
         if T_b_t[2, 3] >= height:
             return
-        steps = (shifted_along_z(T_b_t, -share * self.settings.prepare) for share in RETREAT_SHARES)
+        steps = (shifted_along_z(T_b_t, -part * self.settings.prepare) for part in (1.0, 0.5, 0.25, 0.1, 0.0))
         back = next((pose for pose in steps if self.rig.limits.contains(pose[:3, 3])), None)
         if back is None:
             raise DeviceError(
@@ -417,21 +418,21 @@ class Procedure:
         self.arm.go(back, self.path.free_speed, self.settings.acceleration)
 
     def recover(self) -> None:
-        """Recover from a failure: stand, retreat, and reconnect skins and camera where they fail.
+        """Recover from a failure: stop, retreat, and reconnect skins and camera that fail.
 
         Raises:
-            DeviceError: The arm, or after `patience` another device, needs a person.
+            DeviceError: If the arm, or after `patience` another device, needs a person.
         """
         self.arm.stop()
         self.arm.state()
         self.retreat()
         give_up = self.clock.now() + self.settings.patience
-        for each in self.skins:
-            self._reconnect(each.skin, partial(each.skin.read, 1), give_up)
+        for on_tool in self.skins:
+            self._reconnect(on_tool.skin, partial(on_tool.skin.read, 1), give_up)
         self._reconnect(self.camera, self.camera.capture, give_up)
 
     def _reconnect(self, device: Skin | DepthCamera, speak: Callable[[], object], give_up: float) -> None:
-        """Connect a device until it speaks; raises its DeviceError after a time (s)."""
+        """Connect a device until it responds. Raise its DeviceError after a time (s)."""
         while True:
             try:
                 speak()
@@ -439,31 +440,31 @@ class Procedure:
             except DeviceError:
                 if self.clock.now() > give_up:
                     raise
-            self.clock.sleep(RECONNECT_WAIT_S)
+            self.clock.sleep(0.2)
             with contextlib.suppress(DeviceError):
                 device.connect()
 
 
 def _without_images(touch: TouchResult) -> TouchResult:
-    """A touch as a history keeps it: images would fill the memory."""
-    return touch._replace(view=None, skins={name: each._replace(seen=None) for name, each in touch.skins.items()})
+    """Copy a touch without its images, which would fill the memory of a history."""
+    return touch._replace(view=None, skins={name: skin._replace(seen=None) for name, skin in touch.skins.items()})
 
 
-def _counted_since(now: SkinCounters, before: SkinCounters) -> SkinCounters:
+def _counter_differences(now: SkinCounters, before: SkinCounters) -> SkinCounters:
     counted = {name: getattr(now, name) - getattr(before, name) for name in now._fields if name != "rate"}
     return SkinCounters(**counted, rate=now.rate)
 
 
 def is_at(state: ArmState, goal: Array) -> bool:
-    """Test whether the tool stands at a pose.
+    """Test whether the tool is at a pose.
 
     Args:
-        state: Of the arm.
-        goal: (4, 4) T_b_t, m.
+        state: State of the arm.
+        goal: `(4, 4)` pose T_b_t (m).
 
     Returns:
-        True within a millimetre and half a degree.
+        True if they agree within a millimetre and about half a degree.
     """
-    away = np.linalg.norm(state.T_b_t[:3, 3] - goal[:3, 3])
-    turned = np.abs(state.T_b_t[:3, :3] - goal[:3, :3]).max()
-    return bool(away < POSE_TOLERANCES[0] and turned < POSE_TOLERANCES[1])
+    distance = np.linalg.norm(state.T_b_t[:3, 3] - goal[:3, 3])
+    turn = np.abs(state.T_b_t[:3, :3] - goal[:3, :3]).max()
+    return bool(distance < 1e-3 and turn < 0.01)

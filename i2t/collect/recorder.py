@@ -1,16 +1,16 @@
-"""Touches become files as they are made: one immutable file each, whole and on the disk before it is acknowledged.
+"""Recorder of touches: each becomes one immutable file, complete and on the disk before it is acknowledged.
 
-While a touch is under way everything goes to a hidden raw file as well (`.under-way`), so that what was read survives
-even `kill -9`; it is removed once the touch is saved, and moved to `.interrupted/` if it never was. `read_raw` reads
-such a file up to its last whole entry. It has a line of JSON for each entry: first what it is, then
-`["event", [s, text]]`, `["skin NAME", rows]` (without a name for the one at the tool) and `["arm", row]`.
+During a touch, everything also goes to a hidden raw file (`.under-way`), so that all readings survive even `kill -9`.
+It is removed once the touch is saved, and moved to `.interrupted/` otherwise. `read_raw` reads such a file up to its
+last complete entry. Each entry is a line of JSON that begins with its kind: `["event", [s, text]]`, `["skin NAME",
+rows]` (without a name for the pressing skin) and `["arm", row]`.
 
-Devices count seconds that never jump, files hold Unix time: both clocks are read when a touch begins, and their
-difference dates everything in that touch. If the difference is another one at the end, somebody has set the clock: the
-touch is saved, dated by the old one, and the session ends, since later files would sort before earlier ones.
+Devices count seconds that never jump, and files hold Unix time. Both clocks are read when a touch begins, and their
+difference dates everything in that touch. If the difference has changed at the end, somebody has set the clock: the
+touch is saved with the old difference, and the session ends, because later files would sort before earlier ones.
 
-A disk that is nearly full, a folder that may not be written and a clock that was set back are found before a touch
-begins, with the arm standing away from the object. All trouble is a DeviceError of one sentence.
+A nearly full disk, a folder without write permission and a clock that was set back are found before a touch begins,
+while the arm is away from the object. Each problem is a DeviceError of one sentence.
 """
 
 import contextlib
@@ -43,19 +43,15 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-UNDER_WAY, INTERRUPTED = ".under-way", ".interrupted"
+INTERRUPTED = ".interrupted"  # folder of the raw files of touches that were not saved
 RAW_FILE_HEADER = b'{"touch": "i2t raw", "version": 4}'
-RESERVE_BYTES = 50 * 2**20  # that must be free before a touch begins: a hundred touches
-CLOCK_JUMP_S = 0.5  # by which the clocks may drift apart during a touch
-MIN_TIME_STEP_S = 1e-6  # between the names of two touches
-DEPTH_SCALE_M = 1e-4  # of a unit in depth images
 POSE_CHANNELS = tuple(f"T_w_t[{i},{j}]" for i in range(4) for j in range(4))
 WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for axis in "xyz"))
 
 
 @dataclass(frozen=True)
 class SkinInfo:
-    """Metadata that the touches of a session have in common for one skin."""
+    """Metadata of one skin that the touches of a session share."""
 
     pad: str
     board: Board
@@ -64,7 +60,7 @@ class SkinInfo:
 
 @dataclass(frozen=True)
 class SessionInfo:
-    """Metadata that the touches of a session have in common."""
+    """Metadata that the touches of a session share."""
 
     object: str
     session: str
@@ -72,12 +68,12 @@ class SessionInfo:
     T_w_b: Array  # (4, 4)
     T_w_o: Array  # (4, 4)
     camera: Camera
-    skins: Mapping[str, SkinInfo]  # by their names in a touch
+    skins: Mapping[str, SkinInfo]  # by the names of the skins in a touch
     meta: Mapping[str, str] = field(default_factory=dict)
 
 
 class StorageError(DeviceError):
-    """Recorded data cannot be kept: the disk is full or not ours, or the clock was set."""
+    """Recorded data cannot be kept: the disk is full, the folder is not writable, or the clock was set."""
 
 
 def _not_kept(path: Path, error: OSError) -> StorageError:
@@ -88,16 +84,16 @@ class EventLog:
     """The log of a touch, in memory and in a file.
 
     Args:
-        file: Open for writing, unbuffered.
-        clock: That dates events.
+        file: File, open for unbuffered writing.
+        clock: Clock that dates events.
 
     Raises:
-        StorageError: The file cannot be written.
+        StorageError: If the file cannot be written.
     """
 
     def __init__(self, file: BinaryIO, clock: Clock) -> None:
         self._file, self._clock = file, clock
-        # of each skin, by sample number: time, 3 chips readings, temperatures
+        # Time, 3 chips readings and temperatures of each skin, by the number of the sample.
         self.readings: dict[str, dict[int, Float[Array, " k"]]] = defaultdict(dict)
         self.states: list[ArmState] = []
         self.events: list[tuple[float, str]] = []
@@ -107,11 +103,11 @@ class EventLog:
         """Keep and write samples of a skin; the same sample may come twice.
 
         Args:
-            samples: As the skin gave them.
-            skin: Name of a further skin; empty for the one at the tool, the only one of most labs.
+            samples: Samples as the skin returned them.
+            skin: Name of a further skin; empty for the pressing one, the only one in most labs.
 
         Raises:
-            StorageError: They could not be written.
+            StorageError: If they cannot be written.
         """
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
         self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
@@ -121,23 +117,23 @@ class EventLog:
         """Keep and write a state of the arm.
 
         Args:
-            state: As the arm gave it.
+            state: State as the arm returned it.
 
         Raises:
-            StorageError: It could not be written.
+            StorageError: If it cannot be written.
         """
         self.states.append(state)
         row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
         self._write(["arm", row.tolist()])
 
     def event(self, text: str) -> None:
-        """Keep and write what happened now.
+        """Keep and write an event, with the present time.
 
         Args:
-            text: A few words.
+            text: Description of a few words.
 
         Raises:
-            StorageError: It could not be written.
+            StorageError: If it cannot be written.
         """
         now = self._clock.now()
         self.events.append((now, text))
@@ -154,10 +150,10 @@ class EventLog:
 
 
 def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
-    """Entries of a raw file, up to the last whole one.
+    """Read the entries of a raw file, up to the last complete one.
 
     Args:
-        path: Such as a file of `.interrupted`.
+        path: Path of the file, such as one of `.interrupted`.
 
     Yields:
         ("event", [s, text]), ("skin", (n, 2 + 4 chips): number, s, readings in uT, temperatures in degrees Celsius),
@@ -165,43 +161,44 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
         velocity, 6 of the wrench).
 
     Raises:
-        DataError: The file is of another kind, or damaged.
+        DataError: If the file is of another kind, or damaged.
     """
     header, *lines = read_bytes(path).split(b"\n")
     if header != RAW_FILE_HEADER:
         raise DataError(
-            f"{path}: is no raw file of a touch, or one of an earlier version of i2t, which reads it; give one from "
-            ".interrupted"
+            f"{path}: is not a raw file of a touch, or was written by an earlier version of i2t, which can read it; "
+            "give one from .interrupted"
         )
     for number, line in enumerate(lines[:-1], start=2):
         try:
             kind, entry = json.loads(line)
             yield kind, entry if kind == "event" else np.array(entry, float)
         except (ValueError, TypeError, RecursionError, OverflowError) as error:
-            raise DataError(f"{path}: line {number} is damaged ({error}); what stands before it is whole") from error
+            raise DataError(f"{path}: line {number} is damaged ({error}); the lines before it are intact") from error
 
 
 class Recorder:
-    """Records the touches of one session in a folder, alone.
+    """Recorder of the touches of one session, which locks its folder.
 
     Args:
-        folder: Of the touches; it is made if need be.
-        info: What the touches have in common.
-        clock: That the devices share.
-        reserve: Bytes that must be free before a touch begins.
+        folder: Folder of the touches; it is created if necessary.
+        info: Metadata that the touches share.
+        clock: Common clock of the devices.
+        reserve: Number of bytes that must be free before a touch begins; by default the size of a hundred touches.
 
     Raises:
-        StorageError: The folder cannot be used.
+        StorageError: If the folder cannot be used.
     """
 
     def __init__(
-        self, folder: str | Path, info: SessionInfo, clock: Clock | None = None, reserve: int = RESERVE_BYTES
+        self, folder: str | Path, info: SessionInfo, clock: Clock | None = None, reserve: int = 50 * 2**20
     ) -> None:
         self.folder, self.info = Path(folder), info
         self._clock, self._reserve = clock or MonotonicClock(), reserve
         self._log: EventLog | None = None
         self._raw: BinaryIO | None = None
-        self._offset = 0.0  # s, Unix time less the devices'
+        self._raw_path = self.folder / ".under-way"
+        self._offset = 0.0  # s, Unix time minus the devices' time
         self._newest = 0.0  # s, Unix time of the newest touch
         self.saved: list[Path] = []
         self.bytes = 0
@@ -217,11 +214,11 @@ class Recorder:
             raise StorageError(
                 f"{self.folder} is being written by another collection; end that one, or choose another folder"
             ) from None
-        done = touches_in(self.folder)
-        self._newest = written_at(done[-1]) if done else 0.0
+        saved = touches_in(self.folder)
+        self._newest = written_at(saved[-1]) if saved else 0.0
 
     def close(self) -> None:
-        """Release the folder; raises nothing."""
+        """Release the folder, without raising an error."""
         self._end_raw(keep=True)
         self._lock.close()
 
@@ -232,7 +229,7 @@ class Recorder:
         self.close()
 
     def check(self) -> None:
-        """Raise StorageError where a touch could not be saved now."""
+        """Raise StorageError if a touch could not be saved now."""
         try:
             free = shutil.disk_usage(self.folder).free
             probe = self.folder / ".probe"
@@ -242,7 +239,7 @@ class Recorder:
             raise _not_kept(self.folder, error) from error
         if free < self._reserve:
             raise StorageError(
-                f"{self.folder}: only {free / 2**20:.0f} MiB are free where {self._reserve / 2**20:.0f} are wanted; "
+                f"{self.folder}: only {free / 2**20:.0f} MiB are free, and {self._reserve / 2**20:.0f} are required; "
                 "free some space and go on"
             )
         if self._clock.wall() < self._newest:
@@ -255,19 +252,19 @@ class Recorder:
         """Begin a touch.
 
         Args:
-            site: Where.
-            attempt: How often it was tried before.
+            site: Site of the touch.
+            attempt: Number of earlier attempts.
 
         Returns:
-            The log of the touch.
+            A new log for the touch.
 
         Raises:
-            StorageError: It could not be saved.
+            StorageError: If the touch could not be saved.
         """
         self._end_raw(keep=True)
         self.check()
         self._offset = self._clock.wall() - self._clock.now()
-        path = self.folder / UNDER_WAY
+        path = self._raw_path
         try:
             self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
@@ -277,19 +274,20 @@ class Recorder:
         return self._log
 
     def save(self, touch: TouchResult) -> None:
-        """Write the touch; once this returns, it survives a kill or a power cut.
+        """Write the touch. Once this returns, it survives a kill or a power cut.
 
         Args:
-            touch: As it was made, with its view.
+            touch: The touch, with its view.
 
         Raises:
-            StorageError: It cannot be written; or (with the touch saved) the clock was set meanwhile.
+            StorageError: If it cannot be written; or, with the touch saved, if the clock was set meanwhile.
         """
         assert self._log is not None
         jump = self._clock.wall() - self._clock.now() - self._offset
-        if abs(jump) > CLOCK_JUMP_S:
+        jumped = abs(jump) > 0.5  # s, more than the drift during a touch
+        if jumped:
             self._log.event(f"the computer's clock jumped by {jump:.1f} s")
-        at = max(self._clock.now() + self._offset, self._newest + MIN_TIME_STEP_S)
+        at = max(self._clock.now() + self._offset, self._newest + 1e-6)  # the names of two files differ
         try:
             path = dataset.write_touch(self.folder, _record(touch, self._log, self.info, self._offset), at)
         except DataError as error:
@@ -298,16 +296,16 @@ class Recorder:
         self.saved.append(path)
         self.bytes += path.stat().st_size
         self._end_raw(keep=False)
-        if abs(jump) > CLOCK_JUMP_S:
+        if jumped:
             raise StorageError(
                 f"the computer's clock jumped by {jump:.1f} s; the touch is saved: set it right and go on"
             )
 
     def abandon(self, reason: str) -> None:
-        """Give up a touch; what was read of it is kept aside.
+        """Abandon a touch; its readings are kept in `.interrupted/`.
 
         Args:
-            reason: A sentence for the log.
+            reason: Sentence for the log.
         """
         if self._log is not None:
             with contextlib.suppress(StorageError):
@@ -318,21 +316,21 @@ class Recorder:
         if self._raw is not None:
             self._raw.close()
         self._raw = self._log = None
-        path = self.folder / UNDER_WAY
+        path = self._raw_path
         try:
             if path.exists() and keep:
-                aside = self.folder / INTERRUPTED
-                aside.mkdir(exist_ok=True)
+                kept = self.folder / INTERRUPTED
+                kept.mkdir(exist_ok=True)
                 stamp = datetime.fromtimestamp(path.stat().st_mtime, UTC)
-                path.rename(aside / f"touch-{stamp:%Y%m%dT%H%M%S.%f}Z.raw")
+                path.rename(kept / f"touch-{stamp:%Y%m%dT%H%M%S.%f}Z.raw")
             elif path.exists():
                 path.unlink()
         except OSError:
-            pass  # it is hidden, and in nobody's way
+            pass  # the raw file is hidden and does no harm
 
 
 def _lock_file(file: IO[str]) -> None:
-    """Lock a file until it is closed; raises OSError where another process has it."""
+    """Lock a file until it is closed. Raise OSError if another process holds the lock."""
     if fcntl is not None:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return
@@ -345,21 +343,21 @@ def _lock_file(file: IO[str]) -> None:
 
 
 def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float) -> Record:
-    """Everything of a touch; `to_wall` (s) turns the devices' time into Unix time."""
+    """Assemble the record of a touch; `to_wall` (s) converts the devices' time to Unix time."""
     view = touch.view
     assert view is not None
     counters = {"site": touch.site.number, "attempt": touch.attempt + 1}
     sets: dict[str, Dataset] = {}
     series = _arm_series(log.states, info.T_w_b, to_wall)
     for name, about in info.skins.items():
-        felt, behind = touch.skins[name], f" {name}" if name else ""
-        own = _skin_series(felt, log.readings[name], about.board.num_chips, log.events[0][0], to_wall)
-        sets[name] = _one_row(felt, info, about, samples=own["tactile"])
-        series |= {f"{label}{behind}": each for label, each in own.items()}
-        counted = felt.counters._asdict().items()
-        counters |= {f"skin{behind} {label}": int(value) for label, value in counted if label != "rate"}
-        if name and felt.seen is not None:
-            counters[f"skin {name} seen percent"] = round(100 * felt.seen.visible_share)
+        result, suffix = touch.skins[name], f" {name}" if name else ""
+        own = _skin_series(result, log.readings[name], about.board.num_chips, log.events[0][0], to_wall)
+        sets[name] = _one_row(result, info, about, samples=own["tactile"])
+        series |= {f"{label}{suffix}": part for label, part in own.items()}
+        counted = result.counters._asdict().items()
+        counters |= {f"skin{suffix} {label}": int(value) for label, value in counted if label != "rate"}
+        if name and result.seen is not None:
+            counters[f"skin {name} seen percent"] = round(100 * result.seen.visible_share)
     place = tuple(name.replace("w_t", "w_c") for name in POSE_CHANNELS)
     series["camera"] = Series(np.array([view.time + to_wall]), touch.T_w_c.reshape(1, 16), place, "1, m")
     return Record(
@@ -373,7 +371,8 @@ def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float
 
 
 def _images(view: View) -> dict[str, Image]:
-    images = {"depth": Image(to_units(view.depth, DEPTH_SCALE_M), DEPTH_SCALE_M, "m")}
+    scale = 1e-4  # m, unit of depth images
+    images = {"depth": Image(to_units(view.depth, scale), scale, "m")}
     if view.colour is not None:
         images["colour"] = Image(view.colour)
     return images
@@ -382,7 +381,7 @@ def _images(view: View) -> dict[str, Image]:
 def _skin_series(
     touch: SkinTouch, readings: Mapping[int, Array], chips: int, began: float, to_wall: float
 ) -> dict[str, Series]:
-    """Readings, temperatures, and the ambient reading."""
+    """Make the series of readings, temperatures, and the ambient reading."""
     rows = np.array([readings[number] for number in sorted(readings)]).reshape(-1, 1 + 4 * chips)
     time, values = rows[:, 0] + to_wall, rows[:, 1:].astype(np.float32)
     channels = channel_names(chips)
@@ -394,7 +393,7 @@ def _skin_series(
 
 
 def _arm_series(logged: list[ArmState], T_w_b: Array, to_wall: float) -> dict[str, Series]:
-    """Wrench, pose and joints, each state once, in the order of time."""
+    """Make the series of wrench, pose and joints, with each state once, in the order of time."""
     states = sorted({state.time: state for state in logged}.values(), key=lambda state: state.time)
     time = np.array([state.time for state in states]) + to_wall
     poses = np.array([(T_w_b @ state.T_b_t).ravel() for state in states]).reshape(-1, 16)
@@ -409,7 +408,7 @@ def _arm_series(logged: list[ArmState], T_w_b: Array, to_wall: float) -> dict[st
 
 
 def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: Series) -> Dataset:
-    """What a skin felt, as a data set of one row."""
+    """Make a data set of one row from the touch of one skin."""
     seen = touch.seen
     assert seen is not None
     touches = Touches(
@@ -425,7 +424,7 @@ def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: S
         pad=np.zeros(1),
         session=np.zeros(1),
         code=np.array([int(touch.code)]),
-        time=samples.time[-1:] if len(samples.time) else None,  # of the end of the press
+        time=samples.time[-1:] if len(samples.time) else None,  # end of the press
     )
     made_by = {"made by": "i2t.collect.session", "camera": json.dumps(asdict(info.camera))}
     return Dataset(
@@ -445,46 +444,46 @@ def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: S
 
 
 def touches_in(folder: Path) -> list[Path]:
-    """The touches recorded in a folder, in the order of time.
+    """List the touches recorded in a folder, in the order of time.
 
     Args:
-        folder: Where; it may hold none.
+        folder: Folder that may hold touches.
 
     Returns:
-        Their files.
+        Paths of their files; the list may be empty.
     """
     return sorted(folder.glob("touch-*.h5"))
 
 
 def written_at(path: Path) -> float:
-    """The time in a touch's name.
+    """Read the time in a touch's name.
 
     Args:
-        path: Of a recorded touch.
+        path: Path of a recorded touch.
 
     Returns:
-        Unix time (s).
+        Unix time (s) at which the touch was saved.
 
     Raises:
-        DataError: It has another name.
+        DataError: If the file has another kind of name.
     """
     try:
         return datetime.strptime(path.name[6:28] + "+0000", "%Y%m%dT%H%M%S.%f%z").timestamp()
     except ValueError as error:
-        raise DataError(f"{path}: is no touch's name; move it out of the data set") from error
+        raise DataError(f"{path}: is not the name of a touch; move it out of the data set") from error
 
 
 def site_number_of(path: Path) -> int:
-    """Number of the site that a recorded touch was made at.
+    """Read the number of the site of a recorded touch.
 
     Args:
-        path: Of a recorded touch.
+        path: Path of a recorded touch.
 
     Returns:
-        The site's number.
+        The number of the site, as in `i2t.collect.site_plan`.
 
     Raises:
-        DataError: It cannot be read, or was not recorded here.
+        DataError: If the file cannot be read, or was not recorded by a collection.
     """
     counters = dataset.read_touch(path).counters
     if "site" not in counters:

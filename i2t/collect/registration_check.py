@@ -1,5 +1,6 @@
-"""Sentence on where the object and the camera were in a collection that is complete, by its own touches: a rig that is
-wrong by a millimetre is told before the next object is touched.
+"""Estimate of where the object and the camera were in a complete collection, from its own touches.
+
+An error of a millimetre in the rig thus shows before the next object is touched.
 """
 
 from typing import NamedTuple
@@ -16,13 +17,9 @@ from i2t.registration.session import SessionEstimate, SessionRegistrationConfig
 from i2t.registration.sets import depth_noise, register_sessions
 from i2t.rendering.render import prepare_surface
 
-MIN_TOUCHES = 12  # that met the object, of one session: fewer hardly tell the camera from the object
-MAX_VIEW_RESIDUAL = 3.0  # median over views, in standard deviations of the noise; beyond it nothing was found
-CERTAIN = 3.0  # standard deviations by which an offset is more than chance
-
 
 class Offset(NamedTuple):
-    """How far something is from where it is believed to be."""
+    """Distance and angle of something from its assumed pose."""
 
     distance: float  # m
     distance_std: float  # m
@@ -31,29 +28,41 @@ class Offset(NamedTuple):
 
     @property
     def certain(self) -> bool:
-        """Tell whether it is more than chance."""
-        return self.distance > CERTAIN * self.distance_std or self.angle > CERTAIN * self.angle_std
+        """Whether the offset is significant, beyond three standard deviations."""
+        return self.distance > 3 * self.distance_std or self.angle > 3 * self.angle_std
 
     def __str__(self) -> str:
         std = f"standard deviations {1e3 * self.distance_std:.2f} mm and {np.degrees(self.angle_std):.2f}"
         return f"{1e3 * self.distance:.1f} mm and {np.degrees(self.angle):.1f} degrees ({std})"
 
 
-def where_all_stood(dataset: Dataset, mesh: Mesh, session: int, rig: Rig) -> str:
-    """Say where the object and the camera were in a session.
+def describe_offsets(
+    dataset: Dataset,
+    mesh: Mesh,
+    session: int,
+    rig: Rig,
+    *,
+    min_touches: int = 12,
+    max_view_residual: float = 3.0,
+) -> str:
+    """Describe where the object and the camera were in a session.
 
     Args:
         dataset: The touches that were collected.
-        mesh: Of the object.
+        mesh: Mesh of the object.
         session: Number of the session.
-        rig: Where everything is believed to be.
+        rig: The rig, with the assumed poses.
+        min_touches: Minimum number of touches of one session that met the object; fewer hardly separate the camera from
+            the object.
+        max_view_residual: Maximum median residual of the views, in standard deviations of the noise, of a successful
+            estimate.
 
     Returns:
         A sentence without its full stop.
     """
     here = dataset.select(dataset.touches.session == session)
-    if (met := int(contact_poses(here.touches)[1].sum())) < MIN_TOUCHES:
-        return f"{met} touches that met the object do not tell where it and the camera were; {MIN_TOUCHES} would"
+    if (contacts := int(contact_poses(here.touches)[1].sum())) < min_touches:
+        return f"{contacts} touches that met the object do not show where it and the camera were; {min_touches} would"
     names = {dataset.objects[i] for i in here.touches.object}
     T_t_c = rig.T_tool_camera
     looked_from = -(rig.looking_distance * T_t_c[:3, 2] + T_t_c[:3, 3])
@@ -61,22 +70,22 @@ def where_all_stood(dataset: Dataset, mesh: Mesh, session: int, rig: Rig) -> str
         looked_from=tuple(looked_from.tolist()), depth_noise=depth_noise(here.touches.patch)
     )
     estimate = register_sessions(here, dict.fromkeys(names, prepare_surface(mesh)), config=config)[session]
-    if not np.median(estimate.view_residual) <= MAX_VIEW_RESIDUAL:
+    if not np.median(estimate.view_residual) <= max_view_residual:
         return "the views fit the mesh at no pose near the believed one: look for a wrong mesh, unit, pose or hand-eye"
     placed, camera = offsets(estimate, here.touches.T_w_o[0])
     advice = "; calibrate the rig again (docs/hardware.md)" if placed.certain or camera.certain else ""
-    return f"by these touches the object stands {placed} from where the rig has it, and the camera {camera}{advice}"
+    return f"by these touches, the object is {placed} from its pose in the rig, and the camera {camera}{advice}"
 
 
 def offsets(estimate: SessionEstimate, T_w_o: np.ndarray) -> tuple[Offset, Offset]:
-    """How far the object and the camera are from where they are believed to be.
+    """Compute the offsets of the object and the camera from their assumed poses.
 
     Args:
-        estimate: Of a session.
-        T_w_o: Where the object is believed to be.
+        estimate: Estimate of a session.
+        T_w_o: Assumed pose of the object.
 
     Returns:
-        Of the object and of the camera.
+        The offset of the object and that of the camera.
     """
     variance = np.diag(np.asarray(estimate.covariance, np.float64)).reshape(4, 3).sum(1)
     moved = np.linalg.inv(T_w_o.astype(np.float64)) @ np.asarray(estimate.T_w_o, np.float64)

@@ -1,8 +1,7 @@
-"""Session of collecting: one flow from the command line to the last touch, and reports meanwhile.
+"""Session of a collection, from its start to the last touch, with progress reports.
 
-The devices are made and connected for what `i2t.collect.beginning` found, skins and camera are checked, the rig is
-tried by first looks and a slow touch, and then site after site is touched; a dry run ends before anything moves.
-`i2t.collect.command` is its command line.
+The devices are made and connected, skins and camera are checked, the rig is checked by first looks and slow touches,
+and then site after site is touched. A dry run ends before any motion. `i2t.collect.command` is the command line.
 """
 
 import json
@@ -16,15 +15,15 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.beginning import NO_RIG, Beginning
-from i2t.collect.checks import require_checks, still_checks, touch_checks
+from i2t.collect.checks import motionless_checks, require_checks, touch_checks
 from i2t.collect.devices import Devices, make_devices
 from i2t.collect.dry_run import dry_run
-from i2t.collect.notes import board_notes, device_notes, keep_same, serial_number, write_notes
+from i2t.collect.folder_notes import board_notes, device_notes, require_same, serial_number, write_notes
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, SessionInfo, SkinInfo
-from i2t.collect.registration_check import where_all_stood
+from i2t.collect.registration_check import describe_offsets
 from i2t.collect.site_plan import SiteSampler, extract_patch
+from i2t.collect.start import MISSING_RIG_MESSAGE, PreparedCollection
 from i2t.collect.touch import ChooseSite, Site, SiteOutcome
 from i2t.dataset import SKIN_NAME, Dataset, load_dataset
 from i2t.dataset.card import write_card
@@ -40,7 +39,7 @@ ENDS = {
     ReturnCode.AIR: "met air",
     ReturnCode.FAILED: "failed",
 }
-SAID_OF_SOURCES = {
+SOURCE_DESCRIPTIONS = {
     "simulated": "SIMULATED: no real device takes part",
     "mixed": "MIXED: some of these devices are not real",
     "real": "real devices",
@@ -48,21 +47,21 @@ SAID_OF_SOURCES = {
 
 
 def collect(
-    begun: Beginning, choose: ChooseSite | None = None, on_outcome: Callable[[SiteOutcome], None] | None = None
+    begun: PreparedCollection, choose: ChooseSite | None = None, on_outcome: Callable[[SiteOutcome], None] | None = None
 ) -> int:
-    """A collection from its beginning, or from where it stopped, to its end.
+    """Carry out a collection, from its start or from where it stopped, to its end.
 
     Args:
-        begun: As `i2t.collect.beginning.begin` found it.
-        choose: Says which site is next; by default the next of a random list.
-        on_outcome: Called with each touch once it is saved.
+        begun: The collection, as `i2t.collect.start.begin` returned it.
+        choose: Function that chooses the next site; by default the next of a random list.
+        on_outcome: Function that is called with each touch once it is saved.
 
     Returns:
-        The exit code.
+        The exit code: 0 if nothing failed.
 
     Raises:
-        ValueError: What was asked for does not go together, or cannot be read.
-        DeviceError: A person is needed.
+        ValueError: If options contradict each other, or a file cannot be read.
+        DeviceError: If a person is needed.
     """
     args, rig, name, target, done, notes = begun
     if not args.dry_run and len(done) >= args.touches:
@@ -72,16 +71,17 @@ def collect(
     with ExitStack() as stack:
         devices = make_devices(args, rig, stack, begin=max(done.values(), default=0.0) + 1.0)
         if args.lab.rig is None and devices.arm.features.source == "real":
-            raise ValueError(NO_RIG)
+            raise ValueError(MISSING_RIG_MESSAGE)
         procedure = _connect(args, devices, rig, sampler, notes, stack)
         kinds = f"arm {args.arm.kind}, skin {args.skin.kind}, camera {args.camera.kind}"
-        print(f"{printable(name)}: {kinds} ({SAID_OF_SOURCES[devices.source]})")
-        for each in devices.skins:
-            if each.note:
-                print(printable(f"{each.name or rig.skin}: {each.note}" if len(devices.skins) > 1 else each.note))
+        print(f"{printable(name)}: {kinds} ({SOURCE_DESCRIPTIONS[devices.source]})")
+        for on_tool in devices.skins:
+            if on_tool.note:
+                named = f"{on_tool.name or rig.skin}: {on_tool.note}" if len(devices.skins) > 1 else on_tool.note
+                print(printable(named))
         if args.dry_run:
             return dry_run(procedure, sampler, args)
-        require_checks(still_checks(strict=False), procedure)
+        require_checks(motionless_checks(strict=False), procedure)
         info = _session_info(args, procedure, devices, name, notes)
         recorder = stack.enter_context(Recorder(args.out, info, devices.clock))
         recorder.check()
@@ -90,27 +90,28 @@ def collect(
         write_notes(args.out, notes)
         session = _Session(args, procedure, sampler, recorder, set(done))
         session.run(choose, on_outcome)
-    if session.is_complete:  # said when all devices are let go, as it takes half a minute
-        print(session.where_all_stood())
+    if session.is_complete:  # printed after the devices were released, because it takes half a minute
+        print(session.offsets_sentence())
     return 0
 
 
 def _connect(
     args: CollectArgs, devices: Devices, rig: Rig, sampler: SiteSampler, notes: dict[str, Any], stack: ExitStack
 ) -> Procedure:
-    """Connect the devices, and put them together to a procedure. The arm is connected last, as it must not wait for a
-    compiler. Raises DataError where a device is another one than the folder's.
+    """Connect the devices and combine them to a procedure. Raise DataError if the folder was begun with another device.
+
+    The arm is connected last, because it must not wait for a compiler.
     """
-    for each in devices.skins:
-        skin = stack.enter_context(each.skin)
-        keep_same(notes, device_notes("skin", skin, each.name) | board_notes(each), args.out)
+    for on_tool in devices.skins:
+        skin = stack.enter_context(on_tool.skin)
+        require_same(notes, device_notes("skin", skin, on_tool.name) | board_notes(on_tool), args.out)
     camera = stack.enter_context(devices.camera)
-    keep_same(notes, device_notes("camera", camera), args.out)
+    require_same(notes, device_notes("camera", camera), args.out)
     pose = sampler.site(0).T_w_t
     blank = np.full((camera.camera.height, camera.camera.width), 0.1, np.float32)
-    extract_patch(View(0.0, blank, None), camera.camera, pose, pose)  # which compiles it
+    extract_patch(View(0.0, blank, None), camera.camera, pose, pose)  # compiles the function
     arm = stack.enter_context(devices.arm)
-    keep_same(notes, device_notes("arm", arm), args.out)
+    require_same(notes, device_notes("arm", arm), args.out)
     return Procedure(
         arm,
         devices.skins,
@@ -126,17 +127,17 @@ def _connect(
 def _session_info(
     args: CollectArgs, procedure: Procedure, devices: Devices, name: str, notes: Mapping[str, Any]
 ) -> SessionInfo:
-    """Metadata that the data set has of every touch of this session."""
+    """Collect the metadata that the data set holds for every touch of this session."""
     arm, camera, rig = procedure.arm, procedure.camera, procedure.rig
     skins = {}
-    for each in devices.skins:
+    for on_tool in devices.skins:
         about = {
-            "skin": f"{each.skin.features.name} ({each.skin.features.source})",
-            "skin serial number": serial_number(each.skin),
+            "skin": f"{on_tool.skin.features.name} ({on_tool.skin.features.source})",
+            "skin serial number": serial_number(on_tool.skin),
         }
-        about |= {"board": each.note} if each.note else {}
-        named = {SKIN_NAME: each.name or rig.skin} if len(devices.skins) > 1 else {}
-        skins[each.name] = SkinInfo(each.pad, each.board, about | named)
+        about |= {"board": on_tool.note} if on_tool.note else {}
+        named = {SKIN_NAME: on_tool.name or rig.skin} if len(devices.skins) > 1 else {}
+        skins[on_tool.name] = SkinInfo(on_tool.pad, on_tool.board, about | named)
     about = {
         "arm": arm.features.name,
         "arm serial number": serial_number(arm),
@@ -150,7 +151,7 @@ def _session_info(
 
 
 class _Session:
-    """Choice of the next site, and reports meanwhile."""
+    """Choice of the next site, and progress reports."""
 
     def __init__(
         self,
@@ -167,7 +168,7 @@ class _Session:
         self.begun = self.since = time.monotonic()
 
     def run(self, choose: ChooseSite | None, on_outcome: Callable[[SiteOutcome], None] | None) -> None:
-        """Touch until there are enough, and say what was made however it ends."""
+        """Touch until there are enough touches, and print a summary however the run ends."""
         out, procedure = self.args.out, self.procedure
         try:
             for outcome in procedure.run(choose or self.choose, self.recorder):
@@ -175,31 +176,31 @@ class _Session:
                 if on_outcome is not None:
                     on_outcome(outcome)
         finally:
-            with suppress(DataError):  # nothing is lost with a card, and touches that cannot be read say so themselves
+            with suppress(DataError):  # the card is optional, and unreadable touches are reported elsewhere
                 write_card(out, self.collected, board_name=name_of_board(self.collected.board))
             print(self.summary())
 
     @cached_property
     def collected(self) -> Dataset:
-        """All touches of the folder, of one skin, once none is added any more."""
+        """All touches of the folder, of one skin. Read it once no touch is added any more."""
         skin = self.procedure.rig.skin if len(self.procedure.skins) > 1 else None
         return load_dataset(self.args.out, missing_chips=True, skin=skin)
 
     @property
     def is_complete(self) -> bool:
-        """Tell whether there are as many touches as were asked for."""
+        """Whether the requested number of touches was made."""
         return len(self.done) >= self.args.touches
 
-    def where_all_stood(self) -> str:
-        """Where the object and the camera were, by all touches of this session; they are safe whatever comes of it."""
+    def offsets_sentence(self) -> str:
+        """Describe where the object and the camera were, by all touches of this session, which are stored by then."""
         try:
             last = int(self.collected.touches.session[-1])
-            return where_all_stood(self.collected, self.sampler.mesh, last, self.procedure.rig)
+            return describe_offsets(self.collected, self.sampler.mesh, last, self.procedure.rig)
         except ValueError as error:
-            return printable(f"note: where object and camera were is not known: {error}")
+            return printable(f"note: the poses of object and camera are unknown: {error}")
 
     def choose(self, history: Sequence[SiteOutcome]) -> Site | None:
-        """The next sampled site that can be reached, until there are enough touches."""
+        """Choose the next random site that can be reached, until there are enough touches."""
         while len(self.done) < self.args.touches:
             site = self.sampler.next(self.tried)
             self.tried.add(site.number)
@@ -208,11 +209,11 @@ class _Session:
                 return site
             self.unreachable += 1
             if self.unreachable > 20 + 20 * self.args.touches:
-                raise DeviceError(f"hardly any site can be reached, the last not because {why}")
+                raise DeviceError(f"hardly any site can be reached; the last is unreachable because {why}")
         return None
 
     def report(self, outcome: SiteOutcome) -> None:
-        """Show a touch."""
+        """Print the outcome of a site."""
         self.codes[outcome.code] += 1
         now = time.monotonic()
         took, self.since = now - self.since, now
@@ -223,8 +224,8 @@ class _Session:
         self.done.add(number)
         left = (self.args.touches - len(self.done)) * (now - self.begun) / max(1, len(self.done) - self.before)
         felt = "  ".join(
-            f"{printable(name)} {ENDS[each.code]}  {np.sqrt(np.nansum(each.reading**2)):.1f} uT".strip()
-            for name, each in touch.skins.items()
+            f"{printable(name)} {ENDS[skin.code]}  {np.sqrt(np.nansum(skin.reading**2)):.1f} uT".strip()
+            for name, skin in touch.skins.items()
         )
         print(
             f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {touch.force:.2f} N  "
@@ -233,16 +234,16 @@ class _Session:
         )
 
     def summary(self) -> str:
-        """The end of a session."""
-        made, seconds = len(self.recorder.saved), time.monotonic() - self.begun
+        """Summarise the session."""
+        saved, seconds = len(self.recorder.saved), time.monotonic() - self.begun
         ends = ", ".join(f"{count} {ENDS[code]}" for code, count in sorted(self.codes.items()))
-        counted = [each.skin.counters for each in self.procedure.skins]
-        samples, lost = sum(each.samples for each in counted), sum(each.lost for each in counted)
+        counts = [on_tool.skin.counters for on_tool in self.procedure.skins]
+        samples, lost = sum(count.samples for count in counts), sum(count.lost for count in counts)
         lines = [
-            f"{len(self.done)} of {self.args.touches} touches are in {self.args.out}; {made} of them now ({ends})",
-            f"{seconds / max(1, made):.2f} s and {self.recorder.bytes / max(1, made) / 1024:.0f} KiB a touch; of "
+            f"{len(self.done)} of {self.args.touches} touches are in {self.args.out}; {saved} of them new ({ends})",
+            f"{seconds / max(1, saved):.2f} s and {self.recorder.bytes / max(1, saved) / 1024:.0f} KiB a touch; of "
             f"{samples} samples {lost} were lost; {self.unreachable} sites cannot be reached",
         ]
         if len(self.done) < self.args.touches:
-            lines.append("the same command goes on where this stopped")
+            lines.append("the same command resumes the collection")
         return "\n".join(lines)

@@ -1,7 +1,7 @@
 """Sites and views of a collection: an endless list of safe sites, and patches extracted from views.
 
-The sites of an object are random, as in the paper (`i2t.simulation.sites`), and numbered: the same seed gives the same
-list, however many of them are used, so that a collection goes on where it stopped.
+The sites of an object are random, as in the paper (`i2t.simulation.sites`), and numbered. The same seed gives the same
+list, however many of them are used, so that a collection can be resumed.
 """
 
 from collections.abc import Collection
@@ -24,77 +24,79 @@ from i2t.rendering.render import prepare_surface
 from i2t.simulation.sites import SiteLimits, collect_sites
 from i2t.types import Array
 
-SITE_BATCH = 32  # sites that are drawn at once
-
 
 class SiteSampler:
     """Safe sites of an object, in the order in which they are to be touched.
 
     Args:
         target: The object.
-        T_w_o: (4, 4) where it stands.
-        limits: What makes a site safe.
-        seed: Of the sites.
-        name: Of the object, for errors.
+        T_w_o: `(4, 4)` pose of the object.
+        limits: Conditions of a safe site.
+        seed: Seed of the random sites.
+        name: Name of the object, for errors.
+        batch: Number of sites that are drawn at once. Other numbers give other sites.
     """
 
-    def __init__(self, target: Object, T_w_o: Float[Array, "4 4"], limits: SiteLimits, seed: int, name: str) -> None:
+    def __init__(
+        self, target: Object, T_w_o: Float[Array, "4 4"], limits: SiteLimits, seed: int, name: str, *, batch: int = 32
+    ) -> None:
         self.mesh = target.mesh
         self.placed = transform_mesh(target.mesh, np.asarray(T_w_o))
         self.top = highest_point(target, T_w_o)  # m, in W
         self._surface = prepare_surface(self.placed)
         rest = target.left_out
         self._obstacles = None if rest is None else prepare_surface(transform_mesh(rest, np.asarray(T_w_o)))
-        self.limits, self._seed, self._name = limits, seed, name
+        self.limits, self._seed, self._name, self._batch = limits, seed, name, batch
         self._sites: list[Site] = []
 
     def site(self, number: int) -> Site:
-        """A site by its number.
+        """Return a site by its number.
 
         Args:
-            number: From 0.
+            number: Number of the site, from 0.
 
         Returns:
-            The site.
+            The site with its pose (m) in W.
 
         Raises:
-            ValueError: The object has too few safe sites.
+            ValueError: If the object has too few safe sites.
         """
         while number >= len(self._sites):
-            key = jax.random.fold_in(jax.random.key(self._seed), len(self._sites) // SITE_BATCH)
+            key = jax.random.fold_in(jax.random.key(self._seed), len(self._sites) // self._batch)
             poses = np.asarray(self._draw(key), float)
             self._sites += [Site(len(self._sites) + i, nearest_rigid(pose)) for i, pose in enumerate(poses)]
         return self._sites[number]
 
     def _draw(self, key: Key[Array, ""]) -> Float[Array, "n 4 4"]:
-        return collect_sites(key, self._surface, SITE_BATCH, self.limits, self._name, obstacles=self._obstacles)
+        return collect_sites(key, self._surface, self._batch, self.limits, self._name, obstacles=self._obstacles)
 
     def next(self, done: Collection[int]) -> Site:
-        """The first site that is not done.
+        """Return the first site that was not done.
 
         Args:
-            done: Numbers of sites.
+            done: Numbers of the sites that were done.
 
         Returns:
-            The site.
+            The site with its pose (m) in W.
 
         Raises:
-            ValueError: The object has too few safe sites.
+            ValueError: If the object has too few safe sites.
         """
         return self.site(next(number for number in count() if number not in done))
 
 
 def extract_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenPatch:
-    """Extract a patch from a view as the simulation does from its own, so that what was trained on one fits the other.
+    """Extract a patch from a view as the simulation does from its own views, so that a model trained on one applies to
+    the other.
 
     Args:
-        view: Seen by the camera, with its depth image (m).
-        camera: Intrinsics, for each of which it is compiled once.
-        T_w_c: (4, 4) where the camera stood.
-        T_w_t: (4, 4) pose of the tool that looks at the patch.
+        view: View of the camera, with its depth image (m).
+        camera: Intrinsics of the camera. The function is compiled once for each.
+        T_w_c: `(4, 4)` pose of the camera.
+        T_w_t: `(4, 4)` pose of the tool in front of which the patch lies.
 
     Returns:
-        The patch, its surroundings, and the share of its pixels that were seen.
+        The patch, its surroundings, and the fraction of its pixels that were measured.
     """
     depth, *poses = (jnp.asarray(part, jnp.float32) for part in (view.depth, T_w_c, T_w_t))
     wide, patch, nearest, visible_share = jax.device_get(_extract(depth, camera, *poses))

@@ -1,9 +1,9 @@
-"""Stop of a press by the skins on the tool, and beginning of that press.
+"""Stop of a press by the skins on the tool, and estimate of its first contact.
 
-A press ends where the mean change of some samples of a skin is large enough, and differs enough between chips: a change
-that all chips see alike, turned to common axes, is a field of the room. It ends, too, where the arm's states are beyond
-what was asked, whether or not the arm itself sees to that. Afterwards the contact onset is found by following the
-samples back to zero change.
+A press ends if the mean change of some samples of a skin is large enough, and differs enough between chips: a change
+that all chips see alike, in common axes, is a field of the room. It also ends if the arm's states exceed the requested
+limits, whether or not the arm enforces them itself. Afterwards, first contact is found by extrapolating the samples to
+zero change.
 """
 
 from collections.abc import Mapping, Sequence
@@ -21,22 +21,16 @@ from i2t.hardware.protocols import ApproachResult, ArmState
 from i2t.skin.boards import mean_known
 from i2t.types import Array, Board
 
-ONSET_RANGE = (0.15, 0.7)  # shares of the final change between which the line of the contact onset is fitted
-MIN_ONSET_SAMPLES = 3
-AT_REST_SILENCE_S = 0.4  # that a skin may be silent while the arm still stands
-UNASKED_M = 1e-3  # of an approach, in which its stop condition need not have been asked
-FELT_SHARE = 0.5  # of the change that stops a press, above which a skin has felt it
-
 
 class StopCondition:
-    """Stops an approach as soon as one of the skins on the tool does; asked with every state of the approach.
+    """Condition that stops an approach as soon as one of the skins on the tool does. The arm calls it with every state.
 
     Args:
-        skins: Connected.
-        settings: Which change is enough.
-        ambient: (3 chips,) uT of each skin before contact, by its name.
-        log: Receives every sample and state.
-        watch: Judges the arm's states.
+        skins: Connected skins.
+        settings: Settings with the change that stops an approach.
+        ambient: `(3 chips,)` reading (uT) of each skin before contact, by its name.
+        log: Log that receives every sample and state.
+        watch: Watch that checks the arm's states.
     """
 
     def __init__(
@@ -47,61 +41,61 @@ class StopCondition:
         log: EventLog,
         watch: MotionWatch,
     ) -> None:
-        self.stopped_by: list[str] = []  # names of the skins that stopped it
+        self.stopped_by: list[str] = []  # names of the skins that stopped the approach
         self._watch, self._asked = watch, False
         self._above: Literal["force", "torque"] | None = None
         self._skins, self._settings, self._ambient, self._log = skins, settings, ambient, log
-        silence = max(settings.silence, AT_REST_SILENCE_S)
-        self._numbers = {each.name: int(each.skin.latest(silence).number[-1]) for each in skins}
-        self._last: dict[str, list[Array]] = {each.name: [] for each in skins}
+        silence = max(settings.silence, 0.4)  # s, before the arm has started
+        self._numbers = {on_tool.name: int(on_tool.skin.latest(silence).number[-1]) for on_tool in skins}
+        self._last: dict[str, list[Array]] = {on_tool.name: [] for on_tool in skins}
 
     def __call__(self, state: ArmState) -> float | str | None:
-        """Test whether a skin has changed enough, or force or torque is above its limit.
+        """Test whether a skin has changed enough, or whether force or torque exceeds its limit.
 
         Args:
-            state: The arm's newest.
+            state: The arm's newest state.
 
         Returns:
-            The change (uT) of the first skin that has, or "force" or "torque", else None.
+            The change (uT) of the first skin that stops the approach, or "force" or "torque", else None.
 
         Raises:
-            DeviceTimeoutError: A skin is silent, or the state old.
-            DeviceError: A chip has stopped answering, or the arm is where it should not be.
+            DeviceTimeoutError: If a skin is silent, or the state is old.
+            DeviceError: If a chip has stopped answering, or the arm is where it should not be.
         """
         self._asked = True
         self._log.state(state)
         self._above = self._watch(state)
         if self._above:
             return self._above
-        answers = {each.name: self._enough(each) for each in self._skins}
+        answers = {on_tool.name: self._stopping_change(on_tool) for on_tool in self._skins}
         self.stopped_by = [name for name, answer in answers.items() if answer is not None]
         return answers[self.stopped_by[0]] if self.stopped_by else None
 
-    def judged(self, result: ApproachResult) -> ApproachResult:
-        """Outcome of the approach, as the states have it.
+    def corrected(self, result: ApproachResult) -> ApproachResult:
+        """Correct the outcome of the approach by the arm's states.
 
         Args:
-            result: As the arm has it.
+            result: Outcome that the arm reports.
 
         Returns:
-            It, with force or torque as its reason where the arm itself did not see to them.
+            The outcome, with force or torque as its reason if the arm itself did not stop at them.
 
         Raises:
-            DeviceError: The arm did not ask on its way, moves on, or is where it should not be.
+            DeviceError: If the arm did not call the condition on its way, still moves, or is where it should not be.
         """
         above = self._watch(result.state)
         if result.state.moving:
             raise DeviceError("the arm's approach has ended, and the arm moves; see `approach` of its driver")
-        if not (self._asked or result.distance <= UNASKED_M):
+        if not (self._asked or result.distance <= 1e-3):  # a shorter approach may end before it asks
             raise DeviceError("the arm's approach did not ask its stop condition; see `approach` of its driver")
         if result.reason == "distance":
             return result._replace(reason=above or "distance")
         return result._replace(reason=self._above, answer=None) if self._above else result
 
-    def _enough(self, on_tool: SkinOnTool) -> float | None:
-        """The change (uT) of a skin if it is enough, else None."""
+    def _stopping_change(self, on_tool: SkinOnTool) -> float | None:
+        """Return the change (uT) of a skin if it stops the approach, else None."""
         settings = self._settings
-        self._hear(on_tool)
+        self._take_samples(on_tool)
         last = self._last[on_tool.name]
         if len(last) < settings.averaged_samples:
             return None
@@ -114,7 +108,7 @@ class StopCondition:
         return size if enough else None
 
     def _check_chips(self, change: Array, on_tool: SkinOnTool) -> None:
-        """Raise DeviceError if a chip that answered before the press does not any more: what it feels is not known."""
+        """Raise DeviceError if a chip stopped answering, because its contact would go unnoticed."""
         lost = np.isfinite(self._ambient[on_tool.name]) & ~np.isfinite(change)
         if lost.any():
             raise DeviceError(
@@ -122,8 +116,8 @@ class StopCondition:
                 "approach; check its cable and its solder"
             )
 
-    def _hear(self, on_tool: SkinOnTool) -> None:
-        """Take new samples; raises DeviceTimeoutError if the skin is silent."""
+    def _take_samples(self, on_tool: SkinOnTool) -> None:
+        """Take new samples. Raise DeviceTimeoutError if the skin is silent."""
         name, skin = on_tool.name, on_tool.skin
         fresh = skin.since(self._numbers[name])
         if not len(fresh.number):
@@ -137,16 +131,16 @@ class StopCondition:
 def press_samples(
     log: EventLog, on_tool: SkinOnTool, period: tuple[float, float], T_b_s: Float[Array, "4 4"]
 ) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
-    """Samples of a press, and where the skin was when they were taken.
+    """Collect the samples of a press, and the positions of the skin when they were taken.
 
     Args:
-        log: Of the touch.
+        log: Log of the touch.
         on_tool: The skin.
-        period: s, when the press began and ended.
-        T_b_s: (4, 4) skin in base, m, where it ended.
+        period: Times (s) at which the press began and ended.
+        T_b_s: `(4, 4)` final pose (m) of the skin in the base.
 
     Returns:
-        Readings (n, 3 chips) uT, and how far (n,) m the skin was before that end, along its z.
+        `(n, 3 chips)` readings (uT), and `(n,)` distances (m) of the skin from its final position, along its z.
     """
     begun, ended = period
     rows = [row for _, row in sorted(log.readings[on_tool.name].items()) if begun <= row[0] <= ended]
@@ -164,27 +158,27 @@ def felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -> b
     """Test whether a skin has felt a press.
 
     Args:
-        change: (3 chips,) uT, of its reading.
-        board: Of the skin.
-        settings: Which change stops a press.
+        change: `(3 chips,)` change (uT) of its reading.
+        board: Board of the skin.
+        settings: Settings with the change that stops a press.
 
     Returns:
-        True where its change differs between chips by half of what stops a press; with settings that ask for no
-        difference, where all of its change does.
+        True if the part of the change that differs between chips exceeds half of what stops a press. If the settings
+        require no difference, the whole change counts.
     """
     differing = nonuniform_field(change, board) if settings.nonuniform_share else change
-    return _size(differing) > FELT_SHARE * settings.skin_change
+    return _size(differing) > 0.5 * settings.skin_change
 
 
 def nonuniform_field(change: Float[Array, " c"], board: Board) -> Float[Array, "chips 3"]:
-    """Part of a change that differs between chips.
+    """Compute the part of a change that differs between chips.
 
     Args:
-        change: (3 chips,) uT, of a reading; NaN for a chip that is missing.
-        board: Whose reading it is.
+        change: `(3 chips,)` change (uT) of a reading; NaN for a missing chip.
+        board: Board of the reading.
 
     Returns:
-        (chips, 3) uT in tool axes, with mean zero over the chips that are there.
+        `(chips, 3)` field (uT) in tool axes, with mean zero over the chips that answered.
     """
     field = np.asarray(board.to_tool(change))
     return field - mean_known(field, axis=0)
@@ -195,33 +189,43 @@ def onset_distance(
     before: Float[Array, " n"],
     ambient: Float[Array, " c"],
     change: Float[Array, " c"],
+    *,
+    fit_range: tuple[float, float] = (0.15, 0.7),
+    min_samples: int = 3,
 ) -> float:
-    """Distance of a press past first contact.
+    """Estimate the distance of a press past first contact.
 
-    A line is fitted to the samples whose change, along the final change, is 15 to 70 % of it, and extrapolated to zero
-    change; a chip that is missing is left out. The line is that of a flat face; where force grows as indentation to the
-    power 1.5 the result is a fifth too short.
+    A line is fitted to the samples whose change, along the final change, is within a range of it, and extrapolated to
+    zero change. Missing chips are left out. The line is right for a flat face; if the force grows as the indentation to
+    the power 1.5, the result is a fifth too short.
 
     Args:
-        readings: uT, of the press.
-        before: m, how far the tool was before its end then.
-        ambient: uT, the reading before contact.
-        change: uT, the final change.
+        readings: `(n, c)` readings (uT) of the press.
+        before: `(n,)` distances (m) of the tool from its final position at these readings.
+        ambient: `(c,)` reading (uT) before contact.
+        change: `(c,)` final change (uT).
+        fit_range: Fractions of the final change between which samples are fitted.
+        min_samples: Minimum number of samples in that range.
 
     Returns:
-        m from first contact to the end; NaN where fewer than three samples are in that range.
+        Distance (m) from first contact to the end; NaN if too few samples are in the range.
     """
-    known = np.isfinite(change)
-    there = np.isfinite(readings[:, known]).all(1)
-    readings, before, ambient, change = readings[there][:, known], before[there], ambient[known], change[known]
+    answered = np.isfinite(change)
+    complete = np.isfinite(readings[:, answered]).all(1)
+    readings, before, ambient, change = (
+        readings[complete][:, answered],
+        before[complete],
+        ambient[answered],
+        change[answered],
+    )
     size = float(np.linalg.norm(change))
-    share = (readings - ambient) @ change / max(size, 1e-9) ** 2
-    low = share < ONSET_RANGE[0]
-    last_low = len(share) - int(np.argmax(low[::-1])) if low.any() else 0
-    rising = (np.arange(len(share)) >= last_low) & (share <= ONSET_RANGE[1])
-    if rising.sum() < MIN_ONSET_SAMPLES or np.ptp(share[rising]) < 0.1:
+    fraction = (readings - ambient) @ change / max(size, 1e-9) ** 2
+    low = fraction < fit_range[0]
+    last_low = len(fraction) - int(np.argmax(low[::-1])) if low.any() else 0
+    rising = (np.arange(len(fraction)) >= last_low) & (fraction <= fit_range[1])
+    if rising.sum() < min_samples or np.ptp(fraction[rising]) < 0.1:
         return float("nan")
-    slope, onset = np.polyfit(share[rising], before[rising], 1)
+    slope, onset = np.polyfit(fraction[rising], before[rising], 1)
     return float(max(0.0, onset)) if slope < 0 else float("nan")
 
 

@@ -1,4 +1,4 @@
-"""Touch of a session: its site, the skins on the tool, its outcome, and its errors.
+"""Types of a touch: its site, the skins on the tool, its outcome and its errors.
 
 Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
@@ -15,19 +15,19 @@ from i2t.errors import DeviceError
 from i2t.hardware.protocols import Skin, SkinCounters, StopReason, View
 from i2t.types import Array, Board, ReturnCode
 
-TOOL = ""  # name of the skin at the tool, which presses, in a touch
+TOOL = ""  # name of the pressing skin in a touch
 
 
 @dataclass
 class SkinOnTool:
-    """A skin on the tool: the one that presses, or a further one."""
+    """A skin on the tool: the pressing one, or a further one."""
 
-    name: str  # in a touch and in files; TOOL for the one at the tool
+    name: str  # name in a touch and in files; TOOL for the pressing skin
     skin: Skin
     board: Board
     T_tool_skin: Float[Array, "4 4"] = field(default_factory=lambda: np.eye(4))
-    pad: str = ""  # its name in the data set
-    note: str = ""  # on the places of its board's chips
+    pad: str = ""  # name of the skin in the data set
+    note: str = ""  # remark on the positions of its board's chips
 
 
 class Site(NamedTuple):
@@ -38,40 +38,40 @@ class Site(NamedTuple):
 
 
 class SeenPatch(NamedTuple):
-    """Patch in front of a skin, as the camera saw it."""
+    """Patch in front of a skin, as seen by the camera."""
 
     patch: Float[Array, "48 48"]  # m
     wide: Float[Array, "72 72"]  # m
     nearest: float  # m
-    visible_share: float  # of the patch's pixels, that were measured
+    visible_share: float  # fraction of the patch's pixels that were measured
 
 
 class SkinTouch(NamedTuple):
-    """What one skin on the tool felt in a touch."""
+    """Measurements of one skin on the tool in a touch."""
 
-    T_w_s: Float[Array, "4 4"]  # of the skin at the end of the press
-    code: ReturnCode  # that of the press where this skin felt it, else AIR
+    T_w_s: Float[Array, "4 4"]  # pose of the skin at the end of the press
+    code: ReturnCode  # code of the press if this skin felt it, else AIR
     ambient: Float[Array, " c"]  # uT
     reading: Float[Array, " c"]  # uT, mean in contact minus ambient
-    force: float  # N, along the skin's z; NaN where not this skin alone felt the press
-    depth: float  # m past first contact; NaN where this skin felt nothing, or it cannot be told
-    seen: SeenPatch | None  # before this skin; None in a history, where images would fill the memory
-    counters: SkinCounters  # of this touch alone
+    force: float  # N along the skin's z; NaN unless this skin alone felt the press
+    depth: float  # m past first contact; NaN if this skin felt nothing, or if it cannot be estimated
+    seen: SeenPatch | None  # in front of this skin; None in a history, where images would fill the memory
+    counters: SkinCounters  # counts of this touch alone
 
 
 class TouchResult(NamedTuple):
-    """A touch as it was made. What it says of itself is said of the skin at the tool."""
+    """Result of a touch. Its properties are those of the pressing skin."""
 
     site: Site
     attempt: int
     reason: StopReason
-    skins: Mapping[str, SkinTouch]  # by their names
+    skins: Mapping[str, SkinTouch]  # results by the names of the skins
     view: View | None  # None in a history
-    T_w_c: Float[Array, "4 4"]  # from where it was taken
+    T_w_c: Float[Array, "4 4"]  # pose of the camera when the view was taken
 
     @property
     def code(self) -> ReturnCode:
-        """How the press ended."""
+        """Reason for which the press ended, as a return code."""
         return self.skins[TOOL].code
 
     @property
@@ -86,17 +86,17 @@ class TouchResult(NamedTuple):
 
     @property
     def force(self) -> float:
-        """N along tool z; NaN where a further skin felt the press too."""
+        """Force (N) along tool z; NaN if a further skin felt the press too."""
         return self.skins[TOOL].force
 
     @property
     def depth(self) -> float:
-        """m past first contact."""
+        """Travel (m) past first contact."""
         return self.skins[TOOL].depth
 
 
 class SiteOutcome(NamedTuple):
-    """Outcome of a site, for whoever chooses the next."""
+    """Outcome of a site, for the choice of the next."""
 
     site: Site
     code: ReturnCode
@@ -106,11 +106,11 @@ class SiteOutcome(NamedTuple):
 
 
 class TouchFailedError(DeviceError):
-    """A touch cannot be made here; another site may do."""
+    """A touch cannot be made at this site; another site may succeed."""
 
 
 class UnreachableError(TouchFailedError):
-    """The arm may not go there: trying again is no use."""
+    """The arm may not go there, so that another attempt would not help."""
 
 
 class MissedContactError(TouchFailedError):

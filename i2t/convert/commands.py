@@ -1,4 +1,4 @@
-"""Entry point for data sets: other people's recordings into ours, ours for LeRobot, and what a data set holds.
+"""Entry point for data sets: import of recordings, export to LeRobot, and summary of a data set.
 
 Examples:
 
@@ -10,9 +10,9 @@ Examples:
     python -m i2t.convert pack DATA PACKED                touches of several skins: --skin-name NAME
     python -m i2t.convert lerobot DATA LEROBOT
 
-DATA is a folder; converters write one packed file in it and refuse a folder that holds anything; --overwrite replaces
-an earlier conversion. What cannot be used is refused with one sentence on the error stream and the exit code 2; with
---skip-bad it is left out and named. The formats are described in docs/data.md.
+DATA is a folder. Converters write one packed file in it and refuse a folder that is not empty; --overwrite replaces an
+earlier conversion. Unusable input is refused with one sentence on the error stream and the exit code 2; with --skip-
+bad, it is left out and named. The formats are described in docs/data.md.
 """
 
 import json as json_text
@@ -37,21 +37,18 @@ if TYPE_CHECKING:
     from i2t.dataset import Dataset
     from i2t.types import Board
 
-PACKED = "touches.h5"
-LENGTHS = ("window_mm", "reach_mm", "camera_mm", "tip_radius_mm")  # options that are no length where they are negative
-MIN_RATE_HZ, MAX_RATE_HZ = 1.0, 1e4  # of a log
-INTERRUPTED_MESSAGE = "interrupted; nothing was written"
+PACKED_FILE = "touches.h5"
 
 
 @dataclass(kw_only=True)
 class Reading:
-    """A command that reads something."""
+    """Base of the commands that read."""
 
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]  # what is read
-    skip_bad: bool = False  # leave out what is damaged (and touches in which a chip did not answer), and name it
+    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]  # file or folder to read
+    skip_bad: bool = False  # leave out and name damaged parts, and touches in which a chip did not answer
 
     def run(self) -> None:
-        """Do what was asked. Raises DataError for what cannot be used."""
+        """Carry out the command; raise DataError for unusable input."""
         raise NotImplementedError
 
     def _require_source(self) -> None:
@@ -59,7 +56,7 @@ class Reading:
             raise DataError(f"{self.source}: no such file or folder; check the path")
 
     def _load(self, skin_name: str | None = None) -> "Dataset":
-        """A data set in which chips may be missing, unless such touches are to be left out."""
+        """Read a data set in which chips may be missing, unless such touches are to be left out."""
         from i2t.dataset import load_dataset
 
         return load_dataset(self.source, skip_bad=self.skip_bad, missing_chips=not self.skip_bad, skin=skin_name)
@@ -67,36 +64,36 @@ class Reading:
 
 @dataclass(kw_only=True)
 class Writing(Reading):
-    """A command that writes what it read."""
+    """Base of the commands that write their result."""
 
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]  # folder or file to write
-    overwrite: bool = False  # replace what an earlier conversion wrote
-    written: ClassVar[tuple[str, ...]] = (PACKED, "README.md", "index.json")  # by an earlier conversion
+    overwrite: bool = False  # replace the files of an earlier conversion
+    written: ClassVar[tuple[str, ...]] = (PACKED_FILE, "README.md", "index.json")  # files of an earlier conversion
 
     def _require(self) -> None:
-        """Refuse a missing source and a taken folder, before anything large is imported."""
+        """Refuse a missing source and an occupied folder, before anything large is imported."""
         self._require_source()
         require_writable("DST", self.target)
         self._require_free()
         if self.target.resolve() == self.source.resolve():
-            raise DataError(f"{self.target}: is what is read; give another folder to write")
+            raise DataError(f"{self.target}: is the folder to read; give another folder to write")
 
     def _require_free(self) -> None:
-        """Refuse to mix a conversion with other files, and to replace an earlier one unasked."""
+        """Refuse to mix a conversion with other files, and to replace an earlier one without --overwrite."""
         target = self.target
         if target.exists() and not target.is_dir():
             raise DataError(f"{target}: is a file; give a folder to write")
-        found = sorted(file.name for file in target.iterdir()) if target.is_dir() else []
-        if not found:
+        names = sorted(file.name for file in target.iterdir()) if target.is_dir() else []
+        if not names:
             return
-        others = [name for name in found if name not in self.written]
+        others = [name for name in names if name not in self.written]
         if others:
             raise DataError(f"{target}: holds {others[0]}, which no conversion wrote; give another folder")
         if not self.overwrite:
             raise DataError(f"{target}: holds a data set already; give another folder or pass --overwrite")
 
     def _require_free_file(self) -> None:
-        """Refuse to replace a file unasked."""
+        """Refuse to replace a file without --overwrite."""
         self._require_source()
         require_writable("DST", self.target)
         if self.target.is_dir():
@@ -105,30 +102,32 @@ class Writing(Reading):
             raise DataError(f"{self.target}: exists already; choose another name or pass --overwrite")
 
     def _write(self, converted: "Dataset | Converted") -> None:
-        """Write a data set with its card, and say its notes."""
+        """Write a data set with its card, and print its notes."""
         from i2t.convert.common import Converted
         from i2t.dataset import save_dataset
         from i2t.dataset.card import write_card
         from i2t.skin.boards import name_of_board
 
         dataset, notes = converted if isinstance(converted, Converted) else (converted, ())
-        path = save_dataset(self.target / PACKED, dataset)
+        path = save_dataset(self.target / PACKED_FILE, dataset)
         write_card(self.target, dataset, board_name=name_of_board(dataset.board))
         print(*map(printable, notes), f"wrote {len(dataset)} touches to {path}", sep="\n")
 
 
 @dataclass(kw_only=True)
 class Recording(Writing):
-    """A command that converts a recording of somebody else."""
+    """Base of the commands that convert a recording."""
 
-    window_mm: float = 1e3 * PATCH_WINDOW  # edge of the square that a patch shows; presses outside it are left out
+    window_mm: float = 1e3 * PATCH_WINDOW  # edge (mm) of the square that a patch shows; presses outside it are left out
     reach_mm: float = 1e3 * REACH  # patches are clipped to this depth behind the nearest point
-    stated_source: Annotated[Literal["real", "simulated"] | None, tyro.conf.arg(name="source")] = None  # of the touches
-    as_stated: bool = False  # look for no mistake (units, signs, axes, lag, height zero, chips) and correct none
+    # source of the touches
+    stated_source: Annotated[Literal["real", "simulated"] | None, tyro.conf.arg(name="source")] = None
+    as_stated: bool = False  # neither search nor correct mistakes (units, signs, axes, lag, height zero, chips)
 
-    def _shared(self) -> dict[str, Any]:
-        """What every converter takes; lengths that are none are refused."""
-        lengths = {name: value for name, value in vars(self).items() if name in LENGTHS}
+    def _shared_options(self) -> dict[str, Any]:
+        """Return the options that all converters share; refuse invalid lengths."""
+        names = ("window_mm", "reach_mm", "camera_mm", "tip_radius_mm")
+        lengths = {name: value for name, value in vars(self).items() if name in names}
         for name, length in lengths.items():
             if not 0 <= length < math.inf or (length == 0 and name != "camera_mm"):
                 raise DataError(f"--{name.replace('_', '-')} is {length:g}; give millimetres, more than 0")
@@ -139,16 +138,16 @@ class Recording(Writing):
 
 @dataclass(kw_only=True)
 class Summary(Reading):
-    """Say what a data set holds: touches per object, pad and session, how presses ended, readings, missing values."""
+    """Print what a data set holds: touches per object, pad and session, ends of presses, readings, missing values."""
 
     json: bool = False  # print one JSON object, for a program
-    skin_name: str | None = None  # of several skins that were read in each touch, the one that is meant
+    skin_name: str | None = None  # name of the skin, if several were read in each touch
 
     def run(self) -> None:
-        """Print it."""
+        """Print the summary."""
         self._require_source()
-        found = self._load(self.skin_name).summary()
-        print(json_text.dumps(found, indent=1, allow_nan=False) if self.json else _page(self.source, found))
+        summary = self._load(self.skin_name).summary()
+        print(json_text.dumps(summary, indent=1, allow_nan=False) if self.json else _page(self.source, summary))
 
 
 @dataclass(kw_only=True)
@@ -158,16 +157,17 @@ class FromImagine2touch(Recording):
     """
 
     order: Literal["auto", "binary", "ascii"] = "auto"  # temperature first (binary) or last (ascii) in a sample
-    board: Literal["reskin", "anyskin"] = "reskin"  # order and rotation of the chips
+    board: Literal["reskin", "anyskin"] = "reskin"  # board, with the order and rotation of its chips
     pad: str = "reskin"  # name of the skin
     camera_mm: float = 1e3 * CAMERA_OFFSET_M  # distance of the camera behind the tool's origin
-    quarter_turns: int = 0  # turn images counter-clockwise, until rows run along tool y and columns along tool x
-    tool_forces: bool = False  # forces are in the tool's axes, not in the robot base's
+    # counter-clockwise quarter turns after which image rows run along tool y and columns along tool x
+    quarter_turns: int = 0
+    tool_forces: bool = False  # whether forces are in the tool's axes instead of the robot base's
 
     def run(self) -> None:
         """Convert."""
         self._require()
-        shared = self._shared()
+        shared = self._shared_options()
         from i2t.convert import imagine2touch
 
         own: dict[str, Any] = {"order": self.order, "pad": self.pad, "camera": 1e-3 * self.camera_mm}
@@ -181,15 +181,16 @@ class FromEflesh(Recording):
     sensor_post_baselines.csv), or a folder of sessions.
     """
 
-    window_mm: float = 1e3 * EFLESH_WINDOW_M  # edge of the square that a patch shows; presses outside are left out
+    # edge (mm) of the square that a patch shows; presses outside it are left out
+    window_mm: float = 1e3 * EFLESH_WINDOW_M
     tip_radius_mm: float = 1e3 * TIP_RADIUS_M  # radius of the probe's spherical tip, which the recordings do not state
-    z0_mm: float | None = None  # the robot's z at first contact; by default where readings begin, or the highest z
+    z0_mm: float | None = None  # the robot's z (mm) at first contact; by default where readings begin, or the highest z
     pad: str | None = None  # one name for the skin of all sessions; by default each session's own
 
     def run(self) -> None:
         """Convert."""
         self._require()
-        shared = self._shared()
+        shared = self._shared_options()
         from i2t.convert import eflesh
 
         zero = None if self.z0_mm is None else 1e-3 * self.z0_mm
@@ -199,17 +200,17 @@ class FromEflesh(Recording):
 
 @dataclass(kw_only=True)
 class _FromTable(Recording):
-    """A command that converts presses of one indenter."""
+    """Base of the commands that convert presses of one indenter."""
 
     indenter: str | None = None  # sphere:RADIUS or cylinder:RADIUS with a radius in mm, or mesh:FILE
-    board: str = "reskin"  # number, order and rotation of the chips: reskin, anyskin, or grid-RxC
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # of the mesh file of mesh:FILE, which does not say it itself
+    board: str = "reskin"  # board, with number, order and rotation of its chips: reskin, anyskin, or grid-RxC
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file of mesh:FILE, which does not state it
 
-    def _of_indenter(self, missing: str) -> dict[str, Any]:
-        """Options of the converter."""
+    def _indenter_options(self, missing: str) -> dict[str, Any]:
+        """Return the options of the converter."""
         if self.indenter is None:
             raise DataError(f"--indenter is missing; give sphere:RADIUS in mm{missing}")
-        return {"indenter": self.indenter, "unit": self.unit, "board": _board(self.board), **self._shared()}
+        return {"indenter": self.indenter, "unit": self.unit, "board": _board(self.board), **self._shared_options()}
 
 
 @dataclass(kw_only=True)
@@ -221,7 +222,7 @@ class FromPresses(_FromTable):
     def run(self) -> None:
         """Convert."""
         self._require()
-        options = self._of_indenter("")
+        options = self._indenter_options("")
         from i2t.convert import presses
 
         self._write(presses.convert(self.source, **options))
@@ -233,24 +234,25 @@ class FromStream(_FromTable):
     for a data set, x_mm, y_mm and depth_mm or z_mm; convert them, or write them as a table where DST ends in .csv.
     """
 
-    rate_hz: float | None = None  # of the rows, in a log whose time stamps do not tell it or that has none
+    # rate (Hz) of the rows, for a log without time stamps or with stamps that do not show it
+    rate_hz: float | None = None
 
     def run(self) -> None:
         """Convert, or write the table."""
-        if self.rate_hz is not None and not MIN_RATE_HZ <= self.rate_hz <= MAX_RATE_HZ:
-            raise DataError(f"--rate-hz is {self.rate_hz:g}; give {MIN_RATE_HZ:g} to {MAX_RATE_HZ:g} rows in a second")
+        if self.rate_hz is not None and not 1 <= self.rate_hz <= 1e4:
+            raise DataError(f"--rate-hz is {self.rate_hz:g}; give 1 to 10000 rows in a second")
         if self.target.suffix.lower() == ".csv":
             self._write_table()
             return
         self._require()
-        options = self._of_indenter(", or end DST in .csv for a table of presses")
+        options = self._indenter_options(", or end DST in .csv for a table of presses")
         from i2t.convert import stream
 
         self._write(stream.convert(self.source, rate=self.rate_hz, **options))
 
     def _write_table(self) -> None:
         if self.indenter is not None:
-            raise DataError("--indenter is of a data set; give a folder to write, or leave it out for a table")
+            raise DataError("--indenter belongs to a data set; give a folder to write, or leave it out for a table")
         self._require_free_file()
         from i2t.convert import stream
 
@@ -264,7 +266,7 @@ class FromStream(_FromTable):
 class Pack(Writing):
     """Pack all touches of a folder into one file, which loads faster; images and time series of touches stay behind."""
 
-    skin_name: str | None = None  # of several skins that were read in each touch, the one that is meant
+    skin_name: str | None = None  # name of the skin, if several were read in each touch
 
     def run(self) -> None:
         """Pack."""
@@ -304,10 +306,10 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run one command.
 
     Args:
-        args: The command line without the program's name, by default this process's.
+        args: Arguments without the program's name; by default those of this process.
 
     Returns:
-        The exit code, as `i2t.cli.exit_codes` has them: 2 where a recording cannot be used.
+        The exit code, as in `i2t.cli.exit_codes`: 2 if a recording cannot be used.
     """
     command: Reading = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
@@ -316,11 +318,11 @@ def main(args: Sequence[str] | None = None) -> int:
         description=__doc__,
         config=(tyro.conf.FlagCreatePairsOff,),
     )
-    return exit_code_of(lambda: _run(command), INTERRUPTED_MESSAGE)
+    return exit_code_of(lambda: _run(command), "interrupted; nothing was written")
 
 
 def _run(command: Reading) -> None:
-    """Run one command, and print its warnings after it."""
+    """Run one command, and print its warnings afterwards."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)  # `BadFileWarning` is one
         try:
@@ -339,26 +341,26 @@ def _board(name: str) -> "Board":
         raise DataError(f"--board {name}: {error}") from error
 
 
-def _page(source: Path, found: dict[str, Any]) -> str:
-    """A summary for a person."""
+def _page(source: Path, summary: dict[str, Any]) -> str:
+    """Format a summary as text."""
     from i2t.dataset import source_words
 
-    lines = [f"{printable(source)}: {found['touches']} touches, {source_words(found['source'])}"]
+    lines = [f"{printable(source)}: {summary['touches']} touches, {source_words(summary['source'])}"]
     for kind in ("objects", "pads", "sessions"):
         lines += ["", f"{kind:<40} touches"]
-        lines += [f"  {printable(name):<38} {count:7d}" for name, count in found[kind].items()]
+        lines += [f"  {printable(name):<38} {count:7d}" for name, count in summary[kind].items()]
     lines += ["", f"{'press ended':<40} touches"]
-    lines += [f"  {name:<38} {count:7d}" for name, count in found["codes"].items() if count]
+    lines += [f"  {name:<38} {count:7d}" for name, count in summary["codes"].items() if count]
     lines += ["", f"{'measured':<22} {'mean':>9} {'std':>9} {'min':>9} {'median':>9} {'max':>9}"]
-    measured = [(f"reading {axis} (uT)", 1.0, found["reading_uT"][axis]) for axis in "xyz"]
-    measured += [("reading norm (uT)", 1.0, found["reading_norm_uT"]), ("force (N)", 1.0, found["force_N"])]
-    measured += [("depth (mm)", 1e3, found["depth_m"]), ("nearest (mm)", 1e3, found["nearest_m"])]
+    measured = [(f"reading {axis} (uT)", 1.0, summary["reading_uT"][axis]) for axis in "xyz"]
+    measured += [("reading norm (uT)", 1.0, summary["reading_norm_uT"]), ("force (N)", 1.0, summary["force_N"])]
+    measured += [("depth (mm)", 1e3, summary["depth_m"]), ("nearest (mm)", 1e3, summary["nearest_m"])]
     for label, scale, numbers in measured:
         cells = [" " * 8 + "-" if value is None else f"{scale * value:9.3f}" for value in numbers.values()]
         lines.append(f"  {label:<20} {' '.join(cells)}")
     lines += ["", f"{'not measured':<40} touches"]
-    lines += [f"  {name:<38} {count:7d}" for name, count in found["missing"].items() if count]
-    pixels, window, reach = found["patch_pixels"], 1e3 * found["window_m"], 1e3 * found["reach_m"]
-    truth = "known" if found["truth"] else "unknown"
+    lines += [f"  {name:<38} {count:7d}" for name, count in summary["missing"].items() if count]
+    pixels, window, reach = summary["patch_pixels"], 1e3 * summary["window_m"], 1e3 * summary["reach_m"]
+    truth = "known" if summary["truth"] else "unknown"
     lines += ["", f"patches: {pixels} x {pixels} over {window:g} mm, reach {reach:g} mm; truth {truth}"]
-    return "\n".join(lines + [printable(f"{key}: {text}") for key, text in found["meta"].items()])
+    return "\n".join(lines + [printable(f"{key}: {text}") for key, text in summary["meta"].items()])

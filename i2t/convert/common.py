@@ -1,4 +1,4 @@
-"""The result that all converters share."""
+"""Result of all converters."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -8,18 +8,18 @@ from i2t.recordings.log import ReadingLog
 
 
 class Converted(NamedTuple):
-    """A data set and, in sentences, what was assumed and what was left out on the way."""
+    """A data set, and sentences on the assumptions and omissions of the conversion."""
 
     dataset: Dataset
     notes: tuple[str, ...]
 
 
 def converted(dataset: Dataset, log: ReadingLog) -> Converted:
-    """Put the notes of a conversion into the data set's provenance.
+    """Add the notes of a conversion to the data set's provenance.
 
     Args:
-        dataset: What was converted.
-        log: What is to be known of it.
+        dataset: The converted touches.
+        log: Log of the conversion.
 
     Returns:
         The data set with its notes, and the notes.

@@ -1,16 +1,16 @@
 """eFlesh recordings (github notvenky/eFlesh, characterization/datasets): a probe that presses one skin, or shears two.
 
-A session is a folder of comma-separated tables, plain or gzip-ed, without headers: `states.csv` (Unix time in s, x, y,
-z of the probe in mm of its robot, where it was read the load in grams, -1 = not read) and `sensor_post_baselines.csv`
-(Unix time in s, 15 values per board, each minus the reading taken before that touch; the steps of the values are those
-of the chip in uT, so the unit is very likely uT). Rows of the two tables belong together by their times.
+A session is a folder of comma-separated tables, plain or gzip-ed, without headers: `states.csv` (Unix time in s; x, y,
+z of the probe in mm of its robot; in some sessions the load in grams, -1 = not read) and `sensor_post_baselines.csv`
+(Unix time in s, 15 values per board, each minus the reading before that touch; the steps of the values are those of the
+chip in uT, so the unit is very likely uT). Rows of the two tables are matched by their times.
 
 Frames: the skin is fixed, and its tool frame T is the world's: x and y are the robot's from the centre of the session's
 range, z is up, zero where the press begins. The object O is the probe: origin at the lowest point of its tip, axes as
-T. Nothing in the source states the shape of the tip (a sphere is assumed), the height of first contact, how the board
-lies, or the centre of the skin. What the readings tell of these is estimated (`i2t.recordings.diagnose`): where presses
-lie on both sides of first contact, depth counts from where readings begin; where all go to one height, depth is
-unknown.
+T. The source states neither the shape of the tip (a sphere is assumed), nor the height of first contact, the
+orientation of the board, or the centre of the skin. They are estimated from the readings as far as possible
+(`i2t.recordings.diagnose`): if presses lie on both sides of first contact, depth counts from where readings begin; if
+all go to one height, depth is unknown.
 """
 
 import json
@@ -46,10 +46,6 @@ from i2t.recordings.presses import Presses, join_presses
 from i2t.skin import boards
 from i2t.types import Board
 
-BOARD_FROM_STAGE = ((0.0, -1.0), (1.0, 0.0))  # by what the five chips read together in the `spatial` session
-REFERENCE = "reference of "  # of the data set's meta: where a session's positions and heights count from
-MAX_RAW_VALUE = 1e10  # of any recorded number: Unix times are 1.7e9 s
-
 
 def convert(
     source: Path,
@@ -66,26 +62,26 @@ def convert(
     """Convert a session or a folder of sessions.
 
     Args:
-        source: folder of a session, or of sessions.
-        radius: m, of the probe's spherical tip, which the recordings do not state.
-        window: m, edge of the square that a patch shows; presses outside it are left out.
-        reach: m, patches are clipped to this depth behind the tip's lowest point.
-        zero: m, the robot's z at first contact; by default where readings begin; where no press is above that, the
-            session's highest z, so that no depth is negative; where all presses go to one height, none: depths are
+        source: Folder of a session, or of sessions.
+        radius: Radius (m) of the probe's spherical tip, which the recordings do not state.
+        window: Edge (m) of the square that a patch shows; presses outside it are left out.
+        reach: Depth (m) behind the tip's lowest point to which patches are clipped.
+        zero: The robot's z (m) at first contact. By default it is where readings begin. If no press is above that, it
+            is the session's highest z, so that no depth is negative; if all presses go to one height, depths are
             unknown.
-        pad: one name for all pads; by default each board of each session is a pad of its own.
+        pad: One name for all pads; by default, each board of each session is a pad of its own.
         stated_source: "real" (by default) or "simulated".
-        as_stated: look for no mistake and correct none; depth counts from the session's highest z.
-        skip_bad: leave out damaged rows and sessions, and note them.
+        as_stated: Whether to skip the search for mistakes; depth then counts from the session's highest z.
+        skip_bad: Whether to leave out damaged rows and sessions, with notes.
 
     Returns:
-        The data set and what was assumed and left out.
+        The data set, with notes on assumptions and omissions.
 
     Raises:
-        DataError: a recording cannot be used.
+        DataError: If a recording cannot be used.
     """
     if not 0 < radius < np.inf:
-        raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is no radius; give a positive length in mm")
+        raise DataError(f"--tip-radius-mm {1e3 * radius:g}: is not a radius; give a positive length in mm")
     notes = ReadingLog(skip_bad)
     sessions = sorted({file.parent for file in source.rglob("states.csv*")}) if source.is_dir() else []
     if not sessions:
@@ -116,29 +112,30 @@ def convert(
 
 
 def _common_board(checks: list[SessionCheck], notes: ReadingLog) -> Board:
-    """The board of all sessions: the described one where they do not agree on how it lies."""
+    """Return the board of all sessions: the described one if they disagree on its orientation."""
     first = checks[0].board
     if all(np.allclose(a, b) for check in checks for a, b in zip(check.board, first, strict=True)):
         return first
-    notes.info("left out: how the board lies, in which the sessions differ; it is taken as described in all of them")
+    notes.info("left out: the orientation of the board, which differs between sessions; the described one is assumed")
     return _board()
 
 
 def _board() -> Board:
-    """eFlesh's board as it lies under the stage of these recordings."""
-    return turn_board(boards.eflesh_board(), np.array(BOARD_FROM_STAGE))
+    """Return eFlesh's board as it is mounted on the stage of these recordings."""
+    # By what the five chips read together in the `spatial` session.
+    return turn_board(boards.eflesh_board(), np.array([[0.0, -1.0], [1.0, 0.0]]))
 
 
 def _session(
     folder: Path, notes: ReadingLog, *, zero: float | None, pad: str | None, as_stated: bool
 ) -> tuple[list[Presses], SessionCheck]:
-    """The presses of a session, a table for each board, and what was found out about it."""
+    """Read the presses of a session, a table for each board, and its findings."""
     states = _table(folder, "states", (4, 5), notes)
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
     states, values = _matched(folder, states, values, notes)
-    heard = notes.keep_heard(silent_chips_of(folder, values))
+    answered = notes.keep_heard(silent_chips_of(folder, values))
     notes.require_heard(source=folder)
-    states, values = states[heard], values[heard]
+    states, values = states[answered], values[answered]
     n, name, position = len(states), folder.name, 1e-3 * states[:, 1:4]
     table = Presses(
         position[:, :2], values[:, 1:], height=position[:, 2], force=load_of_states(states), time=states[:, 0],
@@ -158,7 +155,7 @@ def _session(
 def _pressed(
     name: str, table: Presses, notes: ReadingLog, *, stated_zero: float | None, as_stated: bool
 ) -> tuple[Presses, SessionCheck]:
-    """A session in which the probe presses one skin from above."""
+    """Correct a session in which the probe presses one skin from above."""
     middle, check = _middle(table.position), SessionCheck(_board())
     if not as_stated:
         centred = table._replace(position=table.position - middle)
@@ -175,11 +172,11 @@ def _pressed(
     table = corrected_presses(table, check.findings)
     assert table.height is not None
     table = table._replace(position=table.position - centre, height=table.height - zero)
-    return table, check._replace(meta={**check.meta, REFERENCE + name: json.dumps(reference)})
+    return table, check._replace(meta={**check.meta, f"reference of {name}": json.dumps(reference)})
 
 
 def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog, *, stated: float | None) -> float:
-    """Height of first contact (m): as given, as found, or else as assumed; NaN where nothing can be assumed."""
+    """Return the height of first contact (m): as given, as found or as assumed; NaN if unknown."""
     if stated is not None:
         notes.info(f"as given for {name}: first contact at the robot's z = {1e3 * stated:.3f} mm")
         return stated
@@ -187,7 +184,7 @@ def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog
     if check.zero is not None and check.zero.identifiable:
         notes.info(f"depth in {name} counts from z = {1e3 * zero:.3f} mm, where readings begin")
     elif np.isnan(zero):
-        notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm where it is known")
+        notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm if it is known")
     else:
         notes.info(
             f"assumed in {name}: first contact at the highest z = {1e3 * zero:.3f} mm; depth counts from there, so "
@@ -197,15 +194,16 @@ def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog
 
 
 def _sheared(name: str, table: Presses, notes: ReadingLog, *, as_stated: bool) -> tuple[Presses, SessionCheck]:
-    """A session in which the probe moves along two skins: the robot's z is the direction of shear, and how deep it
-    presses is not recorded. Of what it does not say only the units are looked at.
+    """Correct a session in which the probe moves along two skins.
+
+    The robot's z is the direction of shear, and the depth of the press is not recorded. Only the units are checked.
     """
     check = SessionCheck(_board())
     if not as_stated:
-        found = find_units(table.position, table.readings)
-        if found.wrong:
-            notes.info(f"corrected in {name}: {found.sentence}")
-        check = SessionCheck(_board(), (found,), findings_to_meta(name, [found]))
+        units = find_units(table.position, table.readings)
+        if units.wrong:
+            notes.info(f"corrected in {name}: {units.sentence}")
+        check = SessionCheck(_board(), (units,), findings_to_meta(name, [units]))
     table = corrected_presses(table, check.findings)
     assert table.height is not None
     x, y = (table.position - _middle(table.position)).T
@@ -217,15 +215,15 @@ def _sheared(name: str, table: Presses, notes: ReadingLog, *, as_stated: bool) -
 
 
 def _middle(values: np.ndarray) -> np.ndarray:
-    """The middle of the range of values."""
+    """Compute the middle of the range of values."""
     return (values.min(0) + values.max(0)) / 2
 
 
 def _table(folder: Path, name: str, columns: tuple[int, int], notes: ReadingLog) -> np.ndarray:
-    """One table of a session, its times increasing; rows that are not finite are damage."""
+    """Read one table of a session, with ascending times and without rows that are not finite."""
     path = table_path(folder, name)
     table = read_numbers(path, columns)
-    finite = (np.abs(table) < MAX_RAW_VALUE).all(1)
+    finite = (np.abs(table) < 1e10).all(1)  # Unix times are 1.7e9 s
     if not finite.all():
         row = np.flatnonzero(~finite)[0] + 1
         notes.skip(data_error(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
@@ -240,12 +238,12 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ReadingLog)
         notes.skip(data_error(path, f"time does not increase at row {back[0]}, as {wrong}"))
     if len(verdict.restarts):
         row = verdict.restarts[0] + 1
-        raise DataError(f"{path}: time goes back at row {row} and goes on from there; make a session of each part")
+        raise DataError(f"{path}: time goes back at row {row}; make a session of each part")
     return table[~verdict.damaged]
 
 
 def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """The rows of both tables that belong together by time."""
+    """Match the rows of both tables by time."""
     if not len(states) or not len(values):
         raise data_error(folder, "has no rows")
     rows, partner = rows_together(states[:, 0], values[:, 0])
@@ -262,8 +260,8 @@ def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Readin
 
 
 def _strokes(name: str, states: np.ndarray) -> np.ndarray:
-    """Sessions (n,) by name: a session of single presses is one; where the probe was followed all the way, each stroke
-    down and up is.
+    """Name the session of each row: one for a session of single presses. If the probe was recorded all the way, each
+    stroke down and up is one.
     """
     if states.shape[1] == 4:
         return np.full(len(states), name)

@@ -1,18 +1,19 @@
 """The recordings of Imagine2touch (github ayadabdalla/imagine2touch), as its code writes them.
 
-For object O, run E and touch K = 1, 2, ...: `O/O_images/depth/experiment_E_depth_K.tif` (uint16, mm, what the wrist
-camera saw, cropped to the skin's window), `O/O_tactile/experiment_E_reskin` (object array of samples [time, delay, 5 x
+For object O, run E and touch K = 1, 2, ...: `O/O_images/depth/experiment_E_depth_K.tif` (uint16, mm, image of the wrist
+camera, cropped to the skin's window), `O/O_tactile/experiment_E_reskin` (object array of samples [time, delay, 5 x
 (t, x, y, z) or 5 x (x, y, z, t), device]) and `..._reskin_ambient` (15 values per touch, or 10 samples per touch, or 10
 samples for every 10 touches), `O/O_poses/experiment_E_*` (positions in m, quaternions xyzw),
 `O/O_forces/experiment_E_*`, `O/meta_data/O_experiment_E.txt`. Only images and tactile files are required.
 
     reading = mean over samples in contact - mean over ambient samples, without temperatures
-    patch   = depth - depth of the nearest pixel, clipped to the reach; 0 and 65535 are no measurement: no surface
-    nearest = depth of the nearest pixel - distance from the camera to the tool - approach from the look to the contact
+    patch   = depth - depth of the nearest pixel, clipped to the reach; 0 and 65535 mean no measurement, taken as no
+    surface nearest = depth of the nearest pixel - distance from the camera to the tool - approach from the look to the
+    contact
 
-Assumed, because the recordings do not state it: the tool frame is that of the recorded poses; image rows run along tool
-y and columns along tool x; forces are in the robot base's axes and act on the tool, so the force along tool z is minus
-their component along it. Objects' poses are unknown (NaN). Pulling forces and fields in millitesla are corrected,
+Assumptions, because the recordings do not state it: the tool frame is that of the recorded poses; image rows run along
+tool y and columns along tool x; forces are in the robot base's axes and act on the tool, so the force along tool z is
+minus their component along it. Objects' poses are unknown (NaN). Pulling forces and fields in millitesla are corrected,
 with a note.
 """
 
@@ -37,15 +38,6 @@ from i2t.recordings.files import data_error
 from i2t.recordings.log import ReadingLog
 from i2t.types import Board, ReturnCode, Touches
 
-MAX_LOOK_OFFSET_M = 2e-3  # m; a look from further off the contact's axis showed another place
-QUATERNION_NORM_TOLERANCE = 1e-3  # how far the norm of a quaternion may be from 1
-MAX_POSE_VALUE = 1e6  # bound of any recorded number, in its unit
-FAR_M = 10e-3  # m; a touched surface that lies farther from the skin has a wrong distance or unit
-NOTE_LENGTH = 2000  # characters kept of a run's own notes
-
-_TACTILE = re.compile(r"experiment_(.+)_reskin(\.npy)?")
-_IMAGE = re.compile(r"experiment_(.+)_depth_\d+\.tif")
-
 
 def convert(
     source: Path,
@@ -65,8 +57,8 @@ def convert(
     """Convert one object's folder or a folder of them.
 
     Args:
-        source: The folder.
-        board: The board that recorded the touches.
+        source: Folder of an object, or of several.
+        board: Board that recorded the touches.
         order: Order of a sample's values: "binary" (t first), "ascii" (t last) or "auto".
         window: Edge (m) of the square that a patch shows.
         reach: Depth (m) at which a patch ends.
@@ -74,15 +66,15 @@ def convert(
         quarter_turns: Number of counter-clockwise quarter turns of the images.
         tool_forces: Whether forces are in the tool's axes.
         pad: Name of the skin.
-        stated_source: "real" or "simulated", which the layout does not state; None where it is unknown.
+        stated_source: "real" or "simulated", which the layout does not state; None if unknown.
         as_stated: Whether to take all units and signs as they are.
         skip_bad: Whether to leave out damaged parts instead of raising an error.
 
     Returns:
-        The data set and the notes.
+        The data set, with notes on assumptions and omissions.
 
     Raises:
-        DataError: The folder cannot be read as such a recording.
+        DataError: If the folder cannot be read as such a recording.
     """
     notes = ReadingLog(skip_bad, unit="touches")
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
@@ -112,7 +104,7 @@ def convert(
 
 
 def _corrected(dataset: Dataset, notes: ReadingLog) -> Dataset:
-    """The data set with pressing forces positive and readings in microtesla."""
+    """Make pressing forces positive, and convert readings to microtesla."""
     touches = dataset.touches
     units = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
     sign = find_force_sign(touches.force.astype(np.float64), touches.reading)
@@ -138,12 +130,12 @@ class _Options(NamedTuple):
 
 
 def _convert_run(folder: Path, run: str, options: _Options, notes: ReadingLog) -> Dataset:
-    """One run of an object: its touches that have a reading and an image."""
+    """Convert one run of an object: its touches that have a reading and an image."""
     tactile = folder / f"{folder.name}_tactile" / f"experiment_{run}_reskin"
     reading, time = samples.readings(tactile, options.order, notes)
     n = len(reading)
     poses = folder / f"{folder.name}_poses" / f"experiment_{run}"
-    damaged = np.zeros(n, bool)  # touches; the functions below mark damaged ones
+    damaged = np.zeros(n, bool)  # damaged touches, which the functions below mark
     T_w_t, approach = _poses(poses, damaged, notes)
     images = folder / f"{folder.name}_images" / "depth" / f"experiment_{run}_depth"
     patch, closest = _patches(images, n, options, notes)
@@ -189,27 +181,30 @@ def _objects(source: Path) -> list[Path]:
 
 
 def _runs(folder: Path) -> list[str]:
-    """The names of an object's runs, from its tactile files and its images, numbers in the order of counting."""
+    """List the names of an object's runs, from its tactile files and its images, with numbers in ascending order."""
     runs: set[str] = set()
-    for place, name in ((f"{folder.name}_tactile", _TACTILE), (f"{folder.name}_images/depth", _IMAGE)):
+    for place, pattern in (
+        (f"{folder.name}_tactile", r"experiment_(.+)_reskin(\.npy)?"),
+        (f"{folder.name}_images/depth", r"experiment_(.+)_depth_\d+\.tif"),
+    ):
         files = (folder / place).iterdir() if (folder / place).is_dir() else ()
-        runs |= {match[1] for match in (name.fullmatch(file.name) for file in files) if match}
+        runs |= {match[1] for match in (re.fullmatch(pattern, file.name) for file in files) if match}
     if not runs:
         raise data_error(folder, "holds no run")
     return sorted(runs, key=lambda run: [(len(part), part) for part in re.split(r"(\d+)", run)])
 
 
 def _remarks(folder: Path, run: str) -> dict[str, str]:
-    text = folder / "meta_data" / f"{folder.name}_experiment_{run}.txt"
-    if not text.is_file():
+    path = folder / "meta_data" / f"{folder.name}_experiment_{run}.txt"
+    if not path.is_file():
         return {}
-    with text.open(errors="replace") as file:
-        words = file.read(NOTE_LENGTH).strip()
-    return {f"remarks on {folder.name} {run}": words} if words else {}
+    with path.open(errors="replace") as file:
+        text = file.read(2000).strip()
+    return {f"remarks on {folder.name} {run}": text} if text else {}
 
 
 def _poses(stem: Path, damaged: np.ndarray, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (n, 4, 4) at the contact, and the way (n,) in m along tool z from where the camera looked to it."""
+    """Read poses (n, 4, 4) at the contact, and distances (n,) m along tool z from the look to the contact."""
     n = len(damaged)
     final, prepare = (_optional(stem, name, (3,), damaged, notes) for name in ("final_contact", "prepare_contact"))
     rotations = _rotations(stem, damaged, notes)
@@ -220,46 +215,49 @@ def _poses(stem: Path, damaged: np.ndarray, notes: ReadingLog) -> tuple[np.ndarr
     T_w_t[posed, :3, 3] = final[posed]
     moved = final - prepare
     approach = np.sum(moved * T_w_t[:, :3, 2], axis=1)
-    aside = np.linalg.norm(moved - approach[:, None] * T_w_t[:, :3, 2], axis=1)
+    offset = np.linalg.norm(moved - approach[:, None] * T_w_t[:, :3, 2], axis=1)
     if (approach < 0).any():
         notes.info(
             f"{stem}: {np.sum(approach < 0)} presses go against tool z, so this may be another frame than the tool's, "
             "or quaternions have the scalar first"
         )
-    approach = np.where((aside <= MAX_LOOK_OFFSET_M) & (approach >= 0), approach, np.nan)
+    # A look from further off the contact's axis showed another place.
+    approach = np.where((offset <= 2e-3) & (approach >= 0), approach, np.nan)
     if np.isnan(approach).any():
         notes.info(f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches, not seen along their approach")
     return T_w_t, approach
 
 
 def _rotations(stem: Path, damaged: np.ndarray, notes: ReadingLog) -> np.ndarray:
-    """Rotations (n, 3, 3) of the tool, NaN where unknown."""
+    """Read rotations (n, 3, 3) of the tool, NaN if unknown."""
     values = _optional(stem, "rotations", (4,), damaged, notes)
     result = np.full((len(damaged), 3, 3), np.nan)
-    crooked = np.abs(np.linalg.norm(values, axis=1) - 1) > QUATERNION_NORM_TOLERANCE
-    for k in np.flatnonzero(crooked):
+    wrong_norm = np.abs(np.linalg.norm(values, axis=1) - 1) > 1e-3
+    for k in np.flatnonzero(wrong_norm):
         notes.skip(data_error(stem, f"quaternion {k + 1} of its rotations is not of length 1"))
-    damaged |= crooked
-    is_rotation = np.isfinite(values).all(1) & ~crooked
+    damaged |= wrong_norm
+    is_rotation = np.isfinite(values).all(1) & ~wrong_norm
     if is_rotation.any():
         result[is_rotation] = Rotation.from_quat(values[is_rotation]).as_matrix()
     return result
 
 
 def _forces(stem: Path, axis: np.ndarray, damaged: np.ndarray, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """Force (n,) N along tool z, which is `axis` in the axes of the wrenches; return codes (n,)."""
+    """Compute forces (n,) N along tool z, which is `axis` in the axes of the wrenches, and read return codes (n,)."""
     wrenches = _optional(stem, "forces_torques", (6,), damaged, notes)
     codes = _optional(stem, "contact_returns", (), damaged, notes, unknown=float(ReturnCode.UNDEFINED))
     wrong = ~np.isin(codes, [int(code) for code in ReturnCode])
     for k in np.flatnonzero(wrong & ~np.isnan(codes)):
-        notes.skip(data_error(stem, f"contact_returns hold a value at touch {k + 1} that is no return code (-1 to 4)"))
+        notes.skip(
+            data_error(stem, f"contact_returns hold a value at touch {k + 1} that is not a return code (-1 to 4)")
+        )
     damaged |= wrong
     codes = np.where(wrong, float(ReturnCode.UNDEFINED), codes)
     return -np.sum(wrenches[:, :3] * axis, axis=1), codes
 
 
 def _patches(stem: Path, n: int, options: _Options, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """Patches (n, 48, 48) m, and the depth of their nearest pixels (n,) m, NaN where the image is damaged."""
+    """Read patches (n, 48, 48) m, and the depth (n,) m of their nearest pixels, NaN for a damaged image."""
     patches, closest = np.zeros((n, PATCH_PIXELS, PATCH_PIXELS), np.float32), np.full(n, np.nan)
     for k in range(n):
         try:
@@ -276,9 +274,9 @@ def _patches(stem: Path, n: int, options: _Options, notes: ReadingLog) -> tuple[
 
 
 def _note_distance(nearest: np.ndarray, images: Path, notes: ReadingLog) -> None:
-    """Note that the nearest surface in the images, at distances (n,) m from the skin, lies far from it."""
+    """Add a note if the surface in the images, at distances (n,) m from the skin, is far from it in the median."""
     middle = float(np.median(nearest[np.isfinite(nearest)])) if np.isfinite(nearest).any() else 0.0
-    if abs(middle) > FAR_M:
+    if abs(middle) > 10e-3:
         notes.info(
             f"{images}: the surface begins {1e3 * abs(middle):.3g} mm {'behind' if middle < 0 else 'in front of'} the "
             "skin at the touches, in the median: correct --camera-mm, or the unit of the images, which are taken for mm"
@@ -294,7 +292,7 @@ def _optional(
     *,
     unknown: float = math.nan,
 ) -> np.ndarray:
-    """Numbers (n, *width) of a file, or the unknown value where there is no file.
+    """Read numbers (n, *width) of a file, or return the unknown value if there is no file.
 
     Touches without finite numbers are NaN and marked in `damaged`.
     """
@@ -302,7 +300,7 @@ def _optional(
     wanted = stem.with_name(f"{stem.name}_{name}")
     path = npy.find(wanted)
     if path is None:
-        notes.info(f"{wanted} is missing: what it holds is unknown")
+        notes.info(f"{wanted} is missing: its values are unknown")
         return np.full(shape, unknown)
     values = npy.read(path)
     try:
@@ -312,7 +310,7 @@ def _optional(
     if numbers.size != math.prod(shape) or len(numbers) != shape[0]:
         raise data_error(path, f"has the shape {numbers.shape} where {shape[0]} touches need {shape}")
     numbers = numbers.reshape(shape)
-    wrong = ~(np.abs(numbers) < MAX_POSE_VALUE).reshape(len(damaged), -1).all(1)
+    wrong = ~(np.abs(numbers) < 1e6).reshape(len(damaged), -1).all(1)
     for k in np.flatnonzero(wrong):
         notes.skip(data_error(path, f"is not finite at touch {k + 1}"))
     damaged |= wrong
@@ -321,8 +319,8 @@ def _optional(
 
 
 def _depth_image(path: Path, notes: ReadingLog) -> np.ndarray:
-    """The crop (48, 48) in metres, infinite where nothing was measured; another size is resampled, each pixel taking
-    the one under its centre.
+    """Read the crop (48, 48) in metres, infinite where nothing was measured. An image of another size is resampled:
+    each pixel takes the value under its centre.
     """
     if not path.is_file():
         raise data_error(path, "is missing")
@@ -331,7 +329,7 @@ def _depth_image(path: Path, notes: ReadingLog) -> np.ndarray:
     except DataError:
         raise
     except (OSError, ValueError) as error:
-        raise data_error(path, f"is no readable TIF ({str(error).removeprefix(f'{path}: ')})") from error
+        raise data_error(path, f"is not a readable TIF ({str(error).removeprefix(f'{path}: ')})") from error
     if image.dtype != np.uint16 or not 8 <= max(image.shape) <= 1024:
         raise data_error(path, f"is an image {image.shape} of {image.dtype} where a crop of uint16 should be")
     rows, columns = image.shape

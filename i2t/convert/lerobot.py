@@ -1,10 +1,10 @@
-"""LeRobotDataset v3.0, written with pyarrow alone: a session is an episode, a touch one of its frames.
+"""LeRobotDataset v3.0, written with pyarrow alone: a session is an episode, and a touch is one of its frames.
 
 Readings are `observation.tactile` (3 values for each chip, uT), patches `observation.patch` (m), `action` is the pose
 at which the skin touched, position (m) and quaternion with its scalar last; every other field of a touch is
 `touch.FIELD`, one of the truth `touch.truth_FIELD`, and `touch.row` is the touch's row in the data set. A task is to
-touch one object. Touches have no common clock, and the format wants one: its frame rate of 1/s counts touches. What
-holds for all touches is in meta/i2t.json, which LeRobot leaves alone.
+touch one object. Touches have no common clock, which the format requires: its frame rate of 1/s counts touches.
+Properties of the whole data set are in meta/i2t.json, which LeRobot ignores.
 
 Format: https://huggingface.co/docs/lerobot/lerobot-dataset-v3
 """
@@ -26,13 +26,9 @@ from i2t.errors import DataError, require_extra
 from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
 
-LEROBOT_VERSION = "v3.0"
-NOTE = "meta/i2t.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-VIDEO_SIZE_MB, FILE_SIZE_MB, CHUNK_FILES = 200, 100, 1000
-FPS = 1
+FRAME_RATE_HZ = 1
 NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "wide": "observation.wide"}
-COUNTERS = ("frame_index", "episode_index", "index", "task_index")
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # m, and a unit quaternion
 
 
@@ -40,17 +36,17 @@ def write(target: Path, dataset: Dataset) -> Path:
     """Write a data set as a LeRobotDataset that appears complete or not at all.
 
     Args:
-        target: Folder to make; an earlier one is replaced.
-        dataset: Touches.
+        target: Folder to create; an earlier export is replaced.
+        dataset: The touches to write.
 
     Returns:
-        The folder.
+        The path of the folder.
 
     Raises:
-        DataError: It holds other files, cannot be written, or pyarrow is missing.
+        DataError: If the folder holds other files or cannot be written, or pyarrow is missing.
     """
     require_extra("pyarrow", "LeRobot's format")
-    if target.is_dir() and any(target.iterdir()) and not (target / NOTE).is_file():
+    if target.is_dir() and any(target.iterdir()) and not (target / "meta/i2t.json").is_file():
         raise DataError(f"{target}: holds files that no such export wrote; give another folder")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +78,7 @@ def _fill(folder: Path, dataset: Dataset) -> None:
     )
     index = np.arange(len(dataset))
     counted = frames | {"frame_index": index - first[episode], "episode_index": episode, "index": index}
-    counted["timestamp"] = counted["frame_index"].astype(np.float32) / FPS
+    counted["timestamp"] = counted["frame_index"].astype(np.float32) / FRAME_RATE_HZ
     parts = [slice(begin, begin + length) for begin, length in zip(first, lengths, strict=True)]
     episodes = [_episode(dataset, {name: values[rows] for name, values in counted.items()}) for rows in parts]
     pq.write_table(
@@ -98,8 +94,9 @@ def _fill(folder: Path, dataset: Dataset) -> None:
 
 
 def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
-    """Columns of the touches under the names of this format, without those that count; `wide` is left out where no
-    surroundings were recorded.
+    """Make the columns of the touches under the names of this format, without counters.
+
+    `wide` is left out if no surroundings were recorded.
     """
     fields = {name: values for name, values in dataset.touches._asdict().items() if name != "truth"}
     if dataset.touches.truth is not None:
@@ -118,17 +115,17 @@ def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
 
 
 def _pose_vectors(T: np.ndarray) -> np.ndarray:
-    """Poses as most learning code wants them, (n, 7) float32; NaN where unknown."""
+    """Convert poses to (n, 7) float32 vectors, which most learning code expects; NaN if unknown."""
     poses = np.full((len(T), len(POSE_NAMES)), np.nan, np.float32)
-    known = np.isfinite(T).all((1, 2))
-    if known.any():
-        poses[known, :3] = T[known, :3, 3]
-        poses[known, 3:] = Rotation.from_matrix(T[known, :3, :3]).as_quat()
+    finite = np.isfinite(T).all((1, 2))
+    if finite.any():
+        poses[finite, :3] = T[finite, :3, 3]
+        poses[finite, 3:] = Rotation.from_matrix(T[finite, :3, :3]).as_quat()
     return poses
 
 
 def _note(dataset: Dataset) -> dict[str, Any]:
-    """Everything that is not of a single touch, as JSON can hold it."""
+    """Collect the properties of the whole data set, as values for JSON."""
     return {
         "software": f"i2t {__version__}",
         **{kind: list(getattr(dataset, kind)) for kind in ("objects", "pads", "sessions")},
@@ -141,7 +138,7 @@ def _note(dataset: Dataset) -> dict[str, Any]:
 
 
 def _episode(dataset: Dataset, part: dict[str, np.ndarray]) -> dict[str, Any]:
-    """A row of the table of episodes."""
+    """Make a row of the table of episodes."""
     about: dict[str, Any] = {
         "episode_index": int(part["episode_index"][0]),
         "tasks": [_task(dataset.objects[i]) for i in np.unique(part["task_index"])],
@@ -163,7 +160,7 @@ def _task(name: str) -> str:
 
 
 def _write_tasks(pa: Any, pq: Any, folder: Path, dataset: Dataset) -> None:
-    """The table of tasks, whose index pandas must find."""
+    """Write the table of tasks, with the metadata by which pandas finds its index."""
     table = pa.table({"task_index": np.arange(len(dataset.objects)), "task": [_task(name) for name in dataset.objects]})
     about = {
         "index_columns": ["task"],
@@ -184,18 +181,19 @@ def _info(dataset: Dataset, frames: dict[str, np.ndarray], episodes: int) -> dic
         name: {"dtype": str(values.dtype), "shape": list(values.shape[1:] or (1,)), "names": names.get(name)}
         for name, values in frames.items()
     }
-    features |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in COUNTERS}
+    counters = ("frame_index", "episode_index", "index", "task_index")
+    features |= {name: {"dtype": "int64", "shape": [1], "names": None} for name in counters}
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     return {
-        "codebase_version": LEROBOT_VERSION,
+        "codebase_version": "v3.0",
         "robot_type": "i2t",
         "total_episodes": episodes,
         "total_frames": len(dataset),
         "total_tasks": len(dataset.objects),
-        "chunks_size": CHUNK_FILES,
-        "data_files_size_in_mb": FILE_SIZE_MB,
-        "video_files_size_in_mb": VIDEO_SIZE_MB,
-        "fps": FPS,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": FRAME_RATE_HZ,
         "splits": {"train": f"0:{episodes}"},
         "data_path": DATA_PATH,
         "video_path": None,
@@ -204,22 +202,22 @@ def _info(dataset: Dataset, frames: dict[str, np.ndarray], episodes: int) -> dic
 
 
 def _stats(values: np.ndarray) -> dict[str, Any]:
-    """Statistics of measured values; zero where nothing was measured."""
+    """Compute statistics of measured values; zero if nothing was measured."""
     values = values.reshape(len(values), *(values.shape[1:] or (1,))).astype(np.float64)
-    known = np.isfinite(values)
-    count = np.maximum(known.sum(0), 1)
-    mean = np.where(known, values, 0).sum(0) / count
-    spread = np.sqrt(np.where(known, (values - mean) ** 2, 0).sum(0, where=known) / count)
-    least, most = (
-        np.where(known.any(0), reduce(np.where(known, values, away), axis=0), 0)
-        for reduce, away in ((np.min, np.inf), (np.max, -np.inf))
+    finite = np.isfinite(values)
+    count = np.maximum(finite.sum(0), 1)
+    mean = np.where(finite, values, 0).sum(0) / count
+    spread = np.sqrt(np.where(finite, (values - mean) ** 2, 0).sum(0, where=finite) / count)
+    smallest, largest = (
+        np.where(finite.any(0), reduce(np.where(finite, values, fill), axis=0), 0)
+        for reduce, fill in ((np.min, np.inf), (np.max, -np.inf))
     )
-    found = {"min": least, "max": most, "mean": mean, "std": spread}
-    return {name: array.tolist() for name, array in found.items()} | {"count": [len(values)]}
+    statistics = {"min": smallest, "max": largest, "mean": mean, "std": spread}
+    return {name: array.tolist() for name, array in statistics.items()} | {"count": [len(values)]}
 
 
 def _arrow(pa: Any, values: np.ndarray) -> Any:
-    """A column: scalars, vectors of one length, or nested lists."""
+    """Make a column of scalars, vectors of one length, or nested lists."""
     array = pa.array(np.ascontiguousarray(values).reshape(-1))
     shape = values.shape[1:]
     if len(shape) == 1:

@@ -1,11 +1,12 @@
-"""Rows of a log on one clock: without damaged stamps and repeated rows, in even time where the clock is coarse.
+"""Rows of a log on one clock: without damaged stamps and repeated rows, and evenly spaced if the clock is coarse.
 
-What stamps tell is judged by `i2t.recordings.clocks`; here the rows of a log that is read piece by piece are put on the
-clock that it finds.
+`i2t.recordings.clocks` judges the stamps. This module puts the rows of a log, which is read in pieces, on the resulting
+clock.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from enum import IntEnum
 from functools import reduce
 from itertools import pairwise
 from typing import NamedTuple
@@ -27,71 +28,77 @@ from i2t.recordings.clocks import (
 )
 from i2t.recordings.log import ReadingLog
 
-ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are found from the first of them
-REMEMBERED_ROWS = 2**20  # that are compared with those that follow a step back in time
-REPEATED_ROWS = 8  # one after the other, at least, that repeat earlier ones
-LINE, STAMP, NAMES, LABELS = 0, 1, 2, 3  # columns of a row's labels
+ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are estimated from the first piece
+
+
+class LabelColumn(IntEnum):
+    """Columns of a row's labels."""
+
+    LINE = 0
+    STAMP = 1
+    NAMES = 2
+    FIRST_VALUE = 3
 
 
 class LogRows(NamedTuple):
     """Rows in the order of the log."""
 
     time: np.ndarray  # (n,) s
-    readings: np.ndarray  # (n, c) uT; NaN of a chip that did not answer
-    labels: np.ndarray  # (n, 3 + e): line in the file, time (s; NaN where stamps say nothing), number of its
-    # pad's and session's names, and the labels
+    readings: np.ndarray  # (n, c) uT; NaN for a chip that did not answer
+    # (n, 3 + e): line in the file, time (s; NaN if stamps do not show it), number of its pad's and session's names,
+    # values
+    labels: np.ndarray
 
     def pick(self, which: slice | np.ndarray) -> "LogRows":
-        """Some of the rows.
+        """Select some of the rows.
 
         Args:
             which: A slice or a mask.
 
         Returns:
-            These rows.
+            The selected rows.
         """
         return LogRows(self.time[which], self.readings[which], self.labels[which])
 
     def then(self, more: "LogRows") -> "LogRows":
-        """These rows and further ones.
+        """Append further rows.
 
         Args:
             more: The rows that follow.
 
         Returns:
-            All of them.
+            All rows in their order.
         """
         return LogRows(*(np.concatenate(both) for both in zip(self, more, strict=True)))
 
     @property
-    def heard(self) -> np.ndarray:
-        """Rows in which every chip answered."""
+    def complete(self) -> np.ndarray:
+        """Mask of the rows in which every chip answered."""
         return ~np.isnan(self.readings).any(1)
 
 
 class TimedRows(NamedTuple):
-    """Rows whose stamps are sound."""
+    """Rows with valid times."""
 
-    rows: LogRows  # their time does not go back but where a part begins
-    begins: np.ndarray  # (n,) rows before which there was a pause, or at which the clock begins again
+    rows: LogRows  # with ascending time, except at the beginning of a part
+    begins: np.ndarray  # (n,) mask of rows after a pause, or at which the clock begins again
     step: float  # s, between rows
 
 
 def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: float | None) -> Iterator[TimedRows]:
-    """Put the rows of a log on the clock that its stamps tell.
+    """Put the rows of a log on the clock that its stamps show.
 
     Args:
         pieces: Rows in the order of the log, some at a time.
-        name: Of the log and its time, for messages.
-        notes: That hear what the stamps tell, and what is left out.
-        rate: Rows in a second (Hz), where it is stated; then stamps are not looked at.
+        name: Name of the log and its time, for messages.
+        notes: Log that receives findings and omissions.
+        rate: Rate (Hz) of the rows, if stated; then stamps are ignored.
 
     Yields:
-        Rows without those whose stamp is damaged and those that repeat earlier ones, in even time where the clock is
-        coarse.
+        Rows without damaged stamps and without repetitions of earlier rows, evenly spaced if the clock is coarse.
 
     Raises:
-        DataError: A stamp is damaged and may not be left out, or the rows are in no order.
+        DataError: If a stamp is damaged and may not be left out, or the rows have no order.
     """
     clock: RowClock | None = None
     held: LogRows | None = None
@@ -101,10 +108,10 @@ def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: 
         held = new if held is None else held.then(new)
         if clock is None and len(held.time) < ROWS_READ_AT_ONCE and not last:
             continue
-        begins = np.append(False, np.diff(held.labels[:, NAMES]) != 0)
+        begins = np.append(False, np.diff(held.labels[:, LabelColumn.NAMES]) != 0)
         if clock is None:
             clock = row_clock(held.time, name, rate=rate, begins=begins)
-            _say_clock(clock, held.time, notes)
+            _note_clock(clock, held.time, notes)
         if clock.by_rows:
             yield stamps.counted(held, clock)
             held = None
@@ -129,17 +136,19 @@ def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: 
 
 @dataclass
 class _Memory:
-    """Which rows a log has had, by a number that is computed from each."""
+    """Memory of the rows of a log, by a hash of each."""
 
     prints: list[np.ndarray] = field(default_factory=list)
     latest: float = -np.inf  # s, of all stamps
     repeats: int = 0  # rows left out
-    first: int = 0  # line of the first of them
+    first: int = 0  # line of the first row left out
 
     def leave_out(self, rows: LogRows) -> LogRows:
-        """Rows without those that go back in time and repeat earlier ones with their time, at least several in turn."""
+        """Leave out rows that go back in time and repeat earlier ones with their time, at least several in a row."""
         before = np.maximum.accumulate(np.append(self.latest, rows.time))[:-1]
-        parts = np.ascontiguousarray(np.column_stack([rows.time, rows.labels[:, NAMES], rows.readings])).view(np.uint64)
+        parts = np.ascontiguousarray(
+            np.column_stack([rows.time, rows.labels[:, LabelColumn.NAMES], rows.readings])
+        ).view(np.uint64)
         odd = 2 * np.random.default_rng(0).integers(2**62, size=parts.shape[1], dtype=np.uint64) + np.uint64(1)
         prints = ((parts * odd).sum(1) >> np.uint64(32)).astype(np.uint32)
         repeated = np.zeros(len(rows.time), bool)
@@ -150,39 +159,39 @@ class _Memory:
             edges = np.flatnonzero(np.diff(np.concatenate([[False], again, [False]])))
             for start, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
                 varied = np.diff(rows.readings[start:end], axis=0).any()
-                repeated[start:end] = end - start >= REPEATED_ROWS and rows.time[start] < before[start] and varied
+                repeated[start:end] = end - start >= 8 and rows.time[start] < before[start] and varied
         if repeated.any():
-            self.first = self.first or int(rows.labels[repeated, LINE][0])
+            self.first = self.first or int(rows.labels[repeated, LabelColumn.LINE][0])
             self.repeats += int(repeated.sum())
         self.latest = max(self.latest, float(rows.time.max()))
-        self.prints = [*self.prints, prints][-(REMEMBERED_ROWS // ROWS_READ_AT_ONCE) :]
+        self.prints = [*self.prints, prints][-(2**20 // ROWS_READ_AT_ONCE) :]  # about a million rows
         return rows.pick(~repeated) if repeated.any() else rows
 
 
 @dataclass
 class _Stamps:
-    """A log's clock up to the rows that were settled."""
+    """State of a log's clock after the settled rows."""
 
     last: float = np.nan  # s, stamp of the last sound row
-    names: float = np.nan  # number of its names
+    names: float = np.nan  # number of that row's names
     offset: float = 0.0  # s, added to stamps after a counter began again
     end: float = np.nan  # s, even time of the last sound row
-    sharing: int = 0  # rows that have its stamp
+    sharing: int = 0  # number of rows that share its stamp
     rows: int = 0
 
     def counted(self, rows: LogRows, clock: RowClock) -> TimedRows:
-        """Rows that are evenly spaced, whatever their stamps; each session may be another recording."""
+        """Space rows evenly, whatever their stamps; each session may be another recording."""
         n = len(rows.time)
         time = clock.step * np.arange(self.rows, self.rows + n)
-        codes = rows.labels[:, NAMES]
+        codes = rows.labels[:, LabelColumn.NAMES]
         begins = np.diff(codes, prepend=codes[0] if np.isnan(self.names) else self.names) != 0
         self.rows, self.names = self.rows + n, float(codes[-1])
         labels = rows.labels.copy()
-        labels[:, STAMP] = np.nan
+        labels[:, LabelColumn.STAMP] = np.nan
         return TimedRows(rows._replace(time=time, labels=labels), begins, clock.step)
 
     def judge(self, time: np.ndarray, *, last: bool) -> ClockVerdict:
-        """The verdict on stamps that follow."""
+        """Judge the next stamps."""
         if np.isnan(self.last):
             return judge_stamps(time, last=last)
         verdict = judge_stamps(np.concatenate([[self.last], time]), begun=True, last=last)
@@ -190,7 +199,7 @@ class _Stamps:
         return ClockVerdict(verdict.damaged[1:], verdict.restarts - 1, settled)
 
     def timed(self, rows: LogRows, verdict: ClockVerdict, clock: RowClock, notes: ReadingLog) -> TimedRows:
-        """Settled rows in the order of time, evenly spaced where they share a stamp."""
+        """Put settled rows in the order of time, evenly spaced if they share a stamp."""
         parts: list[LogRows] = []
         begins: list[np.ndarray] = []
         for start, end in pairwise([0, *verdict.restarts.tolist(), len(rows.time)]):
@@ -205,20 +214,24 @@ class _Stamps:
             time = np.maximum(time, before) if not again else time
             pauses = np.diff(time, prepend=before) > pause_of(clock.step)
             pauses[0] |= again
-            self.last, self.end, self.names = float(part.time[-1]), float(time[-1]), float(part.labels[-1, NAMES])
+            self.last, self.end, self.names = (
+                float(part.time[-1]),
+                float(time[-1]),
+                float(part.labels[-1, LabelColumn.NAMES]),
+            )
             apart = np.flatnonzero(np.diff(part.time) > clock.within)
             self.sharing = len(part.time) - (int(apart[-1]) + 1 if len(apart) else -shared)
             labels = part.labels.copy()
-            labels[:, STAMP] = time
+            labels[:, LabelColumn.STAMP] = time
             parts.append(part._replace(time=time, labels=labels))
             begins.append(pauses)
         whole = reduce(LogRows.then, parts) if parts else rows.pick(slice(0, 0))
         return TimedRows(whole, np.concatenate(begins) if begins else np.zeros(0, bool), clock.step)
 
     def _begin_again(self, part: LogRows, clock: RowClock, notes: ReadingLog) -> bool:
-        """Whether a part begins with rows at which the clock goes back; otherwise it is counted on."""
-        line, back = f"{part.labels[0, LINE]:.0f}", self.last - float(part.time[0])
-        other_session = part.labels[0, NAMES] != self.names
+        """Test whether a part begins with rows at which the clock goes back; otherwise the time is continued."""
+        line, back = f"{part.labels[0, LabelColumn.LINE]:.0f}", self.last - float(part.time[0])
+        other_session = part.labels[0, LabelColumn.NAMES] != self.names
         if counter := rolls_over(self.last, float(part.time[0])):
             self.offset += COUNTER_PERIODS_S[counter]
             notes.info(f"time begins again at line {line}, where {counter} is full: it was counted on")
@@ -233,15 +246,15 @@ class _Stamps:
         return True
 
 
-def _say_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
-    """Note what the stamps tell, where they do not tell all."""
+def _note_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
+    """Add a note if the stamps do not show everything."""
     steps = np.diff(time)
     shared = int(np.sum((steps >= 0) & (steps <= clock.within)))
     if clock.assumed:
         seen = f"in steps of {clock.resolution:g} s" if clock.resolution else "always the same"
         notes.info(
-            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} and does not tell (Unix time in float32 "
-            "has steps of 128 s); give --rate-hz where it is known; the times of presses are unknown"
+            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} and does not show it (Unix time in "
+            "float32 has steps of 128 s); give --rate-hz if it is known; the times of presses are unknown"
         )
     elif clock.by_rows and clock.resolution:
         notes.info(
@@ -261,7 +274,7 @@ def _say_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
 
 
 def _with_last(pieces: Iterator[LogRows]) -> Iterator[tuple[LogRows, bool]]:
-    """Pieces, and whether each is the last."""
+    """Yield pieces, and whether each is the last."""
     before = next(pieces, None)
     for piece in pieces:
         if before is not None:

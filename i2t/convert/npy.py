@@ -1,10 +1,10 @@
-"""Reading `np.save` output from unknown sources, object arrays included, without executing anything in it.
+"""Reading of `np.save` output from unknown sources, including object arrays, without executing anything in it.
 
-An object array is a pickle, and a pickle is a program: its opcodes build objects and call what they name. Here the
-opcodes are listed first, and only those that build plain values pass; then every name the pickle asks for is looked up
-in a short table of substitutes written below (the parts of a NumPy array, of its type and of a NumPy scalar, and a
-named tuple called ReSkinData under any module). Nothing of NumPy or of the standard library is called by the pickle
-itself, and any other name is refused before it is imported.
+An object array is a pickle, and a pickle is a program: its opcodes build objects and call named functions. Here, all
+opcodes are checked first, and only those that build plain values pass. Then every name in the pickle is looked up in a
+short table of substitutes defined below (the parts of a NumPy array, of its type and of a NumPy scalar, and a named
+tuple called ReSkinData under any module). The pickle itself calls nothing of NumPy or of the standard library, and any
+other name is refused before it is imported.
 """
 
 import io
@@ -24,7 +24,6 @@ from i2t.files.kinds import kind_of
 from i2t.files.limits import READ_LIMITS
 from i2t.recordings.files import data_error, read_bytes
 
-MAX_LIST_LEVELS = 16  # nested lists: real files have five levels
 OPCODES = re.compile(
     "PROTO|FRAME|STOP|MARK|POP|POP_MARK|MEMOIZE|(LONG_)?BIN(PUT|GET)|PUT|GET|NONE|NEWTRUE|NEWFALSE|(BIN)?INT[12]?"
     "|LONG[14]?|(BIN)?FLOAT|(SHORT_)?BIN(BYTES|STRING|UNICODE)8?|UNICODE|(EMPTY_)?(LIST|TUPLE|DICT)|APPENDS?|TUPLE[123]"
@@ -39,17 +38,17 @@ _NUMPY_PARTS = {
 
 
 class _Refused(pickle.UnpicklingError):
-    """The pickle asks for something that only a program would."""
+    """The pickle asks for something that only a program needs."""
 
 
 def find(path: Path) -> Path | None:
-    """The file itself or the one that `np.save` made of its name by adding .npy.
+    """Find a file, or the one that `np.save` made of its name by adding .npy.
 
     Args:
         path: Name of the file.
 
     Returns:
-        The path of the file that exists, None where neither does.
+        The path of the file that exists, or None if neither does.
     """
     return next((p for p in (path, path.with_name(path.name + ".npy")) if p.is_file()), None)
 
@@ -58,13 +57,13 @@ def read(path: Path) -> np.ndarray | list[Any]:
     """Read an array of numbers, or an object array as nested lists of numbers, texts and None.
 
     Args:
-        path: Of the file.
+        path: Path of the file.
 
     Returns:
         The array or the lists.
 
     Raises:
-        DataError: The file cannot be read, or holds anything else.
+        DataError: If the file cannot be read, or holds anything else.
     """
     stream = io.BytesIO(read_bytes(path))
     try:
@@ -78,14 +77,14 @@ def read(path: Path) -> np.ndarray | list[Any]:
     except Exception as error:  # a damaged header can make its parser fail in any way
         kind, remedy = kind_of(stream.getvalue()[: READ_LIMITS.head_bytes])
         if kind and not kind.startswith("a NumPy array"):
-            raise DataError(f"{path}: is {kind} and no output of np.save; {remedy}") from error
-        raise data_error(path, "is no output of np.save") from error
+            raise DataError(f"{path}: is {kind}, not an output of np.save; {remedy}") from error
+        raise data_error(path, "is not an output of np.save") from error
     payload = stream.read()
     if dtype.hasobject:
         values = _unpickled(path, payload)
-        found = _shape(values, len(shape))
-        if found != shape and not (0 in shape and found == shape[: shape.index(0) + 1]):
-            raise data_error(path, f"holds {found} values where its header says {shape}")
+        actual = _shape(values, len(shape))
+        if actual != shape and not (0 in shape and actual == shape[: shape.index(0) + 1]):
+            raise data_error(path, f"holds {actual} values where its header says {shape}")
         return values
     if dtype.kind not in "fiub":
         raise data_error(path, f"holds {dtype} instead of numbers")
@@ -102,9 +101,8 @@ def _unpickled(path: Path, payload: bytes) -> Any:
                 raise _Refused(f"the opcode {opcode.name}")
             if "PUT" in opcode.name and int(argument or 0) > len(payload):
                 raise _Refused("a memo of absurd size")
-        return _plain(
-            _Unpickler(io.BytesIO(payload), encoding="latin1").load(), itertools.count(-len(payload)), MAX_LIST_LEVELS
-        )
+        value = _Unpickler(io.BytesIO(payload), encoding="latin1").load()
+        return _plain(value, itertools.count(-len(payload)), depth=16)  # real files have five levels of lists
     except _Refused as error:
         problem = f"refused, for it asks for {error}, which no recording needs"
         raise DataError(f"{path}: {problem}; do not open it with other programs") from error
@@ -115,7 +113,7 @@ def _unpickled(path: Path, payload: bytes) -> Any:
 class _Unpickler(pickle.Unpickler):
     def __init__(self, stream: io.BytesIO, encoding: str) -> None:
         super().__init__(stream, encoding=encoding)
-        self._inert_parts = _inert_parts()  # new ones for each file: a pickle can set attributes of a class
+        self._inert_parts = _inert_parts()  # new for each file, because a pickle can set attributes of a class
 
     def find_class(self, module: str, name: str) -> Any:
         part = "ReSkinData" if name == "ReSkinData" else _NUMPY_PARTS.get((module, name))
@@ -125,7 +123,7 @@ class _Unpickler(pickle.Unpickler):
 
 
 class _Parts(NamedTuple):
-    """Parts of a pickled array: its state, still to be checked."""
+    """State of a pickled array, not yet checked."""
 
     shape: tuple[int, ...]
     code: str
@@ -134,7 +132,7 @@ class _Parts(NamedTuple):
 
 
 def _inert_parts() -> dict[str, Callable[..., Any]]:
-    """Meanings of the names in a pickle: inert classes and functions that only collect what they are given."""
+    """Make the substitutes of the names in a pickle: inert classes and functions that only collect their arguments."""
 
     class ReSkinData(NamedTuple):
         time: Any
@@ -182,8 +180,9 @@ class _Scalar(NamedTuple):
 
 
 def _plain(value: Any, budget: "itertools.count[int]", depth: int) -> Any:
-    """Nested lists of what a pickle built; the budget, one value for each byte of the file, stops shared lists that
-    multiply.
+    """Convert the result of a pickle to nested lists.
+
+    The budget of one value for each byte of the file stops shared lists that multiply.
     """
     if next(budget) > 0 or depth < 0:
         raise _Refused("more values or deeper lists than its size allows")
@@ -205,7 +204,7 @@ def _plain(value: Any, budget: "itertools.count[int]", depth: int) -> Any:
 
 
 def _numbers(parts: _Parts) -> list[Any]:
-    """The numbers of an array in C order."""
+    """Read the numbers of an array in C order."""
     if not re.fullmatch(r"[<>|=]?[fiub][1248]", parts.code) or not isinstance(parts.data, bytes):
         raise _Refused(f"numbers of the type {parts.code!r}")
     flat = np.frombuffer(parts.data, parts.code)
@@ -221,7 +220,7 @@ def _nested(items: list[Any], shape: tuple[int, ...]) -> Any:
 
 
 def _shape(values: Any, depth: int) -> tuple[int, ...]:
-    """Lengths of the first `depth` levels of nested lists."""
+    """Measure the lengths of the first `depth` levels of nested lists."""
     shape: list[int] = []
     while len(shape) < depth and isinstance(values, list):
         shape.append(len(values))

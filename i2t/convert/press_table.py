@@ -1,7 +1,7 @@
-"""The data set of presses of one tip (`i2t.recordings.presses`), which every converter of presses ends in.
+"""Data set of presses of one tip (`i2t.recordings.presses`), in which every converter of presses ends.
 
-What the recording does not say or says wrongly is diagnosed session by session (`i2t.recordings.diagnose`), said in a
-sentence and corrected; patches, poses and names of the data set follow from the columns.
+Missing or wrong information in a recording is diagnosed session by session (`i2t.recordings.diagnose`), described in a
+sentence and corrected. Patches, poses and names of the data set follow from the columns.
 
 Frames: the skin is fixed, and its tool frame T is the world's. The object O is the tip, its axes as T's and its origin
 at its lowest point; a mesh keeps its own frame, whose z axis is the tip's.
@@ -30,15 +30,13 @@ from i2t.recordings.log import ReadingLog
 from i2t.recordings.presses import Presses
 from i2t.types import Board, ReturnCode, Touches
 
-ROWS_AT_ONCE = 512  # bounds the memory of the intermediate arrays
-
-# A tip is a body of revolution whose axis stands on the skin: the height (m) of its surface above its lowest point at a
-# distance (m) from its axis, infinite where there is nothing.
+# Function that maps distances (m) from the axis of a body of revolution to the height (m) of its surface above its
+# lowest point, infinite beyond its edge.
 Profile: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 class SessionCheck(NamedTuple):
-    """Findings in one session, ready to be applied to its presses."""
+    """Findings in one session, to be applied to its presses."""
 
     board: Board
     findings: tuple[Finding, ...] = ()
@@ -46,12 +44,12 @@ class SessionCheck(NamedTuple):
 
     @property
     def zero(self) -> Finding | None:
-        """Finding on the height of first contact."""
+        """Finding on the height of first contact, if any."""
         return find(self.findings, FindingName.HEIGHT_ZERO)
 
     @property
     def correction(self) -> Correction:
-        """What to do to the session's columns."""
+        """Correction of the session's columns."""
         return correction_of(self.findings)
 
 
@@ -64,18 +62,18 @@ def check_session(
     stated_zero: float | None = None,
     keep_zero: bool = False,
 ) -> SessionCheck:
-    """Estimate the unknowns of a session and note every sentence.
+    """Estimate the unknown properties of a session, and note each in a sentence.
 
     Args:
-        name: Of the session.
-        presses: As recorded.
-        board: As described.
-        notes: That hear the sentences.
-        stated_zero: Height of first contact (m) that the recording states.
-        keep_zero: Whether that height stays, whatever readings say.
+        name: Name of the session.
+        presses: Presses as recorded.
+        board: Board as described.
+        notes: Log that receives the sentences.
+        stated_zero: Height (m) of first contact that the recording states.
+        keep_zero: Whether that height is kept, whatever the readings show.
 
     Returns:
-        What to apply.
+        Findings to apply to the session.
     """
     findings = diagnose(presses, board, stated_zero=stated_zero)
     for finding in sorted(findings, key=lambda finding: not finding.wrong):
@@ -89,22 +87,22 @@ def check_session(
 
 
 class Tip(NamedTuple):
-    """What presses."""
+    """The body that presses."""
 
     name: str
-    patches: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]  # of x, y, window and reach (m)
-    lowest: float = 0.0  # m, z of its lowest point in its own frame
+    patches: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]  # patches of x, y, window and reach (m)
+    lowest: float = 0.0  # m, z of the lowest point in the tip's own frame
 
 
 def round_tip(name: str, profile: Profile) -> Tip:
-    """A tip that is a body of revolution.
+    """Make a tip that is a body of revolution.
 
     Args:
-        name: Of the object in the data set.
-        profile: Of the tip.
+        name: Name of the object in the data set.
+        profile: Profile of the tip.
 
     Returns:
-        The tip.
+        The tip, with its patches.
     """
     return Tip(name, lambda x, y, window, reach: tip_patches(profile, x, y, window, reach))
 
@@ -121,24 +119,25 @@ def presses_dataset(
     source: str = "real",
     meta: dict[str, str] | None = None,
 ) -> Dataset:
-    """The data set of presses.
+    """Make the data set of presses.
 
     Args:
-        presses: Of one skin or several with one board, corrected; with heights, forces, times, pads and sessions.
-        tip: What pressed.
-        board: Which the readings are of.
-        notes: That hear what is left out.
-        whose: Names the source in messages.
-        window: m, edge of the square that a patch shows; presses whose axis lies outside it are left out.
-        reach: m, patches are clipped to this depth behind the tip's lowest point.
+        presses: Corrected presses of one skin, or of several with one board, with heights, forces, times, pads and
+            sessions.
+        tip: Tip that pressed.
+        board: Board of the readings.
+        notes: Log that receives omissions.
+        whose: Name of the source in messages.
+        window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
+        reach: Depth (m) behind the tip's lowest point to which patches are clipped.
         source: "real", "simulated" or "mixed".
         meta: Provenance, in words.
 
     Returns:
-        A touch for each press.
+        The data set, with one touch for each press.
 
     Raises:
-        DataError: No press lies inside the window.
+        DataError: If no press lies inside the window.
     """
     inside = (np.abs(presses.position) <= window / 2).all(1)
     if not inside.all():
@@ -175,48 +174,49 @@ def presses_dataset(
 
 
 def sphere(radius: float) -> Profile:
-    """The lower half of a sphere: h = R - sqrt(R^2 - r^2).
+    """Make the profile of the lower half of a sphere: h = R - sqrt(R^2 - r^2).
 
     Args:
-        radius: m.
+        radius: Radius (m) of the sphere.
 
     Returns:
-        Its profile.
+        Function from distance to height (m).
     """
     return lambda r: np.where(r < radius, radius - np.sqrt(np.maximum(radius**2 - r**2, 0)), np.inf)
 
 
 def cylinder(radius: float) -> Profile:
-    """The flat end of a cylinder.
+    """Make the profile of the flat end of a cylinder.
 
     Args:
-        radius: m.
+        radius: Radius (m) of the cylinder.
 
     Returns:
-        Its profile.
+        Function from distance to height (m).
     """
     return lambda r: np.where(r <= radius, 0.0, np.inf)
 
 
 def tip_patches(profile: Profile, x: np.ndarray, y: np.ndarray, window: float, reach: float) -> np.ndarray:
-    """Patches of a tip whose axis stands upright on the skin.
+    """Compute patches of a tip whose axis stands upright on the skin.
 
     Depth counts from the tip's lowest point, which may lie between two pixels.
 
     Args:
-        profile: of the tip.
-        x: (n,) m, of the axis in the tool frame.
-        y: (n,) m, likewise.
-        window: m, edge of the square that a patch shows.
-        reach: m, to which depth is clipped.
+        profile: Profile of the tip.
+        x: `(n,)` positions (m) of the axis in the tool frame.
+        y: `(n,)` positions (m) of the axis in the tool frame.
+        window: Edge (m) of the square that a patch shows.
+        reach: Depth (m) to which patches are clipped.
 
     Returns:
-        (n, 48, 48) m, float32.
+        `(n, 48, 48)` patches (m), float32.
     """
     centres = ((np.arange(PATCH_PIXELS) + 0.5) / PATCH_PIXELS - 0.5) * window
     result = np.empty((len(x), PATCH_PIXELS, PATCH_PIXELS), np.float32)
-    for start in range(0, len(x), ROWS_AT_ONCE):
-        rows = slice(start, start + ROWS_AT_ONCE)
+    batch = 512  # bounds the memory of the intermediate arrays
+    for start in range(0, len(x), batch):
+        rows = slice(start, start + batch)
         r = np.hypot(centres[None, :, None] - y[rows, None, None], centres[None, None, :] - x[rows, None, None])
         result[rows] = np.minimum(profile(r), reach)
     return result

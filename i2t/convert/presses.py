@@ -1,11 +1,11 @@
-"""A general table of presses that any lab can write: one row per press of a known indenter, upright on the skin
+"""A general table of presses that any lab can write: one row for each press of a known indenter, upright on the skin
 (docs/data.md describes it).
 
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
 first contact) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT
-for five chips); if wanted force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and session
-(names; a session may be called run), and source (real, as by default, or simulated). Depth may be missing where there
-are forces.
+for five chips); optionally force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and session
+(names; a session may be called run), and source (real, as by default, or simulated). Depth may be missing if there are
+forces.
 """
 
 import math
@@ -45,8 +45,7 @@ from i2t.recordings.tables import TextTable, names_in, read_text_table, sound_ro
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
 
-PRESS_SOURCES = ("real", "simulated")
-MM = 1e-3  # m
+M_PER_MM = 1e-3
 
 
 def convert(
@@ -65,22 +64,22 @@ def convert(
     """Convert a table of presses.
 
     Args:
-        source: The file of the table.
+        source: File of the table.
         indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `unit`.
-        board: The board that sent the values; the table has three columns for each of its chips.
+        board: Board that sent the values; the table has three columns for each of its chips.
         window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
         unit: Unit of the mesh file: m, cm, mm or inch.
         as_stated: Whether to take all units, signs and axes as they are.
         skip_bad: Whether to leave out damaged rows, with a note, instead of raising an error.
-        table: The contents of `source`, where they were read already.
+        table: Contents of `source`, if they have been read already.
         stated_source: "real" or "simulated", for a table without a column `source`.
 
     Returns:
-        The data set, and notes on what was assumed and left out.
+        The data set, and notes on assumptions and omissions.
 
     Raises:
-        DataError: The table or the indenter cannot be used.
+        DataError: If the table or the indenter cannot be used.
     """
     notes = ReadingLog(skip_bad, unit="presses")
     tip = _tip(indenter, unit, notes)
@@ -108,7 +107,7 @@ def convert(
 
 
 def _corrected(table: Presses, board: Board, notes: ReadingLog) -> tuple[Presses, list[SessionCheck]]:
-    """The presses, with units, signs, axes and heights that a session contradicts corrected in that session."""
+    """Correct units, signs, axes and heights that a session contradicts in that session."""
     assert table.pad is not None
     assert table.session is not None
     kept, checks = [], []
@@ -125,7 +124,7 @@ def _corrected(table: Presses, board: Board, notes: ReadingLog) -> tuple[Presses
 
 
 def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tuple[Presses, str | None]:
-    """The presses of a table, and whether they are real, simulated or mixed. `notes` refuses or counts damaged rows."""
+    """Read the presses of a table and whether they are real, simulated or mixed. Refuse or count damaged rows."""
     for note in table.notes:
         notes.info(note)
     height = next((name for name in HEIGHT_COLUMNS if name in table.header and "depth_mm" not in table.header), None)
@@ -135,23 +134,23 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     columns = [*places, *values, *ambient, *([FORCE] if FORCE in header else [])]
 
     def needed(empty: np.ndarray) -> np.ndarray:
-        """Mask of fields that may not be empty: places, and the values of chips that answered."""
+        """Compute the mask of fields that may not be empty: places, and the values of chips that answered."""
         first, end = len(places), len(places) + len(values)
-        wanted = np.ones_like(empty)
-        answered = ~np.all(empty[:, first:end].reshape(len(empty), chips, AXES_OF_CHIP), axis=2)
+        required = np.ones_like(empty)
+        answering = ~np.all(empty[:, first:end].reshape(len(empty), chips, AXES_OF_CHIP), axis=2)
         for start in (first, end)[: 2 if ambient else 1]:
-            wanted[:, start : start + len(values)] = np.repeat(answered, AXES_OF_CHIP, axis=1)
-        wanted[:, end + len(ambient) :] = False
-        return wanted
+            required[:, start : start + len(values)] = np.repeat(answering, AXES_OF_CHIP, axis=1)
+        required[:, end + len(ambient) :] = False
+        return required
 
     rows, numbers = sound_rows(source, header, table.rows, columns, needed, notes)
-    heard = notes.keep_heard(
+    answered = notes.keep_heard(
         _silent(source, numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes)
     )
     notes.require_heard(
         source, "check the board's cable and record again, or empty the fields of a chip that is missing"
     )
-    rows, numbers = [row for row, kept in zip(rows, heard, strict=True) if kept], numbers[heard]
+    rows, numbers = [row for row, kept in zip(rows, answered, strict=True) if kept], numbers[answered]
     column = dict(zip(columns, numbers.T, strict=True))
     unknown = np.full(len(rows), np.nan)
     depth = column.get("depth_mm", unknown)
@@ -164,8 +163,8 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     if ambient:
         readings = readings - np.column_stack([column[name] for name in ambient])
     presses = Presses(
-        MM * np.column_stack([column["x_mm"], column["y_mm"]]), readings,
-        height=-MM * depth, force=column.get(FORCE, unknown),
+        M_PER_MM * np.column_stack([column["x_mm"], column["y_mm"]]), readings,
+        height=-M_PER_MM * depth, force=column.get(FORCE, unknown),
         time=np.array([_time(header, cells) for _, cells in rows]),
         **{kind: np.array([names_in(header, cells, kind) for _, cells in rows]) for kind in NAME_COLUMNS},
     ).rows(kept)  # fmt: skip
@@ -177,7 +176,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
 
 
 def _silent(source: Path, fields: np.ndarray, chips: int, notes: ReadingLog) -> np.ndarray:
-    """Mask (n, chips) of chips for which a press is left out, because they sent zeros or no chip has a value.
+    """Compute the mask (n, chips) of chips for which a press is left out: they sent zeros, or no chip has a value.
 
     A press is kept if fields of only some chips are empty. Ambient columns that are zero in every row subtract nothing.
     """
@@ -197,7 +196,7 @@ def _silent(source: Path, fields: np.ndarray, chips: int, notes: ReadingLog) -> 
 
 
 def _time(header: list[str], cells: list[str]) -> float:
-    """Time of a press (s), NaN where it was not recorded."""
+    """Read the time of a press (s), NaN if it was not recorded."""
     try:
         return float(cells[header.index(TIME)])
     except ValueError:
@@ -205,25 +204,25 @@ def _time(header: list[str], cells: list[str]) -> float:
 
 
 def _one_source(file: Path, column: str | None, option: str | None) -> str:
-    """Source of a table by its column and the option; "real" where neither states it."""
+    """Determine the source of a table from its column and the option; "real" if neither states it."""
     if column is not None and option not in (None, column):
         raise DataError(f"--source {option}: the column source of {file} says {column}; leave out the option")
     return option or column or "real"
 
 
 def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]]) -> str | None:
-    """Whether rows are real, simulated or mixed; None without a column `source`."""
+    """Determine whether rows are real, simulated or mixed; None without a column `source`."""
     if SOURCE_COLUMN not in header:
         return None
     line_of = {cells[header.index(SOURCE_COLUMN)].strip().lower() or "real": line for line, cells in reversed(rows)}
     for word, line in line_of.items():
-        if word not in PRESS_SOURCES:
-            raise DataError(f"{source}: line {line} has the source {word!r}; write {' or '.join(PRESS_SOURCES)}")
+        if word not in ("real", "simulated"):
+            raise DataError(f"{source}: line {line} has the source {word!r}; write real or simulated")
     return "mixed" if len(line_of) > 1 else next(iter(line_of))
 
 
 def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLog) -> tuple[list[str], list[str]]:
-    """The columns of a board's values and of its ambient field; a table that lacks some is refused."""
+    """List the columns of a board's values and of its ambient field; refuse a table that lacks some."""
     by_force = "depth_mm" not in header and FORCE in header
     values = field_columns(source, header, chips, PLACES[:2] if by_force else PLACES)
     if by_force:
@@ -241,10 +240,11 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLo
 
 
 def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """Depths into the skin, and a mask of rows to keep: all are turned where nearly all are negative, a single one is
-    damage.
+    """Make depths positive into the skin, and return a mask of rows to keep.
+
+    If nearly all depths are negative, all are reversed; a single negative one counts as damage.
     """
-    sign = find_depth_sign(MM * depth)
+    sign = find_depth_sign(M_PER_MM * depth)
     if sign.wrong:
         notes.info(f"corrected: {sign.sentence}")
         depth = -depth
@@ -270,7 +270,7 @@ def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Tip:
         raise DataError(f"--indenter {indenter}: {error}{kinds}") from None
     if unit is not None:
         raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
-    return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](MM * radius))
+    return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](M_PER_MM * radius))
 
 
 def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Tip:

@@ -1,8 +1,8 @@
-"""Tactile samples of Imagine2touch: object arrays of [time, delay, values, device], whose 20 values are five times a
-temperature and a field.
+"""Tactile samples of Imagine2touch: object arrays of [time, delay, values, device], whose 20 values are a temperature
+and a field for each of five chips.
 
-The binary mode of the board puts the temperature first, the ASCII mode last; the ambient field was stored as means of
-15 values or as samples again.
+The binary mode of the board puts the temperature first, the ASCII mode last. The ambient field was stored as means of
+15 values, or as samples again.
 """
 
 import math
@@ -17,30 +17,27 @@ from i2t.recordings.files import data_error
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.skin.boards import AXES_OF_CHIP, mean_known, without_silent_chips
 
-CHIPS = 5  # of the boards that this layout is of
+CHIPS = 5  # on the boards of this layout
 AUTHORS_READINGS = AXES_OF_CHIP * CHIPS
-TEMPERATURES = (-40.0, 85.0)  # C, the range of the chips
-ROOM_TEMPERATURES = (5.0, 60.0)  # C, their mean: small numbers about zero are a field in millitesla
-SPREAD = 10.0  # K, standard deviation of temperature over chips and touches; chips differ by 1 to 2.5 K
-MAX_SAMPLE_VALUE = 1e6  # uT: the chips end at 1.3e5
-STEADINESS_RATIO = 3.0  # times: how much steadier one column must be to be the temperature where both could be
+MAX_SAMPLE_VALUE = 1e6  # uT; the range of the chips ends at 1.3e5
 
 
 def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """Readings of one run: mean in contact minus mean ambient, over the samples in which all chips answered.
+    """Compute the readings of one run: mean in contact minus mean ambient, over the samples in which all chips
+    answered.
 
     Args:
         tactile: File of the samples in contact, with or without `.npy`; the ambient file is next to it.
-        order: Of a sample's values: "binary" (t first), "ascii" (t last), or "auto", which looks for the steady
+        order: Order of a sample's values: "binary" (t first), "ascii" (t last), or "auto", which searches the steady
             temperature.
-        notes: That hears what was found and what is left out.
+        notes: Log that receives findings and omissions.
 
     Returns:
-        (n, 15) uT, NaN in a damaged touch and of a chip that did not answer; and (n,) s, when the last sample of each
-        touch was read, NaN where samples are bare values.
+        `(n, 15)` readings (uT), NaN in a damaged touch and of a chip that did not answer; and `(n,)` times (s) of the
+        last sample of each touch, NaN if samples are bare values.
 
     Raises:
-        DataError: A file is missing or damaged.
+        DataError: If a file is missing or damaged.
     """
     path = _existing(tactile)
     items = _list(path)
@@ -50,7 +47,7 @@ def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, 
     if any(len(sample) != 4 * CHIPS for touch in touches for sample in touch):
         raise data_error(path, f"holds a sample that has not {4 * CHIPS} values")
     values = np.array([sample for touch in touches for sample in touch])
-    if order == "auto" and values.any():  # of a board that never answered no order is needed
+    if order == "auto" and values.any():  # the order does not matter for a board that never answered
         order = _detected(path, values)
         notes.info(f"{path}: samples are in {order} order")
     means = _means(path, touches, order, notes)
@@ -77,10 +74,10 @@ def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, 
 
 
 def _existing(path: Path) -> Path:
-    found = npy.find(path)
-    if found is None:
+    existing = npy.find(path)
+    if existing is None:
         raise data_error(path, "is missing")
-    return found
+    return existing
 
 
 def _list(path: Path) -> list[Any]:
@@ -92,21 +89,22 @@ def _list(path: Path) -> list[Any]:
 
 
 def _means(path: Path, touches: list[list[list[float]]], order: str, notes: ReadingLog) -> np.ndarray:
-    """Mean fields (n, 15): infinite, and noted as damage, where a value is no plausible field; NaN where a chip did not
-    answer in any sample.
+    """Compute mean fields (n, 15), NaN for a chip that did not answer in any sample.
+
+    A touch with an implausible value is infinite, and noted as damaged.
     """
     means = np.array([_mean(touch, order) for touch in touches])
     for k in np.flatnonzero(np.isinf(means).any(1)):
         notes.skip(
             data_error(
-                path, f"item {k + 1} holds a value that is no field (not finite, or above {MAX_SAMPLE_VALUE:g} uT)"
+                path, f"item {k + 1} holds a value that is not a field (not finite, or above {MAX_SAMPLE_VALUE:g} uT)"
             )
         )
     return means
 
 
 def _samples(path: Path, item: Any) -> list[list[float]]:
-    """All samples of one touch, of 15 or 20 values each, however they are nested: as bare values or inside [time,
+    """List all samples of one touch, of 15 or 20 values each, however they are nested: as bare values or inside [time,
     delay, values, device].
     """
     if isinstance(item, list):
@@ -121,17 +119,17 @@ def _samples(path: Path, item: Any) -> list[list[float]]:
 
 
 def _time(item: Any) -> float:
-    """Time of the last of nested samples, which [time, delay, values, device] say."""
+    """Return the time in the last of nested samples [time, delay, values, device]."""
     if not isinstance(item, list):
         return math.nan
     if len(item) == 4 and isinstance(item[2], list) and not isinstance(item[0], list):
-        known = isinstance(item[0], int | float) and math.isfinite(item[0])
-        return float(item[0]) if known else math.nan
+        stamped = isinstance(item[0], int | float) and math.isfinite(item[0])
+        return float(item[0]) if stamped else math.nan
     return _time(item[-1]) if item else math.nan
 
 
 def _mean(samples: list[list[float]], order: str) -> np.ndarray:
-    """Mean field (15,) of the samples in which a chip answered, chip by chip."""
+    """Compute the mean field (15,) of the samples in which a chip answered, chip by chip."""
     fields = without_silent_chips(np.array([_field(sample, order) for sample in samples]))
     if np.any(np.abs(fields) >= MAX_SAMPLE_VALUE):
         return np.full(AUTHORS_READINGS, np.inf)
@@ -139,31 +137,33 @@ def _mean(samples: list[list[float]], order: str) -> np.ndarray:
 
 
 def _field(sample: list[float], order: str) -> np.ndarray:
-    """The field (15,) of one sample, infinite where a value is no number."""
+    """Return the field (15,) of one sample, infinite for a value that is not finite."""
     values = np.array(sample, np.float64).reshape(CHIPS, -1)
     field = values if values.shape[1] == 3 else values[:, 1:] if order == "binary" else values[:, :3]
     return np.where(np.isfinite(field), field, np.inf).ravel()
 
 
 def _detected(path: Path, samples: np.ndarray) -> str:
-    """End of a chip's four values that is the temperature: within the chip's range and steady, as no field component is
-    on five chips at once.
+    """Detect whether the first or the last of a chip's four values is the temperature.
+
+    The temperature is within the chip's range and steady, unlike any field component on five chips at once.
     """
     spread = {}
     for order, column in (("binary", 0), ("ascii", 3)):
         chips = samples.reshape(-1, CHIPS, 4)
-        # A chip that fails sends a temperature of zero, too.
+        # A chip that fails also sends a temperature of zero.
         answered = (chips != 0).any(2)
         values = chips[..., column][answered]
         values = values[np.abs(values) < MAX_SAMPLE_VALUE]
         plausible = (
             values.size
-            and TEMPERATURES[0] <= values.min()
-            and values.max() <= TEMPERATURES[1]
-            and ROOM_TEMPERATURES[0] <= values.mean() <= ROOM_TEMPERATURES[1]
+            and values.min() >= -40  # degrees Celsius, the range of the chips
+            and values.max() <= 85
+            and 5 <= values.mean() <= 60  # small numbers about zero are a field in millitesla
         )
-        spread[order] = float(values.std()) if plausible and values.std() < SPREAD else math.inf
+        # Chips differ by 1 to 2.5 K.
+        spread[order] = float(values.std()) if plausible and values.std() < 10 else math.inf
     best, other = sorted(spread, key=lambda order: spread[order])
-    if not spread[best] * STEADINESS_RATIO < spread[other]:
-        raise DataError(f"{path}: does not show whether temperature stands first or last; say --order binary or ascii")
+    if not 3 * spread[best] < spread[other]:  # both could be a temperature, and neither is much steadier
+        raise DataError(f"{path}: does not show whether temperature comes first or last; pass --order binary or ascii")
     return best

@@ -1,16 +1,16 @@
-"""Logs of a skin: a row for every sample, at any rate and of any length; the presses in them become a table.
+"""Logs of a skin: a row for every sample, at any rate and of any length. The presses in them become a table.
 
-A log is a table with the columns time_s and the board's values (b0x_uT ...) and, where a stage or an arm was recorded
-with them, x_mm, y_mm, depth_mm or z_mm, force_N, pad and session (`i2t.convert.presses` has their meanings). It is read
-row by row, and `i2t.recordings.segmentation` finds the presses meanwhile. At most the rows of the longest press are
-kept, so memory does not grow with the log.
+A log is a table with the columns time_s and the board's values (b0x_uT ...) and, if a stage or an arm was recorded with
+them, x_mm, y_mm, depth_mm or z_mm, force_N, pad and session (`i2t.convert.presses` defines them). It is read row by
+row, and `i2t.recordings.segmentation` finds the presses meanwhile. At most the rows of the longest press are kept, so
+that memory does not grow with the log.
 
-A press becomes one row: its steady reading less the rest before it, and the medians of the other columns over the same
+A press becomes one row: its steady reading minus the rest before it, and the medians of the other columns over the same
 rows; its time is that of its beginning. A height becomes a depth, which counts from the height at which the reading
-left its rest. Where the pad changes, after a pause and where the clock begins again, the search begins anew, unless the
-skin is pressed there and goes on to read the same. A press has the session of its steady rows. Rows in which a chip did
-not answer are no part of a press, and end none but those that they hide for longer than a pause. Rows that repeat
-earlier ones after a step back are left out. What the time stamps tell is for `i2t.recordings.clocks`.
+left its rest. The search begins anew if the pad changes, after a pause and if the clock begins again, unless the skin
+is pressed there and continues to read the same. A press belongs to the session of its steady rows. Rows in which a chip
+did not answer are not part of a press, and end a press only if they hide it for longer than a pause. Rows that repeat
+earlier ones after a step back are left out. `i2t.recordings.clocks` judges the time stamps.
 """
 
 import csv
@@ -25,7 +25,7 @@ import numpy as np
 
 from i2t.convert import log_rows, presses
 from i2t.convert.common import Converted
-from i2t.convert.log_rows import LABELS, LINE, NAMES, STAMP, LogRows, TimedRows, on_one_clock
+from i2t.convert.log_rows import LabelColumn, LogRows, TimedRows, on_one_clock
 from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
@@ -47,93 +47,109 @@ from i2t.runtime.progress import progress
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board
 
-HEAD_ROWS, LEVEL_ROWS = 20, 3  # at the beginning of a part, at rest; and of which a level is the mean
-GOES_ON, IS_PRESSED = 4.0, 8.0  # standard deviations between rows: up to the one two levels are the same, beyond the
-# other a level is none of rest
-SAME_LABEL = 0.2  # mm or N, up to which a press that goes on is at the same place and as strong
-PRESS_DECIMALS = 6  # of the table's numbers
-GAP_ROWS = 3.0  # steps of rows in one where a press begins, beyond which its beginning was not recorded
-STEADY_SHARE_AT_END = 1 / 6  # of a press's rows that are steady, at least, where a part ends in it: a ramp has less
-UNSURE_DEPTH = 0.05  # of a depth, up to which the tip may move meanwhile
+
+@dataclass(frozen=True)
+class PartRules:
+    """Rules for the parts of a log, at whose ends presses may be cut."""
+
+    head_rows: int = 20  # rows at the beginning of a part, at rest
+    level_rows: int = 3  # rows whose mean is a level
+    # Deviations in units of the standard deviation between rows.
+    max_same_level: float = 4.0  # up to it, two levels are the same
+    min_pressed: float = 8.0  # beyond it, a level differs from rest
+    max_label_change: float = 0.2  # mm or N, up to which a press that continues has the same place and strength
+    max_gap_rows: float = 3.0  # steps of rows, beyond which the beginning of a press was not recorded
+    min_steady_fraction: float = 1 / 6  # of the rows of a press at the end of a part; a ramp has fewer steady rows
+    max_unseen_travel: float = 0.05  # fraction of the depth by which the tip may move in such a gap
+
+
+_RULES = PartRules()
 
 
 class _Columns(NamedTuple):
-    """The columns of a log that are read."""
+    """Columns of a log that are read."""
 
-    names: list[str]  # pad and session, as far as it has them
-    values: list[str]  # of the board
-    labels: list[str]  # what else a press takes over
-    notes: list[str]  # on the others
+    names: list[str]  # pad and session, if present
+    values: list[str]  # values of the board
+    labels: list[str]  # other columns that a press takes over
+    notes: list[str]  # notes on the remaining columns
 
 
 @dataclass
 class _Search:
-    """Presses of rows that belong together: of one pad, without a pause."""
+    """Search for presses in rows that belong together: of one pad, without a pause."""
 
-    origin: float  # s, of the clock, from which the time of its rows counts
-    early: list[LogRows] = field(default_factory=list)  # before rate and noise are known
+    origin: float  # s on the clock, from which the time of its rows counts
+    early: list[LogRows] = field(default_factory=list)  # rows before rate and noise are known
     recording: OpenRecording | None = None
-    found: list[FoundPress] = field(default_factory=list)
+    presses: list[FoundPress] = field(default_factory=list)
     rows: int = 0
-    end: float = 0.0  # s, of the last row
+    end: float = 0.0  # s, time of the last row
     head: np.ndarray | None = None  # first readings, at rest
-    tail: LogRows | None = None  # the last
-    earlier: np.ndarray | None = None  # (c,) uT, the rest of the search before
+    tail: LogRows | None = None  # last rows
+    earlier: np.ndarray | None = None  # (c,) uT, reading at rest of the previous search
 
     def take(self, rows: LogRows, step: float) -> None:
-        """Look for presses in further rows, of a clock with this step (s), leaving out those of silent chips."""
+        """Search presses in further rows of a clock with this step (s), without those of silent chips."""
         self.end = float(rows.time[-1]) - self.origin
-        rows = rows.pick(rows.heard)
+        rows = rows.pick(rows.complete)
         if not len(rows.time):
             return
         order = 1e-6 * step * np.arange(self.rows, self.rows + len(rows.time))  # of rows that share a time
         rows = rows._replace(time=rows.time - self.origin + order)
         self.rows += len(rows.time)
-        self.head = rows.readings[:HEAD_ROWS].copy() if self.head is None else self.head
-        self.tail = rows.pick(slice(-HEAD_ROWS, None))
+        self.head = rows.readings[: _RULES.head_rows].copy() if self.head is None else self.head
+        self.tail = rows.pick(slice(-_RULES.head_rows, None))
         if self.recording is not None:
             self.recording, more = find_more(self.recording, rows.time, rows.readings, rows.labels)
-            self.found += more
+            self.presses += more
             return
         self.early.append(rows)
         if self.rows >= log_rows.ROWS_READ_AT_ONCE:
             self._begin()
 
-    def goes_on_pressed(self, rows: LogRows) -> bool:
-        """Test whether the skin was pressed last, and these rows go on from there."""
+    def continues_press(self, rows: LogRows) -> bool:
+        """Test whether the skin was pressed at the end, and these rows continue the press."""
         if self.head is None or self.tail is None or not len(rows.time) or self.rows < SegmentationConfig().min_rows:
             return False
         tail = self.tail.readings
-        last, following = tail[-LEVEL_ROWS:].mean(0), rows.readings[:LEVEL_ROWS].mean(0)
+        last, following = tail[-_RULES.level_rows :].mean(0), rows.readings[: _RULES.level_rows].mean(0)
 
         def distance(difference: np.ndarray, rows: np.ndarray) -> float:
             between_rows = np.diff(rows, axis=0).std(0) if len(rows) > 1 else np.zeros(rows.shape[1])
             return float((np.abs(difference) / np.maximum(between_rows, SegmentationConfig().min_noise_ut)).max())
 
-        pressed = distance(last - np.median(self.head, axis=0), self.head) > IS_PRESSED
-        elsewhere = np.abs(rows.labels[0, LABELS:] - self.tail.labels[-1, LABELS:]) > SAME_LABEL
-        return pressed and not elsewhere.any() and distance(following - last, np.vstack([tail, self.head])) < GOES_ON
+        pressed = distance(last - np.median(self.head, axis=0), self.head) > _RULES.min_pressed
+        elsewhere = (
+            np.abs(rows.labels[0, LabelColumn.FIRST_VALUE :] - self.tail.labels[-1, LabelColumn.FIRST_VALUE :])
+            > _RULES.max_label_change
+        )
+        return (
+            pressed
+            and not elsewhere.any()
+            and distance(following - last, np.vstack([tail, self.head])) < _RULES.max_same_level
+        )
 
     def finish(self) -> None:
-        """Take no more rows: find the last presses, if there were enough rows."""
+        """End the search: find the last presses, if there were enough rows."""
         if self.recording is None and self.rows < SegmentationConfig().min_rows:
             return
         self.recording, more = find_last(self.recording or self._begin())
-        self.found = true_presses([*self.found, *more], self.recording.rules)
+        self.presses = true_presses([*self.presses, *more], self.recording.rules)
 
     @property
     def rest(self) -> np.ndarray | None:
-        """(c,) uT, of the skin after the last row."""
+        """Reading (c,) of the skin at rest (uT) after the last row."""
         state = self.recording
         if state is None:
             return self.earlier
         return state.baseline if state.sure or state.earlier is None else state.earlier
 
     def _begin(self) -> OpenRecording:
-        """Find rate and noise in the first rows, and their presses."""
+        """Estimate rate and noise from the first rows, and find their presses."""
         time, readings, labels = (np.concatenate([part[i] for part in self.early]) for i in range(3))
         empty = open_recording(segmentation_rules(time, readings), labels.shape[1], self.earlier)
-        self.recording, self.found = find_more(empty, time, readings, labels)
+        self.recording, self.presses = find_more(empty, time, readings, labels)
         self.early = []
         return self.recording
 
@@ -154,28 +170,28 @@ def convert(
     """Convert a log of presses of one indenter.
 
     Args:
-        source: the log, plain or gzip-ed.
-        indenter: as of `i2t.convert.presses.convert`, like all that follow.
-        board: which the values are of.
-        window: m.
-        reach: m.
-        unit: of a mesh file.
-        as_stated: look for no mistake and correct none.
-        skip_bad: leave out damaged rows, and note how many.
-        rate: of the rows (Hz), where no time stamps tell it.
-        stated_source: "real" or "simulated", where the log does not say it.
+        source: File of the log, plain or gzip-ed.
+        indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `unit`.
+        board: Board of the values.
+        window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
+        reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
+        unit: Unit of a mesh file.
+        as_stated: Whether to skip the search and correction of mistakes.
+        skip_bad: Whether to leave out damaged rows, with a note on their number.
+        rate: Rate (Hz) of the rows, if no time stamps show it.
+        stated_source: "real" or "simulated", if the log does not state it.
 
     Returns:
-        The data set, a touch for each press, and what was assumed and left out.
+        The data set, with one touch for each press, and notes on assumptions and omissions.
 
     Raises:
-        DataError: the log or the indenter cannot be used, or nothing presses.
+        DataError: If the log or the indenter cannot be used, or the log holds no press.
     """
     table = table_of_presses(source, board=board, skip_bad=skip_bad, rate=rate)
     missing = [name for name in ("x_mm", "y_mm") if name not in table.header]
     if missing:
         raise DataError(
-            f"{source}: column {' and '.join(missing)} is missing, so where it was pressed is not known; end DST in "
+            f"{source}: column {' and '.join(missing)} is missing, so the positions of presses are unknown; end DST in "
             ".csv, complete that table of presses, and convert it with the sub-command presses"
         )
     dataset, notes = presses.convert(
@@ -189,14 +205,14 @@ def write_presses(target: Path, table: TextTable) -> Path:
     """Write presses as the table that `i2t.convert.presses` reads.
 
     Args:
-        target: of the table.
-        table: the presses.
+        target: File of the table.
+        table: The presses.
 
     Returns:
-        The file.
+        The path of the file.
 
     Raises:
-        DataError: it cannot be written.
+        DataError: If it cannot be written.
     """
     with replacing(target) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file)
@@ -206,63 +222,63 @@ def write_presses(target: Path, table: TextTable) -> Path:
 
 
 def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate: float | None = None) -> TextTable:
-    """The presses of a log, in the columns that `i2t.convert.presses` reads.
+    """Find the presses of a log, in the columns that `i2t.convert.presses` reads.
 
     Args:
-        source: the log, plain or gzip-ed.
-        board: which the values are of.
-        skip_bad: leave out damaged rows, and note how many.
-        rate: of the rows (Hz), where no time stamps tell it.
+        source: File of the log, plain or gzip-ed.
+        board: Board of the values.
+        skip_bad: Whether to leave out damaged rows, with a note on their number.
+        rate: Rate (Hz) of the rows, if no time stamps show it.
 
     Returns:
-        A row for each press, with the line of the log where it begins, and what was assumed and left out.
+        A row for each press, with the line of the log where it begins, and notes on assumptions and omissions.
 
     Raises:
-        DataError: it is no log of this board, a row is damaged, or nothing presses in it.
+        DataError: If the file is not a log of this board, a row is damaged, or the log holds no press.
     """
     table = open_text_table(source)
     columns = _columns(source, table, board.num_chips, timed=rate is None)
     notes = ReadingLog(skip_bad, [*table.notes, *columns.notes])
     names: list[tuple[str, ...]] = []
-    searches = _Searches(columns)
+    log_presses = _LogPresses(columns)
     timed = on_one_clock(_rows(source, table, columns, notes, names), f"{source}: its time", notes, rate)
-    for search in _searches(timed, columns.names, names):
-        searches.add(search)
-    for note in table.notes:  # the last of which came with the last row
+    for search in _search_parts(timed, columns.names, names):
+        log_presses.add(search)
+    for note in table.notes:  # again, because notes are added until the last row is read
         notes.info(note)
     notes.require_heard(source)
-    if notes.damaged_rows and not searches.rows:
+    if notes.damaged_rows and not log_presses.rows:
         raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
-    if not searches.found:
-        cut = len(searches.moved) + searches.unsteady
+    if not log_presses.presses:
+        cut = len(log_presses.moved) + log_presses.unsteady
         but = f" but {cut} that are cut" if cut else ""
         raise DataError(
-            f"{source}: nothing presses in its {searches.rows} rows{but}; "
+            f"{source}: nothing presses in its {log_presses.rows} rows{but}; "
             "give a log that begins at rest and has presses"
         )
-    searches.say(notes)
-    header = [*columns.names, TIME, *searches.labels, *columns.values]
-    rows = [searches.row(press, names) for press in searches.found]
+    log_presses.note(notes)
+    header = [*columns.names, TIME, *log_presses.labels, *columns.values]
+    rows = [log_presses.row(press, names) for press in log_presses.presses]
     return TextTable(header, rows, notes.sentences())
 
 
 @dataclass
-class _Searches:
-    """What was found in the parts of a log."""
+class _LogPresses:
+    """Results of the parts of a log."""
 
     columns: _Columns
-    found: list[FoundPress] = field(default_factory=list)
+    presses: list[FoundPress] = field(default_factory=list)
     rows: int = 0
     parts: int = 0
     spikes: int = 0
     held: int = 0  # rows of parts in which the sensor was read faster than it measures
-    moved: list[int] = field(default_factory=list)  # lines at which the skin left what was no rest
+    moved: list[int] = field(default_factory=list)  # lines at which the skin left a level that was not its rest
     hidden: int = 0  # presses whose beginning was not recorded
-    unsteady: int = 0  # presses that were left out, as a part ended before they were steady
+    unsteady: int = 0  # presses that were left out, because a part ended before they were steady
 
     @property
     def height(self) -> int | None:
-        """Which of the labels is a height."""
+        """Index of the label that is a height, if any."""
         return next((i for i, name in enumerate(self.columns.labels) if name in HEIGHT_COLUMNS), None)
 
     @property
@@ -271,37 +287,37 @@ class _Searches:
         return ["depth_mm" if i == self.height else name for i, name in enumerate(self.columns.labels)]
 
     def add(self, search: _Search) -> None:
-        """Take over a search after its last row."""
+        """Add a finished search."""
         self.rows, self.parts = self.rows + search.rows, self.parts + 1
         state = search.recording
         if state is None:
             return
-        for press in search.found:
+        for press in search.presses:
             steady = (press.steady_end - press.steady_start) / (press.end - press.start)
-            if not press.over and steady < STEADY_SHARE_AT_END:
+            if not press.over and steady < _RULES.min_steady_fraction:
                 self.unsteady += 1
                 continue
-            if press.gap > GAP_ROWS * state.rules.step and self._travelled(press):
-                press.at_start[LABELS + (self.height or 0)] = np.nan
+            if press.gap > _RULES.max_gap_rows * state.rules.step and self._travelled(press):
+                press.at_start[LabelColumn.FIRST_VALUE + (self.height or 0)] = np.nan
                 self.hidden += 1
-            self.found.append(press)
+            self.presses.append(press)
         self.spikes += state.spikes
         self.held += search.rows if state.rules.fresh < 1 else 0
-        self.moved += [int(row[LINE]) for row in state.moved]
+        self.moved += [int(row[LabelColumn.LINE]) for row in state.moved]
 
     def _travelled(self, press: FoundPress) -> bool:
-        """Test whether the tip moved while a press began and no row was read."""
+        """Test whether the tip moved while no row was recorded at the beginning of a press."""
         if self.height is None:
             return False
-        heights = press.across[:, LABELS + self.height]
-        depth = abs(heights[0] - press.steady[LABELS + self.height])
-        return bool(abs(np.diff(heights)).max(initial=0.0) > UNSURE_DEPTH * depth)
+        heights = press.across[:, LabelColumn.FIRST_VALUE + self.height]
+        depth = abs(heights[0] - press.steady[LabelColumn.FIRST_VALUE + self.height])
+        return bool(abs(np.diff(heights)).max(initial=0.0) > _RULES.max_unseen_travel * depth)
 
-    def say(self, notes: ReadingLog) -> None:
-        """Note what was found, assumed and left out."""
+    def note(self, notes: ReadingLog) -> None:
+        """Note findings, assumptions and omissions."""
         pieces = ", between which it paused, its clock was set, or the pad changed"
         parts = f" of {self.parts} parts{pieces}" if self.parts > 1 else ""
-        notes.info(f"found: {len(self.found)} presses in {self.rows} rows{parts}")
+        notes.info(f"found: {len(self.presses)} presses in {self.rows} rows{parts}")
         if self.height is not None:
             notes.info(
                 f"assumed: {self.columns.labels[self.height]} grows out of the skin, and depth counts from the height "
@@ -326,19 +342,19 @@ class _Searches:
             notes.info(f"{self.held} rows are of a sensor that was read faster than it measures, or were written twice")
 
     def row(self, press: FoundPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:
-        """A press's line in the log, and its fields."""
-        steady = press.steady[LABELS:].copy()
+        """Return a press's line in the log, and its fields."""
+        steady = press.steady[LabelColumn.FIRST_VALUE :].copy()
         if self.height is not None:
-            steady[self.height] = press.at_start[LABELS + self.height] - steady[self.height]
-        numbers = [press.at_start[STAMP], *steady.tolist(), *press.reading.tolist()]
-        cells = ["" if np.isnan(x) else f"{x:.{PRESS_DECIMALS}f}" for x in numbers]
-        return int(press.at_start[LINE]), [*names[int(press.steady[NAMES])], *cells]
+            steady[self.height] = press.at_start[LabelColumn.FIRST_VALUE + self.height] - steady[self.height]
+        numbers = [press.at_start[LabelColumn.STAMP], *steady.tolist(), *press.reading.tolist()]
+        cells = ["" if np.isnan(x) else f"{x:.6f}" for x in numbers]
+        return int(press.at_start[LabelColumn.LINE]), [*names[int(press.steady[LabelColumn.NAMES])], *cells]
 
 
 def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Columns:
-    """Columns of a log; a table without time or without the values of the board is refused."""
+    """List the columns of a log; refuse a table without time or without the values of the board."""
     header = table.header
-    remedy = f"so this is no log of a board of {chips} chips: name columns as in docs/data.md"
+    remedy = f"so this is not a log of a board of {chips} chips: name columns as in docs/data.md"
     if timed and TIME not in header:
         remedy = "name the column of time by its unit (time_s, time_ms, time_us), or give --rate-hz where there is none"
     values = field_columns(source, header, chips, [TIME] if timed else [], remedy)
@@ -352,9 +368,9 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
 
 
 def _rows(
-    source: Path, table: TableRows, columns: _Columns, notes: ReadingLog, known_names: list[tuple[str, ...]]
+    source: Path, table: TableRows, columns: _Columns, notes: ReadingLog, all_names: list[tuple[str, ...]]
 ) -> Iterator[LogRows]:
-    """The rows of a log, some at a time; those in which a chip did not answer are counted, and new names added."""
+    """Read the rows of a log in pieces. Count those in which a chip did not answer, and add new names."""
     timed = [TIME] if TIME in table.header else []
     wanted = [*timed, *columns.values, *columns.labels]
     first, end = len(timed), len(timed) + len(columns.values)
@@ -372,25 +388,25 @@ def _rows(
             if which:
                 names = (tuple(cells[i].strip() for i in which) for _, cells in rows)
                 codes += [number_of.setdefault(name, len(number_of)) for name in names]
-            known_names[:] = number_of
+            all_names[:] = number_of
             time = numbers[:, 0] if timed else np.zeros(len(rows))
             labels = np.column_stack([np.array([line for line, _ in rows], float), time, codes, numbers[:, end:]])
             yield LogRows(time, readings, labels)
 
 
 def _needed(empty: np.ndarray, *, timed: int) -> np.ndarray:
-    """Fields that may not be empty: the time, which comes first where there is one."""
+    """Compute the mask of fields that may not be empty: the time, which comes first if present."""
     return np.tile(np.arange(empty.shape[1]) < timed, (len(empty), 1))
 
 
-def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
-    """Searches of which each begins after a pause, or where the clock begins again or the pad changes."""
+def _search_parts(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tuple[str, ...]]) -> Iterator[_Search]:
+    """Run a search from each pause, each beginning of the clock and each change of the pad."""
     search: _Search | None = None
-    last_heard, pad = np.nan, ""
+    last_complete, pad = np.nan, ""
     for piece in pieces:
-        rows, heard = piece.rows, piece.rows.heard
-        heard_at = np.fmax.accumulate(np.concatenate([[last_heard], np.where(heard, rows.time, np.nan)]))
-        silences = np.flatnonzero(heard & (rows.time - heard_at[:-1] > pause_of(piece.step)))
+        rows, complete = piece.rows, piece.rows.complete
+        complete_at = np.fmax.accumulate(np.concatenate([[last_complete], np.where(complete, rows.time, np.nan)]))
+        silences = np.flatnonzero(complete & (rows.time - complete_at[:-1] > pause_of(piece.step)))
         begins = {*np.flatnonzero(piece.begins).tolist(), *silences.tolist()}
         pads = [name[columns.index("pad")] if "pad" in columns else "" for name in names]
         others, pad = _other_pads(rows, pads, pad)
@@ -401,7 +417,7 @@ def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tup
                 yield search
                 search = None
             if search is not None and start in begins:
-                if search.goes_on_pressed(part.pick(part.heard)):
+                if search.continues_press(part.pick(part.complete)):
                     search.origin = float(part.time[0]) - search.end - piece.step
                 else:
                     search.finish()
@@ -409,16 +425,16 @@ def _searches(pieces: "Iterator[TimedRows]", columns: list[str], names: list[tup
                     search = _Search(origin=float(part.time[0]), earlier=search.rest)
             search = search or _Search(origin=float(part.time[0]))
             search.take(part, piece.step)
-        last_heard = float(heard_at[-1])
+        last_complete = float(complete_at[-1])
     if search is not None:
         search.finish()
         yield search
 
 
 def _other_pads(rows: LogRows, pads: list[str], pad: str) -> tuple[set[int], str]:
-    """Rows with which another pad begins than the one before, and the last; one without a name is the one before."""
+    """List the rows at which the pad changes, and the last pad; a row without a name has the previous pad."""
     others = set()
-    codes = rows.labels[:, NAMES]
+    codes = rows.labels[:, LabelColumn.NAMES]
     for at in np.flatnonzero(np.diff(codes, prepend=-1.0)).tolist():
         pad_there = pads[int(codes[at])] or pad
         if pad not in ("", pad_there):

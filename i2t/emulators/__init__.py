@@ -1,1 +1,1 @@
-"""Emulated and simulated devices, so that everything can be tried without hardware."""
+"""Emulated and simulated devices, with which everything can be tried without hardware."""

@@ -3,10 +3,10 @@
     lab = SimulatedLab(ObjectScene(mesh, T_b_o, pad, errors), VirtualClock())
     with SimulatedSkin(lab) as skin, SimulatedArm(lab, rig.limits) as arm: ...
 
-All three live in one `SimulatedLab`, in whose time a tool moves (`i2t.emulators.robot_motion`) and meets an object
-(`i2t.emulators.scene`). On a `VirtualClock` nobody waits: whoever would wait moves time on, and a touch of ten seconds
-takes a fraction of one. On the clock of this machine it takes as long as in a lab. What is sent to the arm reaches it
-`latency` seconds late, which is what a press runs past its limit by. They call themselves simulated.
+All three share one `SimulatedLab`, in whose time a tool moves (`i2t.emulators.robot_motion`) and touches an object
+(`i2t.emulators.scene`). On a `VirtualClock`, a wait advances the time at once, and a touch of ten seconds takes a
+fraction of one. On the clock of this machine, it takes as long as in a lab. A command reaches the arm `latency` seconds
+late, which makes a press run past its limit. All devices declare themselves as simulated.
 """
 
 import threading
@@ -38,17 +38,8 @@ from i2t.hardware.skin_stream import QueuedSkin, StreamConfig, StreamRow
 from i2t.simulation.depth_camera import add_depth_noise, render_view, shade_view
 from i2t.types import Array
 
-TICK_S = 2.5e-3  # of motion and of the skin's samples
-LOOK_TICKS = 3  # between two looks at an arm that is watched
-STATE_RATE_HZ = 125.0
-NUM_JOINTS = 6
-CHIP_TEMPERATURE_C, CHIP_NOISE_C = 24.6, 0.1
-SLOW_FIELD_S = 1.0  # after which the slow common field is another one; an assumption
-NOISE_BLOCK = 1024  # samples whose noise is drawn at once
-MAX_IDLE_S = 60.0  # what nobody looked at for longer is left out
-HOME_POSE = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m and rotation vector of the tool at the start: pointing down
-NEAREST_DEPTH_M = 0.03  # that the simulated camera measures
-CAMERA_RATE_HZ = 30.0
+TICK_S = 2.5e-3  # period of motion and of the skin's samples
+SLOW_FIELD_S = 1.0  # correlation time of the slow common field, an assumption
 
 
 class VirtualClock:
@@ -62,32 +53,32 @@ class VirtualClock:
         self._now, self._begun = 0.0, wall
 
     def now(self) -> float:
-        """Seconds since it was made."""
+        """Return the time (s) since the clock was made."""
         return self._now
 
     def wall(self) -> float:
-        """Unix time (s)."""
+        """Return the Unix time (s)."""
         return self._begun + self._now
 
     def sleep(self, seconds: float) -> None:
-        """Move on at once, as in `Clock.sleep`."""
+        """Advance the time at once, as in `Clock.sleep`."""
         self._now += max(0.0, seconds)
 
 
 class SkinInLab:
-    """A skin on the tool of a lab: what it feels, sample after sample.
+    """A skin on the tool of a lab, which records sample after sample.
 
     Args:
-        scene: What it meets.
-        T_tool_skin: (4, 4) where it is; by default the tool's frame is its own.
-        seed: Of the noise.
+        scene: Scene that it touches.
+        T_tool_skin: `(4, 4)` pose on the tool; by default the tool's frame.
+        seed: Seed of the noise.
     """
 
     def __init__(self, scene: ObjectScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
         self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
         self.samples: deque[StreamRow] = deque(maxlen=StreamConfig.queue_samples)
         self.number = 0
-        self.recording = False  # whether somebody holds the skin
+        self.recording = False  # whether the skin is connected
         self._random = np.random.default_rng((seed, 1))
         self._slow = np.zeros(3)
         steps = scene.errors.noise.steps(scene.board.num_chips)
@@ -95,11 +86,11 @@ class SkinInLab:
         self._noise: list[tuple[Array, Array]] = []
 
     def measure(self, now: float, rotation: Array) -> None:
-        """Keep a sample, if somebody holds the skin.
+        """Record a sample, if the skin is connected.
 
         Args:
-            now: s.
-            rotation: (3, 3) of the tool in the base.
+            now: Time (s) of the sample.
+            rotation: `(3, 3)` rotation of the tool in the base.
         """
         if not self.recording:
             return
@@ -111,57 +102,59 @@ class SkinInLab:
         self.number += 1
 
     def _draw(self) -> list[tuple[Array, Array]]:
-        """Noise as `i2t.skin.noise` has it, but with a slow field that changes by and by."""
+        """Draw noise as in `i2t.skin.noise`, but with a slow field that changes gradually."""
         size, board = self.scene.errors.noise, self.scene.board
         chips, channels = board.num_chips, board.num_readings
-        drawn = self._random.standard_normal((NOISE_BLOCK, channels + 3 + chips))
+        block = 1024  # samples whose noise is drawn at once
+        drawn = self._random.standard_normal((block, channels + 3 + chips))
         kept = np.exp(-TICK_S / SLOW_FIELD_S)
-        slow = np.empty((NOISE_BLOCK, 3))
+        slow = np.empty((block, 3))
         for i, news in enumerate(np.sqrt(1 - kept**2) * drawn[:, channels : channels + 3]):
             self._slow = kept * self._slow + news
             slow[i] = self._slow
         slow *= np.sqrt(size.common) * np.array([size.xy, size.xy, size.z])
         white = size.sigma(chips) * np.sqrt(1 - size.common) * drawn[:, :channels]
         noise = white + board.to_board(np.repeat(slow[:, None], chips, axis=1))
-        celsius = CHIP_TEMPERATURE_C + CHIP_NOISE_C * (size.xy > 0) * drawn[:, channels + 3 :]
+        celsius = 24.6 + 0.1 * (size.xy > 0) * drawn[:, channels + 3 :]
         return list(zip(noise, celsius, strict=True))
 
 
 class SimulatedLab:
-    """A tool that moves in a scene, and its skins' samples, up to the clock's present.
+    """A tool that moves in a scene, and the samples of its skins, up to the clock's present.
 
     Args:
-        scene: What the tool meets.
-        clock: In whose time it moves.
-        seed: Of the noise.
+        scene: Scene that the tool touches.
+        clock: Clock in whose time it moves.
+        seed: Seed of the noise.
     """
 
     def __init__(self, scene: ObjectScene, clock: Clock, seed: int = 0) -> None:
         self.scene, self.clock = scene, clock
-        self.skins = [SkinInLab(scene, seed=seed)]  # first the one at the tool
+        self.skins = [SkinInLab(scene, seed=seed)]  # the first is the pressing skin
         self.contacts = Contacts([self.skins[0].contact_model])
-        self.robot = Robot(np.array(HOME_POSE), self.contacts, scene.errors.force)
+        home = np.array([0.4, 0.0, 0.3, np.pi, 0.0, 0.0])  # m and rotation vector: pointing down
+        self.robot = Robot(home, self.contacts, scene.errors.force)
         self.time = clock.now()
         self.lock = threading.RLock()
 
     def carry(self, skin: SkinInLab) -> SkinInLab:
-        """Add a further skin to the tool, which it pushes as the others do.
+        """Add a further skin to the tool, whose contact also pushes the tool.
 
         Args:
-            skin: With the scene as it meets it.
+            skin: The skin, with the scene that it touches.
 
         Returns:
-            The skin.
+            The same skin, for convenience.
         """
         self.skins.append(skin)
         self.contacts.models.append(skin.contact_model)
         return skin
 
     def advance(self) -> None:
-        """Move tool and samples on to the present."""
+        """Advance the tool and the samples to the present."""
         with self.lock:
             now = self.clock.now()
-            self.time = max(self.time, now - MAX_IDLE_S)
+            self.time = max(self.time, now - 60.0)  # a longer time without queries is skipped
             while self.time + TICK_S <= now:
                 self.time += TICK_S
                 if self.robot.motion is not None:
@@ -172,11 +165,11 @@ class SimulatedLab:
 
 
 class SimulatedSkin(QueuedSkin):
-    """A skin (`i2t.hardware.protocols.Skin`) at 400 Hz; `silent` makes it fall silent.
+    """A skin (`i2t.hardware.protocols.Skin`) at 400 Hz. Set `silent` to make it fall silent.
 
     Args:
-        lab: In which its arm moves.
-        skin: Of the lab's; by default the one at the tool.
+        lab: Lab in which its arm moves.
+        skin: One of the lab's skins; by default the pressing one.
     """
 
     def __init__(self, lab: SimulatedLab, skin: SkinInLab | None = None) -> None:
@@ -190,12 +183,12 @@ class SimulatedSkin(QueuedSkin):
 
     @property
     def counters(self) -> SkinCounters:
-        """Counts so far; nothing is ever lost."""
+        """Counts of samples and connections so far; no sample is ever lost."""
         rate = 1 / TICK_S if self._open else 0.0
         return SkinCounters(samples=self.in_lab.number, connects=self._connects, rate=rate)
 
     def connect(self) -> None:
-        """Begin to send; the past is not sent."""
+        """Begin to send samples from now on."""
         with self.lab.lock:
             self.lab.advance()
             self.in_lab.recording = self._open = True
@@ -221,20 +214,20 @@ class SimulatedArm(GuardedByPolling):
     """An arm with guarded approaches (`i2t.hardware.protocols.GuardedArm`).
 
     Args:
-        lab: In which it moves.
-        limits: That no motion exceeds.
-        latency: s, by which it is late to brake.
+        lab: Lab in which it moves.
+        limits: Limits of every motion.
+        latency: Delay (s) before it brakes.
     """
 
     name, source = "the simulated arm", "simulated"
-    rate, poll_s, start_s = STATE_RATE_HZ, LOOK_TICKS * TICK_S, 0.0
+    rate, poll_s, start_s = 125.0, 3 * TICK_S, 0.0
 
     def __init__(self, lab: SimulatedLab, limits: MotionLimits, latency: float = 0.03) -> None:
         super().__init__(limits, lab.clock)
         self.lab, self.latency = lab, latency
 
     def read_state(self) -> ArmState:
-        """The present state."""
+        """Read the present state."""
         with self.lab.lock:
             self.lab.advance()
             robot = self.lab.robot
@@ -242,7 +235,7 @@ class SimulatedArm(GuardedByPolling):
             return ArmState(
                 time=self.lab.time,
                 T_b_t=transform(robot.rotation, robot.position),
-                joints=np.zeros(NUM_JOINTS),
+                joints=np.zeros(6),
                 velocity=robot.twist,
                 wrench=wrench.ravel(),
                 moving=robot.motion is not None,
@@ -253,11 +246,11 @@ class SimulatedArm(GuardedByPolling):
         """Start a straight motion, as in `GuardedByPolling.begin_line`."""
         with self.lab.lock:
             robot = self.lab.robot
-            self.lab.contacts.stands(robot.position, robot.rotation)  # however short it stood
+            self.lab.contacts.look_ahead(robot.position, robot.rotation)  # even after a short standstill
             robot.line_to(np.array(pose_to_vector(T_b_t)), speed, acceleration)
 
     def brake(self) -> None:
-        """Brake, late where it moves."""
+        """Brake, after the delay if the tool moves."""
         if self.lab.robot.motion is not None:
             self.clock.sleep(self.latency)
         with self.lab.lock:
@@ -265,7 +258,7 @@ class SimulatedArm(GuardedByPolling):
             self.lab.robot.stop(SAFETY.braking_m_s2)
 
     def zero_sensor(self) -> None:
-        """Take the wrench felt now as zero."""
+        """Zero the sensor at the present wrench."""
         self.lab.robot.zero_wrench()
 
 
@@ -273,12 +266,12 @@ class SimulatedCamera(CameraBase):
     """A depth camera (`i2t.hardware.protocols.DepthCamera`) on the tool of an arm.
 
     Args:
-        scene: What it sees.
-        camera: Its size and lens, without distortion.
-        T_t_c: (4, 4) where it is believed to be in the tool.
-        pose: Gives T_b_t (4, 4) of the tool now: of a simulated arm, or of any other that moves in the scene.
-        clock: That dates its views.
-        seed: Of the noise.
+        scene: Scene that it sees.
+        camera: Image size and lens, without distortion.
+        T_t_c: `(4, 4)` assumed pose of the camera on the tool.
+        pose: Function that returns the present pose T_b_t (4, 4) of the tool, of a simulated arm or any other.
+        clock: Clock that dates its views.
+        seed: Seed of the noise.
     """
 
     def __init__(
@@ -290,7 +283,7 @@ class SimulatedCamera(CameraBase):
         clock: Clock,
         seed: int = 0,
     ) -> None:
-        super().__init__(CameraFeatures("the simulated camera", "simulated", NEAREST_DEPTH_M, CAMERA_RATE_HZ))
+        super().__init__(CameraFeatures("the simulated camera", "simulated", nearest=0.03, rate=30.0))
         self._camera: Camera = camera
         self._scene, self._pose, self._clock = scene, pose, clock
         self._T_t_c = scene.T_t_camera @ np.asarray(T_t_c)
@@ -298,15 +291,15 @@ class SimulatedCamera(CameraBase):
         self._open = False
 
     def connect(self) -> None:
-        """Switch it on."""
+        """Switch the camera on."""
         self._open = True
 
     def close(self) -> None:
-        """Switch it off."""
+        """Switch the camera off."""
         self._open = False
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A view from where the tool is now, as in `DepthCamera.capture`; the timeout never passes."""
+        """Take a view from the tool's present pose, as in `DepthCamera.capture`, without a timeout."""
         if not self._open:
             raise self._not_connected()
         self._clock.sleep(1 / self.features.rate)

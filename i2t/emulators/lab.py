@@ -1,15 +1,15 @@
-"""An emulated lab, in processes of its own: a UR controller whose tool meets an object, and skins that feel.
+"""An emulated lab in processes of its own: a UR controller whose tool touches an object, and the boards of its skins.
 
     python -m i2t.emulators.lab --host 127.0.0.9 --link /tmp/skin --object hexagon
     python -m i2t.collect --arm emulated --host 127.0.0.9 --skin emulated --port /tmp/skin --object hexagon
 
-It is the controller of `i2t.emulators.ur_controller`, with its faults on demand, and starts a board of
-`i2t.emulators.reskin_board` for each skin. The object stands where the rig's file says; force, its centre and what a
-skin reads come from i2t's own contact mechanics, worked out along the tool's z axis once it has stood for some ticks
-(hundredths of a second of computing, next to the 500 Hz; a motion waits for it). What a skin feels goes to its board
-over UDP on this machine whenever it changes, at each tick of 2 ms; the board shows the newest with ambient field, noise
-and steps in its next frame, 2.5 ms after the last. So a reading is some 5 ms late on a machine with time to spare.
-`python -m i2t.collect --arm emulated --skin emulated` starts one by itself.
+The lab is the controller of `i2t.emulators.ur_controller`, with its faults on demand. It starts a board of
+`i2t.emulators.reskin_board` for each skin. The object has its pose in the rig's file. The force, its centre and the
+readings follow from i2t's own contact mechanics. They are computed along the tool's z axis once the tool has stood
+still for some ticks, which takes hundredths of a second next to the 500 Hz; a motion waits for it. The reading of a
+skin goes to its board over UDP on this machine whenever it changes, at each tick of 2 ms. The board sends the newest
+one, with ambient field, noise and steps, in its next frame, 2.5 ms after the last. A reading is therefore about 5 ms
+late if the machine is not busy. `python -m i2t.collect --arm emulated --skin emulated` starts a lab by itself.
 """
 
 import subprocess
@@ -34,20 +34,20 @@ from i2t.skin.boards import DEFAULT_BOARD, make_board
 if TYPE_CHECKING:
     from i2t.emulators.scene import Contacts
 
-started = partial(processes.started, "i2t.emulators.lab")  # with options: yields a line and its process
+started = partial(processes.started, "i2t.emulators.lab")  # takes options; yields a line and the process
 
 
 @dataclass(frozen=True, kw_only=True)
 class LabArgs(ur_controller.ControllerArgs):
     """An emulated lab."""
 
-    link: Path  # name of the skin's port
-    board: str = DEFAULT_BOARD  # of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file
-    rig: Path | None = None  # a lab's calibration, which says where the object is
+    link: Path  # path that names the skin's port
+    board: str = DEFAULT_BOARD  # board of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file
+    rig: Path | None = None  # calibration of the lab, with the pose of the object
     carried: Annotated[tyro.conf.UseAppendAction[tuple[tuple[str, Path], ...]], tyro.conf.arg(metavar="NAME LINK")] = ()
-    """A further skin of the rig, and the name of its port."""
+    """A further skin of the rig, and the path that names its port."""
     world: Annotated[WorldArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=WorldArgs)
-    plane: tyro.conf.Suppress[tuple[float, float]] = (0.0, 0.0)  # the object takes its place
+    plane: tyro.conf.Suppress[tuple[float, float]] = (0.0, 0.0)  # replaced by the object
 
 
 def _run(args: LabArgs) -> None:
@@ -65,19 +65,19 @@ def _check(args: LabArgs) -> None:
     require_path("--pad", args.world.pad, "file")
     make_board(args.board)
     if args.link.exists() and not args.link.is_symlink():
-        raise ValueError(f"--link {args.link}: exists and is no link; give another name")
+        raise ValueError(f"--link {args.link}: exists and is not a link; give another name")
 
 
 def _contacts(args: LabArgs, rig: Rig, stack: ExitStack) -> "Contacts":
-    """What the tool feels, for each skin's board; it takes some seconds, in which everything is compiled.
+    """Make the contact of each skin, within some seconds in which everything is compiled.
 
-    The pad that is worn must be on its board: any other would send it what it cannot show.
+    The pad must be on the skin's board, which could not send the readings of another.
     """
     from i2t.emulators.scene import ContactModel, Contacts
 
     def model(number: int, link: Path, board: str) -> ContactModel:
         scene = make_scene(args.world, rig, board, number)
-        scene.ahead(rig.T_base_world @ rig.T_world_object)  # compiled before anybody waits for it
+        scene.ahead(rig.T_base_world @ rig.T_world_object)  # compiled before a motion waits for it
         named = ("--link", str(link), "--board", board)
         _, process = stack.enter_context(reskin_board.started("--field", *named))
         T_tool_skin = rig.skins[number - 1].T_tool_skin if number else None
@@ -92,7 +92,7 @@ def _contacts(args: LabArgs, rig: Rig, stack: ExitStack) -> "Contacts":
 
 
 def _board_address(process: "subprocess.Popen[str]") -> processes.Address:
-    """Where a board that was started with `--field` listens: the next line that it prints."""
+    """Read the address of a board that was started with `--field` from the next line that it prints."""
     assert process.stdout is not None
     host, port = process.stdout.readline().split()[1].rsplit(":", 1)
     return host, int(port)

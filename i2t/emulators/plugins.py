@@ -1,8 +1,8 @@
-"""Plug-ins of simulated and emulated devices (`i2t.hardware.plugins`), like anybody's.
+"""Plug-ins of simulated and emulated devices (`i2t.hardware.plugins`), declared like those of other packages.
 
-Simulated devices share a lab (`i2t.emulators.in_process`), which the arm holds; where only simulated devices take part
-its time is virtual, and nobody waits for it. Emulated ones are the real drivers with emulators in processes of their
-own (`i2t.emulators.lab`), which the arm starts where no address is given. Nothing large is imported before a device is
+Simulated devices share a lab (`i2t.emulators.in_process`), which the arm holds. If all devices are simulated, their
+time is virtual and passes without waiting. Emulated devices are the real drivers with emulators in processes of their
+own (`i2t.emulators.lab`), which the arm starts if no address is given. Nothing large is imported before a device is
 built.
 """
 
@@ -23,18 +23,15 @@ if TYPE_CHECKING:
     from i2t.hardware.reskin.driver import ReSkin
     from i2t.hardware.ur.driver import UrArm
 
-SIMULATED, EMULATED = "simulated", "emulated"
-EMULATED_ADDRESS = 200  # of the loopback network, at which an emulated controller is started
-
 
 def virtual_clock(begin: float) -> Clock:
-    """A clock that nobody waits for.
+    """Make a clock whose time passes without waiting.
 
     Args:
-        begin: Unix time (s) at which it may begin.
+        begin: Earliest Unix time (s) at which it may begin.
 
     Returns:
-        The clock.
+        A virtual clock that begins now, or at that time.
     """
     from i2t.emulators.in_process import VirtualClock
 
@@ -42,13 +39,13 @@ def virtual_clock(begin: float) -> Clock:
 
 
 def make_simulated_arm(setup: DeviceSetup) -> "SimulatedArm":
-    """An arm in a lab of its own.
+    """Make an arm in a lab of its own.
 
     Args:
         setup: The world, the rig, and the board of the skin that the arm carries.
 
     Returns:
-        The arm; its lab is `arm.lab`.
+        The arm, whose lab is `arm.lab`.
     """
     from i2t.emulators.in_process import SimulatedArm, SimulatedLab
 
@@ -58,13 +55,13 @@ def make_simulated_arm(setup: DeviceSetup) -> "SimulatedArm":
 
 
 def make_simulated_skin(setup: DeviceSetup) -> "SimulatedSkin":
-    """A skin of the arm's lab; a further one has a pad of its own.
+    """Make a skin of the arm's lab. A further skin has a pad of its own.
 
     Args:
-        setup: With the arm.
+        setup: The set-up, with the arm.
 
     Returns:
-        The skin.
+        The skin, not connected.
     """
     from i2t.emulators.in_process import SimulatedSkin, SkinInLab
 
@@ -76,23 +73,23 @@ def make_simulated_skin(setup: DeviceSetup) -> "SimulatedSkin":
 
 
 def make_simulated_camera(setup: DeviceSetup) -> "SimulatedCamera":
-    """A camera on whichever arm carries it.
+    """Make a camera on the arm that carries it.
 
     Args:
-        setup: With the arm.
+        setup: The set-up, with the arm.
 
     Returns:
-        The camera; it sees what the arm's lab holds, or the object of the world where the arm is in none.
+        The camera. It sees the scene of the arm's lab, or the object of the world if the arm has no lab.
 
     Raises:
-        ValueError: There is no arm.
+        ValueError: If there is no arm.
     """
     from i2t.depth.camera import Distortion
     from i2t.emulators.in_process import SimulatedCamera
 
     arm, rig = setup.arm, setup.rig
     if arm is None:
-        raise ValueError("a simulated camera looks from where an arm is; pass --arm simulated")
+        raise ValueError("a simulated camera is carried by an arm; pass --arm simulated")
     lab = getattr(arm, "lab", None)
     scene = lab.scene if lab is not None else make_scene(setup.world, rig, setup.board)
     lens = replace(rig.camera, model=Distortion.NONE, coefficients=())
@@ -102,16 +99,17 @@ def make_simulated_camera(setup: DeviceSetup) -> "SimulatedCamera":
 
 
 def make_emulated_arm(setup: DeviceSetup) -> "UrArm":
-    """The real driver with an emulated controller, whose tool meets the object and carries emulated skins.
+    """Make the real driver with an emulated controller, whose tool touches the object and carries emulated skins.
 
     Args:
-        setup: The address of a lab that runs, or none: then one is started, with the rig's emulated skins.
+        setup: The set-up, with the address of a running lab; without an address, one is started with the rig's emulated
+            skins.
 
     Returns:
-        The arm.
+        The arm, not connected.
 
     Raises:
-        ValueError: The pad is on another board than the skin.
+        ValueError: If the pad is on another board than the skin.
     """
     if setup.address:
         return make_ur(setup)
@@ -119,61 +117,61 @@ def make_emulated_arm(setup: DeviceSetup) -> "UrArm":
 
     world, board = setup.world, setup.board or DEFAULT_BOARD
     if world.pad:
-        read_pad(world.pad, board)  # one that is on another board is refused before a process starts
+        read_pad(world.pad, board)  # refuses a pad on another board before a process starts
     folder, host = (
         Path(setup.stack.enter_context(tempfile.TemporaryDirectory())),
-        ur_controller.loopback(EMULATED_ADDRESS),
+        ur_controller.loopback(200),
     )
     setup.rig.write(folder / "rig.toml")
     options = ["--host", host, "--rig", str(folder / "rig.toml"), "--link", str(folder / "0"), "--board", board]
     for number, place in enumerate(setup.rig.skins, start=1):
-        if place.device == EMULATED:
+        if place.device == "emulated":
             options += ["--carried", place.name, str(folder / str(number))]
     for name, value in vars(world).items():
         if value not in (None, False):
             options += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
     setup.stack.enter_context(lab.started(*options))
     arm: Any = make_ur(replace(setup, address=host))
-    arm.skin_ports = folder  # the ports of its skins, by their numbers
+    arm.skin_ports = folder  # folder of the ports of its skins, by their numbers
     return arm
 
 
 def make_emulated_skin(setup: DeviceSetup) -> "ReSkin":
-    """The real driver with an emulated board.
+    """Make the real driver with an emulated board.
 
     Args:
-        setup: With the arm; the port of a board that runs, or none where the arm's lab was started.
+        setup: The set-up, with the arm, and the port of a running board unless the arm's lab was started.
 
     Returns:
-        The skin.
+        The skin, not connected.
     """
     ports: Path | None = getattr(setup.arm, "skin_ports", None)
     return make_reskin(setup if ports is None else replace(setup, address=str(ports / str(_number_of(setup)))))
 
 
 def _lab_of(arm: Any) -> Any:
-    """The lab of a simulated arm."""
+    """Return the lab of a simulated arm; refuse other arms."""
     lab = getattr(arm, "lab", None)
     if lab is None:
-        raise ValueError("a simulated skin feels only what a simulated arm does; pass --arm simulated")
+        raise ValueError("a simulated skin needs a simulated arm; pass --arm simulated")
     return lab
 
 
 def _number_of(setup: DeviceSetup) -> int:
-    """Number of a skin: 0 at the tool, then those of the rig."""
-    name, further = setup.skin.name if setup.skin else "", [each.name for each in setup.rig.skins]
+    """Number a skin: 0 for the pressing one, then those of the rig."""
+    name, further = setup.skin.name if setup.skin else "", [skin.name for skin in setup.rig.skins]
     return 1 + further.index(name) if name in further else 0
 
 
 simulated_arm = DevicePlugin(make_simulated_arm, takes=frozenset(), make_clock=virtual_clock)
 simulated_skin = DevicePlugin(
-    make_simulated_skin, takes=frozenset({"board", "pad"}), arms=frozenset({SIMULATED}), make_clock=virtual_clock
+    make_simulated_skin, takes=frozenset({"board", "pad"}), arms=frozenset({"simulated"}), make_clock=virtual_clock
 )
 simulated_camera = DevicePlugin(make_simulated_camera, takes=frozenset(), make_clock=virtual_clock)
 emulated_arm = DevicePlugin(make_emulated_arm, takes=ur.takes)
 emulated_skin = DevicePlugin(
     make_emulated_skin,
     takes=(reskin.takes | {"pad"}) - {"skin_serial"},
-    arms=frozenset({EMULATED}),
+    arms=frozenset({"emulated"}),
     address_follows_arm=True,
 )

@@ -8,9 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TextIO, TypeAlias
 
-Address: TypeAlias = tuple[str, int]  # and port, at which an emulated board listens
-
-END_S = 5.0  # that an emulator may take to end
+Address: TypeAlias = tuple[str, int]  # host and port of an emulated board
 
 
 @contextmanager
@@ -18,14 +16,14 @@ def started(module: str, *options: str) -> Iterator[tuple[str, "subprocess.Popen
     """Run an emulator next to this process.
 
     Args:
-        module: Its name; it takes `--tethered`, and prints a line once it is ready.
-        options: Of its command line.
+        module: Name of its module, which takes `--tethered` and prints a line once it is ready.
+        options: Options of its command line.
 
     Yields:
         That line, and the process, from which further lines can be read.
 
     Raises:
-        RuntimeError: It did not start.
+        RuntimeError: If it did not start.
     """
     command = [sys.executable, "-m", module, "--tethered", *options]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
@@ -38,19 +36,19 @@ def started(module: str, *options: str) -> Iterator[tuple[str, "subprocess.Popen
         finally:
             process.terminate()
             try:
-                process.wait(END_S)
-            except subprocess.TimeoutExpired:  # it was stopped, or hangs
+                process.wait(5.0)
+            except subprocess.TimeoutExpired:  # the emulator was stopped, or hangs
                 process.kill()
 
 
 def has_ended(stream: TextIO) -> bool:
-    """Tell whether the other end of a stream was closed.
+    """Test whether the other end of a stream was closed, without waiting.
 
     Args:
-        stream: Such as the standard input of a tethered emulator.
+        stream: A stream, such as the standard input of a tethered emulator.
 
     Returns:
-        True then; nobody is waited for.
+        True if it was closed.
     """
     ready, _, _ = select.select([stream], [], [], 0)
     return bool(ready) and not os.read(stream.fileno(), 1)

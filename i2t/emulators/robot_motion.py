@@ -1,8 +1,8 @@
-"""A tool that moves in time: straight lines, stops, and what it touches.
+"""A tool that moves in time: straight lines, stops, and contact.
 
-Lines have a trapezoidal speed profile; speeds change by at most an acceleration. Where a motion also turns, a radian
-counts as 0.25 m of path. Poses are six numbers as a UR robot has them, metres and a rotation vector in its base axes;
-so are twists (m/s, rad/s) and wrenches (N, Nm), along the base's axes.
+Lines have a trapezoidal speed profile with a bounded acceleration. In a motion that also turns, a radian counts as 0.25
+m of path. Poses are six numbers as on a UR robot: metres and a rotation vector in its base axes. Twists (m/s, rad/s)
+and wrenches (N, Nm) are along the base's axes as well.
 """
 
 from collections.abc import Callable
@@ -16,13 +16,11 @@ from i2t.geometry import so3_exp, so3_log
 Array: TypeAlias = NDArray[np.float64]
 Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotation (3, 3) of the tool -> wrench on it
 
-ROTATION_LEVER_M = 0.25  # of path, that a radian counts as
-STOP_DECELERATION = 5.0  # m/s^2, of a program that ends
-ARRIVED_M = 1e-9
+ROTATION_LEVER_M = 0.25  # length of path for which a radian counts
 
 
 class LinearMotion(NamedTuple):
-    """Straight motion from a pose to a pose, rotation about a fixed axis in proportion."""
+    """Straight motion between two poses, with a proportional rotation about a fixed axis."""
 
     position: Array  # (3,) m, at the start
     rotation: Array  # (3, 3)
@@ -33,20 +31,20 @@ class LinearMotion(NamedTuple):
 
 
 class Braking(NamedTuple):
-    """A motion that slows down to a stand."""
+    """A motion that slows down to a standstill."""
 
     deceleration: float  # m/s^2
 
 
 def plane(height: float, stiffness: float) -> Contact:
-    """A horizontal plane that pushes back like a spring, without friction, on the tool's origin.
+    """Make the contact with a horizontal plane that pushes the tool's origin back like a spring, without friction.
 
     Args:
-        height: m in the base.
-        stiffness: N/m.
+        height: Height (m) of the plane in the base.
+        stiffness: Stiffness (N/m) of the spring.
 
     Returns:
-        The contact with it.
+        Function that computes the wrench on the tool at a pose.
     """
 
     def wrench(position: Array, rotation: Array) -> Array:
@@ -59,46 +57,47 @@ class Robot:
     """A tool that moves in time and touches.
 
     Args:
-        pose: (6,) at the start.
-        contact: What the tool touches.
-        noise: N, standard deviation of the sensor's force on each axis.
+        pose: `(6,)` pose at the start.
+        contact: Contact of the tool with its surroundings.
+        noise: Standard deviation (N) of the sensor's force along each axis.
     """
 
     def __init__(self, pose: Array, contact: Contact, noise: float) -> None:
         self.position, self.rotation, self.twist = pose[:3], so3_exp(pose[3:]), np.zeros(6)
         self.motion: LinearMotion | Braking | None = None
         self.travelled, self.speed = 0.0, 0.0  # m, m/s, along a line
-        self.speed_fraction = 1.0  # that the slider leaves
-        self.max_speed = 0.0  # m/s, the greatest so far
+        self.speed_fraction = 1.0  # set by the speed slider
+        self.max_speed = 0.0  # m/s, the maximum so far
         self.contact, self.noise = contact, noise
-        self.external_wrench, self.wrench_zero = np.zeros(6), np.zeros(6)  # from elsewhere; that reads as nothing
+        self.external_wrench = np.zeros(6)  # added to the wrench of contact
+        self.wrench_zero = np.zeros(6)  # wrench that the sensor reports as zero
         self.rng = np.random.default_rng(0)
 
     @property
     def pose(self) -> Array:
-        """(6,) metres and rotation vector."""
+        """Pose (6,) of the tool: metres and rotation vector."""
         return np.concatenate([self.position, so3_log(self.rotation)])
 
     def wrench(self) -> Array:
-        """Wrench (6,) that is really on the tool."""
+        """Compute the true wrench (6,) on the tool."""
         return self.contact(self.position, self.rotation) + self.external_wrench
 
     def measured_wrench(self) -> Array:
-        """Wrench (6,) that the sensor reports."""
+        """Compute the wrench (6,) that the sensor reports."""
         noise = self.noise * np.append(self.rng.standard_normal(3), np.zeros(3))
         return self.wrench() - self.wrench_zero + noise
 
     def zero_wrench(self) -> None:
-        """Have the sensor report nothing for what it feels now."""
+        """Make the sensor report zero for the present wrench."""
         self.wrench_zero = self.wrench()
 
     def line_to(self, pose: Array, speed: float, acceleration: float) -> None:
         """Start a straight motion from the present pose.
 
         Args:
-            pose: (6,) at the end.
-            speed: m/s.
-            acceleration: m/s^2.
+            pose: `(6,)` pose at the end.
+            speed: Speed (m/s) along the line.
+            acceleration: Acceleration (m/s^2) at both ends.
         """
         turn = so3_log(so3_exp(pose[3:]) @ self.rotation.T)
         displacement = np.concatenate([pose[:3] - self.position, turn])
@@ -113,11 +112,11 @@ class Robot:
             acceleration=acceleration,
         )
 
-    def stop(self, deceleration: float = STOP_DECELERATION) -> None:
-        """Slow down to a stand.
+    def stop(self, deceleration: float = 5.0) -> None:
+        """Slow down to a standstill.
 
         Args:
-            deceleration: m/s^2.
+            deceleration: Deceleration (m/s^2), by default that of a program that ends.
         """
         if self.motion is not None:
             self.motion = Braking(deceleration)
@@ -126,7 +125,7 @@ class Robot:
         """Advance in time.
 
         Args:
-            dt: s.
+            dt: Time step (s).
         """
         if isinstance(self.motion, LinearMotion):
             self._step_line(self.motion, dt)
@@ -139,7 +138,7 @@ class Robot:
         braking_speed = float(np.sqrt(2 * line.acceleration * left))
         self.speed = min(self.speed + line.acceleration * dt, line.speed * self.speed_fraction, braking_speed)
         self.travelled += self.speed * dt
-        if self.travelled >= line.length - ARRIVED_M:
+        if self.travelled >= line.length - 1e-9:
             self.travelled, self.speed, self.motion = line.length, 0.0, None
         part = self.travelled / line.length if line.length else 1.0
         self.twist = line.displacement * (self.speed / line.length if line.length else 0.0)
@@ -147,7 +146,7 @@ class Robot:
         self.rotation = so3_exp(part * line.displacement[3:]) @ line.rotation
 
     def _brake(self, change: float, dt: float) -> None:
-        """Go on more slowly, by a change of speed (m/s)."""
+        """Continue more slowly, with a given change of speed (m/s)."""
         speed = float(np.hypot(np.linalg.norm(self.twist[:3]), ROTATION_LEVER_M * np.linalg.norm(self.twist[3:])))
         self.twist = self.twist * (1 - change / speed) if speed > change else np.zeros(6)
         self.position = self.position + self.twist[:3] * dt

@@ -2,39 +2,38 @@
 
     python -m i2t.emulators.ur_controller --host 127.0.0.9
 
-It opens the ports the client uses (30004 RTDE, 29999 dashboard, 30003 script) and does what the script would do that
-the client uploads: commands and results pass through registers. A tool without arm or joints moves in time, in straight
-lines with a trapezoidal speed profile. Joint values are therefore zero, and the tool is where the controller says,
-whatever TCP it is given. Any 127.0.0.x is a robot of its own.
+It opens the ports of the client (30004 RTDE, 29999 dashboard, 30003 script) and acts like the script that the client
+uploads: commands and results pass through registers. A tool without arm or joints moves in time, in straight lines with
+a trapezoidal speed profile. Joint values are therefore zero, and the tool has the reported pose, whatever the TCP. Each
+address 127.0.0.x is a separate robot.
 
-The tool meets a springy horizontal plane (`--plane`), or in `i2t.emulators.lab` an object. A command takes effect at
-the next tick of 2 ms.
+The tool meets a horizontal plane like a spring (`--plane`), or an object in `i2t.emulators.lab`. A command takes effect
+at the next tick of 2 ms.
 
-Faults on demand. A fourth port, 30100, takes a line and answers one, for instance
+Faults on demand. A fourth port, 30100, receives a line and answers with one, for instance
 `echo protective | nc -q1 127.0.0.9 30100`:
 
     protective            protective stop; the dashboard's "unlock protective stop" releases it
-    stall | resume        RTDE packets stop, connections stay open | and come again
-    stall-control         those to the connections that write registers stop alone, until "resume"
-    forge NAME NUMBERS    an output is sent as these numbers, maybe nan or inf; "forge" alone: the truth again
-    mute                  every port still connects, and answers nothing more
+    stall | resume        RTDE packets stop while connections stay open | and are sent again
+    stall-control         only packets to the connections that write registers stop, until "resume"
+    forge NAME NUMBERS    an output is sent as these numbers, even nan or inf; "forge" alone ends that
+    mute                  every port still accepts connections, but answers nothing more
     drop-control          the connections that write registers are closed, and can be made again
     drop-state            the connections that only listen are closed, and can be made again
     kill-program          the running program ends at once, as when someone presses stop on the pendant
-    local | remote        control is refused: local mode, scripts are ignored | and allowed again
-    wrench X Y Z A B C    a constant force (N) and torque (Nm) on the tool, base axes, besides the plane's
+    local | remote        control is refused (local mode, scripts are ignored) | and allowed again
+    wrench X Y Z A B C    a constant force (N) and torque (Nm) on the tool, in base axes, added to the plane's
     plane Z STIFFNESS     move the plane: height in metres, newtons per metre; stiffness 0 removes it
     tcp X Y Z RX RY RZ    the TCP on the pendant (m, rotation vector), with which a program begins
     speed FRACTION        the speed slider on the pendant
-    status                a JSON object: pose, twist, force, program, how often it was
-                          uploaded, commands taken, greatest speed so far, since when
-                          the tool stands and when the client was heard last (s on the controller's clock)
+    status                a JSON object: pose, twist, program, number of uploads, commands received, maximum speed so
+                          far, when the tool last moved and when the client was last heard (s, controller's clock)
 
 Sources: Universal Robots' RTDE guide, dashboard server and URScript manuals (watchdog: `rtde_set_watchdog` with the
 action "stop"); the register handshake was observed from ur_rtde 1.6.5. The stopping distance, the lever by which
-rotation counts as path, and the delays of a real controller are not modelled on measurements. Of the client's commands
-those that i2t's driver sends are emulated: asynchronous straight lines, stopping, payload, tool, zeroing and watchdog;
-any other ends the program, and says so.
+rotation counts as path, and the delays of a real controller are not modelled on measurements. The commands that i2t's
+driver sends are emulated: asynchronous straight lines, stopping, payload, tool, zeroing and watchdog. Any other ends
+the program with a message.
 """
 
 import asyncio
@@ -61,15 +60,13 @@ from i2t.emulators.ur_program import Controller
 from i2t.emulators.ur_server import FAULT_PORT, Server
 
 PoseVector = tuple[float, float, float, float, float, float]  # position (m) and rotation vector (rad)
-POINTING_DOWN: PoseVector = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)  # m, rad: the tool's pose at the start
-ASK_TIMEOUT_S = 5.0
 
 
 def loopback(number: int) -> str:
-    """The address of a controller of this process's own.
+    """Return the address of a controller that belongs to this process alone.
 
     Args:
-        number: Which, one of 250.
+        number: Number of the controller, one of 250.
 
     Returns:
         An address 127.x.y.z of this machine.
@@ -84,7 +81,7 @@ def process(host: str, *options: str) -> Iterator["subprocess.Popen[str]"]:
 
     Args:
         host: Address to listen on.
-        options: Of its command line.
+        options: Options of its command line.
 
     Yields:
         Its process.
@@ -97,13 +94,13 @@ def ask(host: str, line: str) -> str:
     """Send a line to the fault port of a running emulator.
 
     Args:
-        host: Its address.
+        host: Address of the emulator.
         line: A fault, or "status".
 
     Returns:
-        Its answer.
+        The line that it answers.
     """
-    with socket.create_connection((host, FAULT_PORT), ASK_TIMEOUT_S) as connection, connection.makefile("rw") as lines:
+    with socket.create_connection((host, FAULT_PORT), 5.0) as connection, connection.makefile("rw") as lines:
         lines.write(line + "\n")
         lines.flush()
         return lines.readline().strip()
@@ -114,11 +111,11 @@ class ControllerArgs:
     """An emulated UR controller."""
 
     host: str = "127.0.0.9"  # address to listen on
-    pose: Annotated[PoseVector, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = POINTING_DOWN
-    """The tool's pose at the start, metres and rotation vector."""
+    pose: Annotated[PoseVector, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)
+    """Pose of the tool at the start: metres and rotation vector. By default it points down."""
     plane: Annotated[tuple[float, float], tyro.conf.arg(metavar="Z STIFFNESS")] = (0.0, 0.0)
-    """A plane that the tool meets: its height in m, and N/m; 0 for none."""
-    noise: float | None = None  # of the force sensor, N, one sigma per axis; by default 0, in a lab 0.1
+    """A plane that the tool meets: its height (m) and stiffness (N/m), 0 for no plane."""
+    noise: float | None = None  # standard deviation (N) of the force sensor per axis; by default 0, in a lab 0.1
     tethered: bool = False  # end when standard input closes
 
 
@@ -126,7 +123,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
 
     Args:
-        arguments: Without the program's name; by default those of this process.
+        arguments: Arguments without the program's name; by default those of this process.
     """
     program = "python -m i2t.emulators.ur_controller"
     options = read_options(ControllerArgs, arguments, program=program, description=__doc__)
@@ -137,12 +134,12 @@ def run(options: ControllerArgs, contact: Contact, noise: float) -> None:
     """Run a controller until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
 
     Args:
-        options: What it is like.
-        contact: What its tool meets.
-        noise: N, of the force sensor, where the options name none.
+        options: Properties of the controller.
+        contact: Contact of its tool with its surroundings.
+        noise: Noise (N) of the force sensor if the options state none.
 
     Raises:
-        SystemExit: It cannot start; its message says why.
+        SystemExit: If it cannot start; the message gives the reason.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     robot = Robot(np.array(options.pose), contact, noise if options.noise is None else options.noise)

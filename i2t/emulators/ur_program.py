@@ -1,7 +1,7 @@
-"""Program of a UR controller: the script that ur_rtde uploads, and what the safety system does to it.
+"""Program of a UR controller: the script that ur_rtde uploads, and the effects of the safety system on it.
 
-Commands and results pass through registers: input_int_0 holds a command, output_int_0 says ready (1) or done (2), and
-goes back to ready once the client has written 0. `i2t.emulators.ur_controller` says what is emulated and what is not.
+Commands and results pass through registers: input_int_0 holds a command. output_int_0 is 1 (ready) or 2 (done), and
+returns to ready once the client has written 0. `i2t.emulators.ur_controller` describes what is emulated.
 """
 
 import sys
@@ -15,12 +15,14 @@ from i2t.emulators import rtde_protocol
 from i2t.emulators.robot_motion import Robot
 
 TICK = 0.002  # s
-STOPPED, PLAYING, PAUSED = 1, 2, 4  # runtime state
-READY, DONE = 1, 2  # output_int_0
-REGISTERS = 48  # of each kind
-COUNTER = 128  # at which the numbers of operations begin anew
-PROTECTIVE_DECELERATION = 10.0  # m/s^2
-FORCE_LIMIT_N = 150.0  # of a protective stop
+STOPPED, PLAYING, PAUSED = 1, 2, 4  # values of the runtime state
+
+
+class Handshake(IntEnum):
+    """Values of output_int_0."""
+
+    READY = 1
+    DONE = 2
 
 
 class Command(IntEnum):
@@ -37,61 +39,64 @@ class Command(IntEnum):
 
 
 class Controller:
-    """The program that the client uploads, run on the robot, and what the safety system does to it.
+    """The program that the client uploads, running on the robot, and the effects of the safety system on it.
 
     Args:
-        robot: What moves.
+        robot: The robot that moves.
     """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
         self.clock = 0.0  # s
-        self.heard_clock = 0.0  # when the client was heard last
-        self.moving_clock = 0.0  # when the tool moved last
+        self.heard_clock = 0.0  # s, when the client was last heard
+        self.moving_clock = 0.0  # s, when the tool last moved
         self.runtime, self.protective, self.local = STOPPED, False, False
-        self.in_ints, self.in_doubles = [0] * REGISTERS, [0.0] * REGISTERS
-        self.out_ints, self.out_doubles = [0] * REGISTERS, [0.0] * REGISTERS
-        self.watchdog: float | None = None  # s
-        self.asynchronous, self.operation, self.changes = False, 0, 0  # motion under way, its number, state changes
-        self.payload, self.tcp_offset, self.pendant_tcp = 0.0, [0.0] * 6, [0.0] * 6  # the last: a program begins with
+        registers = 48  # of each kind
+        self.in_ints, self.in_doubles = [0] * registers, [0.0] * registers
+        self.out_ints, self.out_doubles = [0] * registers, [0.0] * registers
+        self.watchdog: float | None = None  # s, timeout
+        # Whether a motion is under way, its number, and the number of state changes.
+        self.asynchronous, self.operation, self.changes = False, 0, 0
+        # The pendant's TCP is the one with which a program begins.
+        self.payload, self.tcp_offset, self.pendant_tcp = 0.0, [0.0] * 6, [0.0] * 6
         self.commands: list[int] = []
         self.uploads = 0
         self.outputs: dict[str, rtde_protocol.Value] = {}
-        self.forged: dict[str, rtde_protocol.Value] = {}  # sent in place of what is so
+        self.forged: dict[str, rtde_protocol.Value] = {}  # sent instead of the true values
 
     def upload(self) -> None:
-        """Start the client's program; whatever ran before ends."""
+        """Start the client's program, which ends any running one."""
         if self.local or self.protective:
             return
         self.uploads += 1
         self.tcp_offset = list(self.pendant_tcp)
         self.robot.stop()
         self.runtime, self.watchdog = PLAYING, None
-        self.out_ints[:2] = [READY, 0]
+        self.out_ints[:2] = [Handshake.READY, 0]
         self._set_asynchronous(False)
 
     def kill(self) -> None:
-        """End the program without a word to the client; the robot slows down."""
+        """End the program without a message to the client; the robot slows down."""
         self.robot.stop()
         self.runtime, self.watchdog = STOPPED, None
 
     def protective_stop(self) -> None:
         """Brake and pause the program."""
-        self.robot.stop(PROTECTIVE_DECELERATION)
+        self.robot.stop(deceleration=10.0)
         self.protective = True
         self.runtime = PAUSED if self.runtime == PLAYING else self.runtime
 
     def unlock(self) -> None:
-        """Release the protective stop; the program has to be started again."""
+        """Release the protective stop. The program has to be started again."""
         self.protective, self.runtime = False, STOPPED
 
     def write(self, values: Mapping[str, rtde_protocol.Value]) -> None:
-        """Take registers from the client; a command, be it none, tells the watchdog that the client lives.
+        """Write registers from the client. A command, even none, resets the watchdog.
 
         The speed slider is left to the pendant, as the driver leaves it.
 
         Args:
-            values: By the name of the input.
+            values: Values by the names of the inputs.
         """
         for name, value in values.items():
             kind, _, index = name.rpartition("_")
@@ -103,13 +108,14 @@ class Controller:
                 self.in_doubles[int(index)] = float(number)
 
     def step(self) -> None:
-        """Advance robot, safety and program by a tick."""
+        """Advance robot, safety system and program by a tick."""
         self.clock += TICK
-        if not getattr(self.robot.contact, "busy", False):  # a motion waits until it is known what lies ahead
+        if not getattr(self.robot.contact, "busy", False):  # a motion waits for the contact ahead of it
             self.robot.step(TICK)
         if self.robot.motion is not None:
             self.moving_clock = self.clock
-        if not self.protective and not np.linalg.norm(self.robot.wrench()[:3]) <= FORCE_LIMIT_N:
+        force = np.linalg.norm(self.robot.wrench()[:3])
+        if not self.protective and not force <= 150.0:  # N
             self.protective_stop()
         if self.asynchronous and self.robot.motion is None:
             self._set_asynchronous(False)
@@ -120,21 +126,21 @@ class Controller:
                 self._run_program()
 
     def _run_program(self) -> None:
-        """One cycle of the script's loop: wait for a command, carry it out, say that it is done."""
+        """Run one cycle of the script's loop: wait for a command, execute it, report that it is done."""
         command, state = self.in_ints[0], self.out_ints[0]
-        if state == DONE and command == 0:
-            self.out_ints[0] = READY
-        elif state == READY and command != 0:
+        if state == Handshake.DONE and command == 0:
+            self.out_ints[0] = Handshake.READY
+        elif state == Handshake.READY and command != 0:
             self.commands.append(command)
             try:
                 self._execute(command)
-                self.out_ints[0] = DONE
-            except (ArithmeticError, ValueError) as error:  # as the controller ends a program at a runtime error
+                self.out_ints[0] = Handshake.DONE
+            except (ArithmeticError, ValueError) as error:  # a runtime error ends the program on a real controller
                 print(f"command {command}: {error}: the program ends", file=sys.stderr, flush=True)
                 self.kill()
 
     def _execute(self, command: int) -> None:
-        """Carry out a command; raises ValueError for one that is not emulated."""
+        """Execute a command; raise ValueError for one that is not emulated."""
         d, robot = self.in_doubles, self.robot
         if command in (Command.MOVE_L, Command.STOP_L) and not self.in_ints[1]:
             raise ValueError("only asynchronous motions are emulated")
@@ -160,20 +166,21 @@ class Controller:
                 raise ValueError("is not emulated")
 
     def _set_asynchronous(self, running: bool) -> None:
-        """Say in output_int_2 whether an asynchronous motion is under way, and which."""
+        """Report in output_int_2 whether an asynchronous motion is under way, and which."""
+        modulus = 128
         if running:
-            self.operation = (self.operation + 1) % COUNTER
-        self.asynchronous, self.changes = running, (self.changes + 1) % COUNTER
+            self.operation = (self.operation + 1) % modulus
+        self.asynchronous, self.changes = running, (self.changes + 1) % modulus
         self.out_ints[2] = self.operation << 24 | self.changes << 16 | running << 15
 
     def output(self, name: str) -> rtde_protocol.Value:
-        """The value of an output at the last `observe`; registers as they are now.
+        """Return the value of an output at the last `observe`, or the present value of a register.
 
         Args:
-            name: Of the output.
+            name: Name of the output.
 
         Returns:
-            Its value.
+            The number or numbers of the output.
         """
         kind, _, index = name.rpartition("_")
         if kind == "output_int_register":
@@ -183,7 +190,7 @@ class Controller:
         return self.outputs[name]
 
     def observe(self) -> None:
-        """Gather what every client receives at this tick."""
+        """Compute the outputs that every client receives at this tick."""
         robot = self.robot
         self.outputs = {
             "timestamp": self.clock,
@@ -199,7 +206,7 @@ class Controller:
         }
 
     def status(self) -> dict[str, Any]:
-        """State for a test or a person, past the client; clocks in s."""
+        """Return the state for a test or a person, independently of the client; clocks in s."""
         robot = self.robot
         return {
             "clock": self.clock,

@@ -1,4 +1,4 @@
-"""The ports of a UR controller, in one loop that also keeps its time."""
+"""Ports of a UR controller, served in one loop that also keeps the controller's time."""
 
 import asyncio
 import contextlib
@@ -14,47 +14,43 @@ import numpy as np
 
 from i2t.emulators import rtde_protocol
 from i2t.emulators.robot_motion import plane
+from i2t.emulators.rtde_protocol import PacketType
 from i2t.emulators.ur_program import PLAYING, TICK, Controller
 
 Serve: TypeAlias = Callable[["Client"], Awaitable[None]]
 
-SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT, FAULT_PORT = 30003, 29999, 30004, 30100
-MAX_UNREAD_BYTES = 1 << 20  # of a client that does not read, which is then dropped
-INPUT_PASSES = 3  # of the loop, in which what has come reaches the program before its next tick
-MAX_LATE_S = 0.1  # that this process may be kept waiting before the robot's time stands still
-SCRIPT_BEGIN, SCRIPT_END = b"def rtde_control():", b"\nend\n"  # of the only program that is known here
-CONTROLLER_VERSION = (5, 11, 0, 108249)
-OK, UNKNOWN = "ok", "unknown: {}"  # answers of the fault port
+SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT = 30003, 29999, 30004
+FAULT_PORT = 30100  # port for faults on demand, which a real controller does not have
 
 
 class Client:
     """One connection.
 
     Args:
-        reader: Of what it sends.
-        writer: To it.
+        reader: Stream of the bytes that the client sends.
+        writer: Stream of the bytes to the client.
     """
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self.reader, self.writer = reader, writer
-        self.inputs: dict[int, rtde_protocol.Recipe] = {}  # registers that it writes
-        self.outputs = rtde_protocol.recipe("")  # that it is sent
+        self.inputs: dict[int, rtde_protocol.Recipe] = {}  # recipes of the registers that it writes
+        self.outputs = rtde_protocol.recipe("")  # recipe of the outputs that it receives
         self.every, self.streaming = 1, False  # ticks between two packets
 
     def send(self, data: bytes) -> None:
-        """Send bytes, or drop a client that does not read them.
+        """Send bytes, or drop a client that has not read a mebibyte of them.
 
         Args:
-            data: The bytes.
+            data: Bytes to send.
         """
         transport = self.writer.transport
         if not transport.is_closing():
             transport.write(data)
-        if transport.get_write_buffer_size() > MAX_UNREAD_BYTES:
+        if transport.get_write_buffer_size() > 1 << 20:
             transport.abort()
 
     async def packets(self) -> AsyncIterator[tuple[int, bytes]]:
-        """RTDE packets, each its type and body; raises ValueError for a size that cannot be."""
+        """Read RTDE packets as type and body; raise ValueError for an impossible size."""
         while True:
             size, kind = rtde_protocol.PACKET_HEADER.unpack(await self.reader.readexactly(3))
             if size < rtde_protocol.PACKET_HEADER.size:
@@ -66,7 +62,7 @@ class Server:
     """All ports of a controller, and its time.
 
     Args:
-        controller: What runs.
+        controller: The controller that runs.
         host: Address of this machine to listen on.
         tethered: Whether to end when standard input closes.
     """
@@ -80,10 +76,10 @@ class Server:
         """Serve until cancelled, or until the standard input of a tethered server ends.
 
         Args:
-            ready: Called once all ports are open.
+            ready: Function that is called once all ports are open.
 
         Raises:
-            OSError: A port cannot be opened.
+            OSError: If a port cannot be opened.
         """
         ports: dict[int, Serve] = {
             RTDE_PORT: self._rtde, DASHBOARD_PORT: self._dashboard, SCRIPT_PORT: self._script,
@@ -98,16 +94,16 @@ class Server:
         due = time.monotonic()
         while not ended.is_set():
             await asyncio.sleep(max(0.0, due - time.monotonic()))
-            for _ in range(INPUT_PASSES):
+            for _ in range(3):  # passes in which received data reaches the program before its next tick
                 await asyncio.sleep(0)
             now = time.monotonic()
-            due = now if now - due > MAX_LATE_S else due
+            due = now if now - due > 0.1 else due  # the robot's time stands still while this process is suspended
             while due <= now:
                 self._tick()
                 due += TICK
 
     async def _accept(self, serve: Serve, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a client until it ends or sends what cannot be."""
+        """Serve a client until it ends or sends something impossible."""
         client = Client(reader, writer)
         try:
             await serve(client)
@@ -127,7 +123,7 @@ class Server:
         due = [client for client in self.rtde_clients if client.streaming and tick % client.every == 0]
         if due and not self.stalled and not self.muted:
             controller.observe()
-            for client in (each for each in due if not (self.stalled_control and each.inputs)):
+            for client in (client for client in due if not (self.stalled_control and client.inputs)):
                 values = (controller.output(name) for name in client.outputs.names)
                 client.send(rtde_protocol.encode(1, client.outputs.layout, values))
 
@@ -136,40 +132,41 @@ class Server:
         async for kind, body in client.packets():
             if self.muted:
                 continue
-            if kind == rtde_protocol.DATA:
+            if kind == PacketType.DATA:
                 self.controller.write(rtde_protocol.decode(body, client.inputs))
             elif answer := self._answer(client, kind, body):
                 client.send(rtde_protocol.packet(kind, answer))
 
     def _answer(self, client: Client, kind: int, body: bytes) -> bytes:
-        """Body of the answer to a request; empty where there is none."""
+        """Answer a request; the body is empty if there is no answer."""
         match kind:
-            case rtde_protocol.PROTOCOL:
+            case PacketType.PROTOCOL:
                 return bytes([body == b"\x00\x02"])
-            case rtde_protocol.VERSION:
-                return struct.pack(">4I", *CONTROLLER_VERSION)
-            case rtde_protocol.OUTPUTS:
+            case PacketType.VERSION:
+                return struct.pack(">4I", 5, 11, 0, 108249)
+            case PacketType.OUTPUTS:
                 (frequency,) = struct.unpack_from(">d", body)
                 wanted = rtde_protocol.recipe(body[8:].decode())
                 client.every = max(1, round(1 / TICK / frequency))
-                client.outputs = wanted if wanted.known else client.outputs
-                return bytes([wanted.known]) + ",".join(wanted.types).encode()
-            case rtde_protocol.INPUTS:
+                client.outputs = wanted if wanted.valid else client.outputs
+                return bytes([wanted.valid]) + ",".join(wanted.types).encode()
+            case PacketType.INPUTS:
                 wanted = rtde_protocol.recipe(body.decode())
-                number = len(client.inputs) + 1 if wanted.known else 0
-                if wanted.known:
+                number = len(client.inputs) + 1 if wanted.valid else 0
+                if wanted.valid:
                     client.inputs[number] = wanted
                 return bytes([number]) + ",".join(wanted.types).encode()
-            case rtde_protocol.START | rtde_protocol.PAUSE:
-                client.streaming = kind == rtde_protocol.START and bool(client.outputs.names)
-                return bytes([kind == rtde_protocol.PAUSE or client.streaming])
+            case PacketType.START | PacketType.PAUSE:
+                client.streaming = kind == PacketType.START and bool(client.outputs.names)
+                return bytes([kind == PacketType.PAUSE or client.streaming])
         return b""
 
     async def _script(self, client: Client) -> None:
         received = b""
         while data := await client.reader.read(1 << 16):
             received += data
-            if SCRIPT_BEGIN in received and SCRIPT_END in received and not self.muted:
+            # The only emulated program.
+            if b"def rtde_control():" in received and b"\nend\n" in received and not self.muted:
                 received = b""
                 self.controller.upload()
 
@@ -179,19 +176,19 @@ class Server:
         await self._answer_lines(lambda line: "" if self.muted else self.dashboard(line), client)
 
     async def _answer_lines(self, answer: Callable[[str], str], client: Client) -> None:
-        """Answer lines of text; an empty answer is not sent."""
+        """Answer lines of text. An empty answer is not sent."""
         while line := await client.reader.readline():
-            if said := answer(line.decode().strip()):
-                client.send(said.encode() + b"\n")
+            if text := answer(line.decode().strip()):
+                client.send(text.encode() + b"\n")
 
     def dashboard(self, line: str) -> str:
-        """Do what a line on the dashboard port asks.
+        """Execute a line of the dashboard port.
 
         Args:
-            line: Of Universal Robots' dashboard.
+            line: Command of Universal Robots' dashboard.
 
         Returns:
-            The answer.
+            The dashboard's answer.
         """
         controller = self.controller
         match line.lower():
@@ -218,13 +215,13 @@ class Server:
         return f"could not understand: '{line}'"
 
     def fault(self, line: str) -> str:
-        """Do what a line on the fault port asks.
+        """Execute a line of the fault port.
 
         Args:
-            line: As in `i2t.emulators.ur_controller`.
+            line: Command as in `i2t.emulators.ur_controller`.
 
         Returns:
-            "ok", the status, or that the line is unknown.
+            "ok", the status, or a message that the line is unknown.
         """
         controller, robot = self.controller, self.controller.robot
         try:
@@ -260,7 +257,7 @@ class Server:
                 case ["status"]:
                     return json.dumps(controller.status())
                 case _:
-                    return UNKNOWN.format(line)
+                    return f"unknown: {line}"
         except (ValueError, KeyError):
-            return UNKNOWN.format(line)
-        return OK
+            return f"unknown: {line}"
+        return "ok"

@@ -13,23 +13,22 @@ if TYPE_CHECKING:
     from i2t.hardware.rig import Rig
     from i2t.types import Pad
 
-DEFAULT_PAD_KEY = 1000  # of the random pad that is worn where none is named, the same as pad 0 of experiments.train
-CARRIED_PAD_KEY = 1900  # of the random pad of a further skin on the tool, plus its number
+DEFAULT_PAD_KEY = 1000  # seed of the default random pad, which is pad 0 of experiments.train
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":
-    """A pad on disk, or the random one that is worn where none is named.
+    """Read a pad, or make the default random one.
 
     Args:
-        path: Of the pad, or None.
-        board: Name of the board that the pad must be on; by default any, and ReSkin's for the random one.
+        path: Path of the pad's file, or None for the random one.
+        board: Name of the board that the pad must be on; by default any, and ReSkin's for the random pad.
 
     Returns:
-        The pad.
+        The pad that touches the object.
 
     Raises:
-        ValueError: The file holds no pad, or one on another board.
-        OSError: It cannot be read.
+        ValueError: If the file holds no pad, or one on another board.
+        OSError: If it cannot be read.
     """
     from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
     from i2t.skin.files import load_pad
@@ -55,27 +54,28 @@ def _random_pad(key: int, board: str) -> "Pad":
 
 
 def make_scene(world: WorldArgs, rig: "Rig", board: str | None = None, number: int = 0) -> "ObjectScene":
-    """The object where the rig says that it stands, but for the errors of a session of that seed.
+    """Make a scene with the object at its pose in the rig, apart from the errors of a session with that seed.
 
     Args:
-        world: What is there.
-        rig: Where it is.
-        board: Name of the board of the skin that meets it; by default the pad's own, else ReSkin's.
-        number: Of a further skin on the tool, from 1, which has a random pad of its own; 0 for the one that presses.
+        world: The object, the pad and the seed.
+        rig: Calibration of the lab.
+        board: Name of the board of the skin that touches the object; by default that of the pad, or ReSkin's.
+        number: Number, from 1, of a further skin on the tool, which has a random pad of its own; 0 for the pressing
+            skin.
 
     Returns:
-        What this skin and the camera meet.
+        The scene of this skin and the camera.
 
     Raises:
-        ValueError: Object or pad cannot be used.
-        OSError: A file cannot be read.
+        ValueError: If object or pad cannot be used.
+        OSError: If a file cannot be read.
     """
     from i2t.emulators.scene import ObjectScene
     from i2t.objects.named import read_object
     from i2t.simulation.touches import SimulationErrors
 
-    pad = _random_pad(CARRIED_PAD_KEY + number, board) if number and board else read_pad(world.pad, board)
+    pad = _random_pad(1900 + number, board) if number and board else read_pad(world.pad, board)
     errors = SimulationErrors().scaled(0.0) if world.no_pose_error else SimulationErrors()
-    mesh = read_object(world.object, world.unit).mesh  # every piece of it, whichever is to be touched
+    mesh = read_object(world.object, world.unit).mesh  # all pieces of the object, whichever is to be touched
     T_b_o = rig.T_base_world @ rig.T_world_object
     return ObjectScene(mesh, T_b_o, pad, errors, stiffness=world.stiffness, seed=world.seed)

@@ -42,20 +42,20 @@ def _looked(site, missed):
     return Look(0.0, missed, shifts, site.T_w_t[:3, :3])
 
 
-def test_a_right_rig_passes_and_says_what_it_found():
-    procedure, said = make(settings=QUICK), []
-    first_touch(procedure, Block(), said.append)
-    assert "0 % of the object's pixels" in said[0]
-    assert [line.split(": met the object ")[0] for line in said[1:]] == [
-        "first looks: they could not tell whether the camera is aside",
+def test_a_right_rig_passes_with_a_report():
+    procedure, sentences = make(settings=QUICK), []
+    first_touch(procedure, Block(), sentences.append)
+    assert "0 % of the object's pixels" in sentences[0]
+    assert [line.split(": met the object ")[0] for line in sentences[1:]] == [
+        "first looks: they could not measure the lateral offset of the camera",
         "top",
-        "first touches: 0 of 2 sides can be touched, so that what is aside may go unnoticed",
+        "first touches: 0 of 2 sides can be touched; a lateral error may go unnoticed",
     ]
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029  # it has retreated
 
 
 @pytest.mark.parametrize("off", [0.010, -0.010])
-def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(off):
+def test_a_displaced_view_is_refused_before_anything_is_touched(off):
     procedure = make(settings=QUICK)
     # The eye always sees something at 104 mm, so that the view is judged where the rig looks from.
     procedure.rig.__dict__["looking_distance"] = 0.104 + off
@@ -68,7 +68,7 @@ def test_a_camera_that_sees_it_elsewhere_stops_before_anything_is_touched(off):
     (-0.018, GAIN, "something was met 16 mm before"),
     (0.0, 0 * GAIN, r"a press of \d\.\d N changed its reading by 0\.0 uT"),
 ])  # fmt: skip
-def test_what_is_met_elsewhere_or_not_felt_is_said_and_the_tool_retreats(monkeypatch, off, gain, sentence):
+def test_a_displaced_or_unfelt_contact_is_refused_and_the_tool_retreats(monkeypatch, off, gain, sentence):
     procedure, sampler = make(gain=gain, settings=QUICK), Block()
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 1.0))
     sampler.height = HEIGHT + off
@@ -77,7 +77,7 @@ def test_what_is_met_elsewhere_or_not_felt_is_said_and_the_tool_retreats(monkeyp
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029
 
 
-def test_a_wrong_payload_is_felt_and_sites_out_of_reach_are_known_before_anything_moves():
+def test_a_wrong_payload_and_unreachable_sites_are_refused_before_any_motion():
     procedure, sampler = make(settings=QUICK), Block()
     begun = procedure.clock.now()
     sampler.height = 2.0
@@ -105,16 +105,16 @@ def _slow_settings(procedure, sampler):
     return plan_first_touch(procedure, sampler).touches[0].procedure.settings
 
 
-def test_the_slow_touch_goes_as_far_as_the_placement_may_err():
+def test_the_slow_touch_goes_as_far_as_the_object_s_position_is_uncertain():
     procedure, sampler = _unsure(), Block()
     assert _slow_settings(procedure, sampler).overtravel == pytest.approx(16e-3, abs=1e-5)
     sampler.height = HEIGHT + 0.012  # the plane is met 12 mm past where the sites are
-    said = module._touch(plan_first_touch(procedure, sampler).touches[0])
-    late = float(re.search(r"met the object ([+-][\d.]+) mm", said)[1])
+    sentence = module._touch(plan_first_touch(procedure, sampler).touches[0])
+    late = float(re.search(r"met the object ([+-][\d.]+) mm", sentence)[1])
     assert late == pytest.approx(12, abs=0.1)  # what the skin gives until it is felt is left out
 
 
-def test_the_slow_touch_goes_no_further_than_the_arm_can():
+def test_the_slow_touch_stays_within_reach():
     """An arm that plans is asked of both ends of the line; where it forbids them the touch begins and ends nearer."""
     procedure = _unsure()
     lowest, highest, asked = HEIGHT - 7e-3, HEIGHT + 16e-3, []
@@ -143,12 +143,12 @@ def test_the_slow_touch_goes_no_further_than_the_arm_can():
 
 def _turn(pair):
     """Degrees by which the tool is turned about its own axis between a site and the same turned."""
-    site, turned = (each.T_w_t for each in pair)
+    site, turned = (pose.T_w_t for pose in pair)
     np.testing.assert_allclose(site[:3, 2:], turned[:3, 2:], atol=1e-12)
     return Rotation.from_matrix(site[:3, :3].T @ turned[:3, :3]).as_euler("zyx", degrees=True)[0]
 
 
-def test_one_site_is_looked_at_again_with_the_tool_turned_as_far_as_the_arm_can():
+def test_one_look_is_repeated_with_the_largest_reachable_turn():
     procedure, sampler = make(settings=QUICK), Block()
     plan = plan_first_touch(procedure, sampler)
     assert plan.pair[0] is plan.looks[0]
@@ -158,29 +158,29 @@ def test_one_site_is_looked_at_again_with_the_tool_turned_as_far_as_the_arm_can(
     assert _turn(plan_first_touch(procedure, sampler).pair) == pytest.approx(120)
     procedure.arm.why_unreachable = lambda goals: "wound up" if goals[0][0, 0] < 0.6 else ""
     assert plan_first_touch(procedure, sampler).pair == ()
-    said = []
-    first_touch(procedure, sampler, said.append)
-    assert "none can be repeated with the tool turned" in said[1]
+    sentences = []
+    first_touch(procedure, sampler, sentences.append)
+    assert "none can be repeated with the tool turned" in sentences[1]
 
 
-@pytest.mark.parametrize(("off", "unsure", "said"), [
+@pytest.mark.parametrize(("off", "unsure", "sentence"), [
     (4.4e-3, 0.0, r"the camera is off by [+-]0\.0 and \+4\.4 mm along the tool's x and y$"),
     (-4.6e-3, 3.9e-3, "refused"),
-    (9e-3, 12e-3, "maybe further in directions that they could not tell"),
+    (9e-3, 12e-3, "maybe further in directions that they could not measure"),
     (np.nan, 0.0, "refused"),
 ])  # fmt: skip
-def test_a_camera_that_is_aside_of_what_the_rig_has_is_told_from_an_object_that_is(off, unsure, said):
+def test_an_offset_of_the_camera_is_separated_from_one_of_the_object(off, unsure, sentence):
     moved, turns = np.array([9e-3, 2e-3, 0.0]), (np.eye(3), np.diag([-1.0, -1.0, 1.0]))
     aside = np.array([[0.0, off - unsure, 0.0], [0.0, off + unsure, 0.0]])
     looks = [Look(0.0, 1.0, moved - aside @ turn.T, turn) for turn in turns]
-    if said == "refused":
+    if sentence == "refused":
         with pytest.raises(RigContradictedError, match="check T_flange_tool and T_tool_camera"):
-            module._compared(*looks)
+            module._compare_looks(*looks)
     else:
-        assert re.search(said, module._compared(*looks))
+        assert re.search(sentence, module._compare_looks(*looks))
 
 
-def test_sides_are_met_where_the_object_ends_from_square_directions_with_the_camera_above():
+def test_sides_are_touched_from_perpendicular_directions_with_the_camera_above():
     procedure, sampler = make(settings=QUICK), Block()
     sampler.limits = SiteLimits()
     procedure.rig = replace(procedure.rig, T_tool_camera=right_rig().T_tool_camera)
@@ -195,17 +195,17 @@ def test_sides_are_met_where_the_object_ends_from_square_directions_with_the_cam
         assert (side.site.T_w_t @ procedure.rig.T_tool_camera)[2, 3] > side.site.T_w_t[2, 3] + 0.06
 
 
-def test_a_flat_object_has_no_sides_and_looks_that_would_not_miss_it_say_so(monkeypatch):
-    procedure, sampler, said = make(settings=QUICK), Block(), []
+def test_a_flat_object_has_no_sides_and_its_looks_prove_nothing(monkeypatch):
+    procedure, sampler, sentences = make(settings=QUICK), Block(), []
     flat = Mesh(sampler.placed.vertices * np.array([1.0, 1.0, 0.1]), sampler.placed.faces)
     sampler.limits, sampler.placed = SiteLimits(), flat
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 0.0))
-    first_touch(procedure, sampler, said.append)
-    assert "could not judge" in said[2]
-    assert "0 of 2 sides can be touched" in said[-1]
+    first_touch(procedure, sampler, sentences.append)
+    assert "prove nothing" in sentences[2]
+    assert "0 of 2 sides can be touched" in sentences[-1]
 
 
-def test_the_place_of_a_point_is_known_as_well_as_the_object_s_pose():
+def test_the_covariance_of_a_point_follows_from_that_of_the_pose():
     far = np.array([0.1, 0.0, 0.0])
     turned = np.array([0.0, 0.1 * np.radians(1), 0.1 * np.radians(1)])
     np.testing.assert_allclose(module.place_covariance(Rig(), far), np.diag(1e-6 + turned**2), atol=1e-12)
@@ -231,13 +231,13 @@ def test_the_expected_view_is_the_block_s_top_above_the_table():
 
 
 @pytest.mark.parametrize(("aside", "wrong"), [(0, 0.0), (6, 0.0), (8, 1.0)])
-def test_a_thin_wall_may_be_seen_aside_within_the_radius_and_no_further(aside, wrong):
+def test_a_thin_wall_may_be_displaced_by_the_radius_and_no_more(aside, wrong):
     expected = np.full((20, 60), 0.16)
     expected[:, 30:33] = 0.1
     seen = np.roll(expected, aside, axis=1)
     seen[5:9] = np.nan  # a hole
-    found = depth_contradiction(seen, expected, expected < 0.15, 6e-3, 5)
-    assert found == (0.8, pytest.approx(wrong, abs=0.34 * (aside == 6)))
+    fractions = depth_contradiction(seen, expected, expected < 0.15, 6e-3, 5)
+    assert fractions == (0.8, pytest.approx(wrong, abs=0.34 * (aside == 6)))
 
 
 @pytest.mark.full
@@ -247,13 +247,13 @@ def test_right_rigs_over_thin_small_and_shiny_objects_pass(number):
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("what", "place", "said"), [
+@pytest.mark.parametrize(("what", "place", "sentence"), [
     *(("object 7 mm aside", place, "slow touch of the side met") for place in (0, 1)),
     *(("TCP 7 mm aside", place, "two looks at a site") for place in (0, 2)),
 ])  # fmt: skip
-def test_an_object_that_is_aside_is_met_so_at_a_side_and_a_tcp_is_seen_by_turning_the_tool(what, place, said):
-    aside = [each for each in WRONG_RIGS if what in each[0].name]
-    assert said in try_mistake(*aside[place]).sentence
+def test_a_displaced_object_is_found_at_a_side_and_a_displaced_tcp_by_the_turned_look(what, place, sentence):
+    aside = [wrong for wrong in WRONG_RIGS if what in wrong[0].name]
+    assert sentence in try_mistake(*aside[place]).sentence
 
 
 @pytest.mark.full

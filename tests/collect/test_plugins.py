@@ -39,9 +39,9 @@ def acme(monkeypatch):
     monkeypatch.setattr(plugins, "entry_points", lambda **wanted: [*ours(**wanted), *registered.select(**wanted)])
 
 
-def code_lines(made):
+def code_lines(function):
     """Lines of a class without docstrings and blank lines."""
-    tree = ast.parse(inspect.getsource(made))
+    tree = ast.parse(inspect.getsource(function))
     for node in ast.walk(tree):
         if isinstance(node, ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node):
             node.body = node.body[1:]
@@ -56,7 +56,7 @@ def test_an_arm_is_written_in_25_lines_and_a_skin_in_15(acme):
 
 
 @pytest.mark.full
-def test_the_examples_are_collected_with(acme, tmp_path, capsys):
+def test_a_set_is_collected_with_the_example_devices(acme, tmp_path, capsys):
     """Four chips: twelve values from the device to the data set."""
     Rig().write(tmp_path / "lab.toml")
     shared = ["--skip-first-touch", "--touches", "1", "--rig", str(tmp_path / "lab.toml"), "--no-pose-error",
@@ -64,19 +64,19 @@ def test_the_examples_are_collected_with(acme, tmp_path, capsys):
     devices = ["--arm=acme_devices:AcmeArm", "--skin=acme_devices:AcmeSkin", "--camera=acme"]
     assert command.main(["--out", str(tmp_path / "set"), *devices, *shared]) == 0
     assert "SIMULATED" in capsys.readouterr().out
-    made = dataset.load_dataset(tmp_path / "set")
-    assert made.touches.reading.shape == (1, 12)
-    assert (made.source, made.board.num_chips) == ("simulated", 4)
-    assert np.linalg.norm(made.touches.reading) > 15
+    collected = dataset.load_dataset(tmp_path / "set")
+    assert collected.touches.reading.shape == (1, 12)
+    assert (collected.source, collected.board.num_chips) == ("simulated", 4)
+    assert np.linalg.norm(collected.touches.reading) > 15
     names = [f"--{kind}=acme" for kind in plugins.KINDS]
     assert command.main(["--out", str(tmp_path / "dry"), "--dry-run", *names, *shared]) == 0
-    said = capsys.readouterr().out
-    assert "BAD" not in said
-    assert all(f"Acme's {kind}: " in said for kind in plugins.KINDS)
+    output = capsys.readouterr().out
+    assert "BAD" not in output
+    assert all(f"Acme's {kind}: " in output for kind in plugins.KINDS)
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "sentence"),
     [
         ("nowhere_at_all:Arm", "nowhere_at_all cannot be imported (No module named"),
         ("acme_devices:Nothing", "acme_devices has no Nothing; give package.module:Class"),
@@ -85,13 +85,13 @@ def test_the_examples_are_collected_with(acme, tmp_path, capsys):
         ("other", "is not known; give a name that an installed package registers (acme, emulated, simulated, ur)"),
     ],
 )
-def test_what_is_missing_or_wrong_is_one_sentence(acme, monkeypatch, name, said):
+def test_a_missing_or_wrong_device_is_refused_in_one_sentence(acme, monkeypatch, name, sentence):
     no_methods = type("NoMethods", (), {"__init__": lambda self, setup: None})
     broken = SimpleNamespace(NoArguments=type("NoArguments", (), {}), NoMethods=no_methods)
     monkeypatch.setitem(sys.modules, "broken_devices", broken)
     with pytest.raises(ValueError, match=r"^--arm ") as error:
         load_device("arm", name, DeviceSetup(Rig()))
-    assert said in str(error.value)
+    assert sentence in str(error.value)
     assert "\n" not in str(error.value)
 
 
@@ -102,7 +102,9 @@ def test_a_real_arm_of_another_package_needs_a_rig(acme, monkeypatch, tmp_path, 
     real = property(lambda arm: features(arm)._replace(source="real"))
     monkeypatch.setattr(acme_devices.AcmeArm, "features", real)
     monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: pytest.fail("the arm was connected"))
-    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why="a real arm needs to know its lab")
+    refused(
+        capsys, command.main, "--out", tmp_path / "set", *CLASSES, why="a real arm needs the calibration of its lab"
+    )
 
 
 @pytest.mark.full
@@ -116,7 +118,7 @@ def test_the_example_passes_its_own_tests():
     assert done.returncode == 0, done.stdout
 
 
-def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(acme, tmp_path, monkeypatch, capsys):
+def test_views_of_a_board_are_taken_with_devices_of_another_package(acme, tmp_path, monkeypatch, capsys):
     """The arm is let go between views, so that a person can move it."""
     import acme_devices
 
@@ -125,7 +127,7 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(acme, 
     monkeypatch.setattr(acme_devices.AcmeArm, "connect", lambda arm: held.append(True) or connect(arm))
     monkeypatch.setattr(acme_devices.AcmeArm, "close", lambda arm: held.append(False) or close(arm))
     answers, seen_held = iter(["", "", "q"]), []
-    monkeypatch.setattr("builtins.input", lambda said: seen_held.append(held[-1]) or next(answers))
+    monkeypatch.setattr("builtins.input", lambda prompt: seen_held.append(held[-1]) or next(answers))
     Rig().write(tmp_path / "lab.toml")
     words = ["--arm", "acme", "--camera", "acme_devices:AcmeCamera", "--rig", str(tmp_path / "lab.toml")]
     assert hand_eye.main(["capture", str(tmp_path / "views"), *words]) == 0, capsys.readouterr().err
@@ -140,18 +142,18 @@ def test_views_of_a_board_are_taken_with_another_package_s_arm_and_camera(acme, 
 
 
 @pytest.mark.parametrize(
-    ("board", "said"),
+    ("board", "sentence"),
     [
-        (None, "AcmeSkin: does not say where its chips are; give it an attribute board"),
+        (None, "AcmeSkin: does not state where its chips are; give it an attribute board"),
         (reskin_board(), "Acme's skin sends 12 values, and a board of 5 chips"),
     ],
 )
-def test_a_skin_that_does_not_know_its_board_is_refused(acme, monkeypatch, tmp_path, capsys, board, said):
+def test_a_skin_without_a_board_is_refused(acme, monkeypatch, tmp_path, capsys, board, sentence):
     """Its chips are not taken for ReSkin's five."""
     import acme_devices
 
-    made = acme_devices.AcmeSkin.__init__
+    initialise = acme_devices.AcmeSkin.__init__
     monkeypatch.setattr(
-        acme_devices.AcmeSkin, "__init__", lambda skin, setup: made(skin, setup) or setattr(skin, "board", board)
+        acme_devices.AcmeSkin, "__init__", lambda skin, setup: initialise(skin, setup) or setattr(skin, "board", board)
     )
-    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why=said)
+    refused(capsys, command.main, "--out", tmp_path / "set", *CLASSES, why=sentence)

@@ -51,7 +51,7 @@ def pressed(*sites, **options):
 def goals_of(procedure):
     """The poses to which the arm will be sent."""
     goals, go = [], procedure.arm.go
-    procedure.arm.go = lambda goal, *how: goals.append(goal.copy()) or go(goal, *how)
+    procedure.arm.go = lambda goal, *motion: goals.append(goal.copy()) or go(goal, *motion)
     return goals
 
 
@@ -80,7 +80,7 @@ def test_a_press_stops_by_the_skin_and_measures_the_spring_along_its_normal():
         assert len(memory.log.readings[""]) > 400 * settings.near / settings.press  # the whole press, at 400 Hz
 
 
-def test_air_is_met_where_nothing_is():
+def test_a_press_without_an_object_meets_air():
     procedure, (outcome,), memory = pressed(site(0, height=HEIGHT + 0.02))
     touched = memory.saved[0]
     assert outcome.code == ReturnCode.AIR
@@ -89,7 +89,7 @@ def test_air_is_met_where_nothing_is():
     assert abs(touched.force) < 1e-9
 
 
-def test_what_was_not_expected_fails_and_is_tried_again():
+def test_an_unexpected_contact_fails_and_is_repeated():
     procedure, memory = make(settings=TouchSettings(failures=2)), Memory()
     procedure.extract_patch = lambda *view: closed_form.extract_patch(*view, nearest=0.0)  # the camera does not see it
     with pytest.raises(DeviceError, match="2 sites in a row"):
@@ -103,12 +103,12 @@ def test_what_was_not_expected_fails_and_is_tried_again():
 
 def test_the_camera_can_refuse_a_site():
     procedure = make()
-    for seen, said in (({"nearest": -0.02}, "register"), ({"visible_share": 0.2}, "20 %")):
+    for seen, sentence in (({"nearest": -0.02}, "register"), ({"visible_share": 0.2}, "20 %")):
         procedure.extract_patch = partial(closed_form.extract_patch, **seen)
-        refuse(TouchFailedError, [(procedure.touch, (site(0), MemoryLog()), said)])
+        refuse(TouchFailedError, [(procedure.touch, (site(0), MemoryLog()), sentence)])
 
 
-def test_places_outside_the_box_cost_no_motion_and_are_no_failures_of_a_device():
+def test_sites_outside_the_box_are_skipped_without_motion_or_failure():
     procedure, outcomes, _ = pressed(site(7, x=0.3), site(8), site(7, x=0.3), settings=TouchSettings(failures=1))
     assert [outcome.code for outcome in outcomes] == [ReturnCode.FAILED, ReturnCode.SKIN, ReturnCode.FAILED]
     assert [outcome.reachable for outcome in outcomes] == [False, True, False]
@@ -117,7 +117,7 @@ def test_places_outside_the_box_cost_no_motion_and_are_no_failures_of_a_device()
         procedure.path.check(site(7, x=0.3))
 
 
-def test_every_pose_on_the_way_stays_in_the_box_and_above_the_object_and_choosers_are_told_all_but_images():
+def test_every_pose_stays_in_the_box_above_the_object_and_histories_hold_no_images():
     """Also where the way across is as high as the box allows."""
     procedure, memory = make(), Memory()
     procedure.top = procedure.rig.limits.upper[2] - procedure.settings.clearance
@@ -157,7 +157,7 @@ def test_a_skin_that_falls_silent_stops_the_press_and_is_connected_again():
     assert memory.saved[0].attempt == 1
 
 
-def test_a_camera_that_is_unplugged_is_waited_for_and_then_a_person_is_asked():
+def test_an_unplugged_camera_is_reconnected_until_patience_ends():
     procedure, memory = make(settings=TouchSettings(patience=2.0)), Memory()
     procedure.camera.trouble = DeviceError("eye is gone")
     begun = procedure.clock.now()
@@ -169,7 +169,7 @@ def test_a_camera_that_is_unplugged_is_waited_for_and_then_a_person_is_asked():
 
 
 @pytest.mark.parametrize("errors", [closed_form.QUIET, NOISY], ids=["frozen", "alive"])
-def test_a_press_with_a_skin_that_is_frozen_is_no_touch(errors):
+def test_a_press_with_a_frozen_skin_fails(errors):
     """A simulated skin without noise plays it, which calls itself emulated."""
     procedure = make(errors=errors, gain=np.zeros(READINGS))
     skin = procedure.skins[0].skin
@@ -225,7 +225,7 @@ def test_noise_alone_crosses_the_limit_and_stops_no_press_in_a_thousand():
     assert stopped == 0
 
 
-def test_the_stop_condition_stops_on_what_differs_and_not_on_what_all_chips_see():
+def test_the_stop_condition_ignores_a_field_that_all_chips_share():
     board = boards.reskin_board()
     rest, ambient = np.zeros((3, 10, 15)), np.zeros(15)
     common = board.to_board(np.tile([0.0, 0.0, 40.0], (5, 1)))
@@ -257,22 +257,22 @@ def test_an_object_too_high_for_the_box_is_refused_and_nothing_moves():
     assert not memory.log.events
 
 
-@pytest.mark.parametrize(("bad", "said"), [
+@pytest.mark.parametrize(("bad", "sentence"), [
     *(({name: value}, "limit") for name, value in
       (("speed", 0.26), ("retreat", 0.3), ("acceleration", 0.6), ("force", 31.0), ("torque", 11.0), ("prepare", 0.2))),
-    ({"approach": 0.1}, "approach is 0.1 m/s: told to stop at 8 N it would end at 73 N"),
+    ({"approach": 0.1}, "approach is 0.1 m/s: stopped at 8 N, it would end at 73 N"),
     ({"press": 0.05}, "press is 0.05 m/s"),
     ({"force": 29.9}, "above the rig's limit, 30 N"),
 ])  # fmt: skip
-def test_settings_beyond_the_limits_or_what_can_be_stopped_in_time_are_refused_before_anything_moves(bad, said):
+def test_settings_beyond_the_limits_are_refused_before_any_motion(bad, sentence):
     procedure = make(settings=TouchSettings(**bad), rig=Rig())
     begun = procedure.clock.now()
-    with pytest.raises(ValueError, match=said):
+    with pytest.raises(ValueError, match=sentence):
         list(procedure.run(listed(site(0)), Memory()))
     assert procedure.clock.now() == begun
 
 
-def test_air_that_the_camera_contradicts_is_no_touch_and_ends_the_run():
+def test_air_that_the_camera_contradicts_ends_the_run():
     """An arm and a skin that feel nothing go through what the camera sees."""
     procedure, memory = make(stiffness=1e-6, gain=np.zeros(READINGS)), Memory()
     with pytest.raises(MissedContactError, match=r"surface 6\.0 mm before its end"):
@@ -291,7 +291,7 @@ def test_a_tool_outside_its_box_is_not_moved():
 
 
 @pytest.mark.parametrize("tilt_deg", [30.0, 85.0, 120.0])
-def test_where_the_box_forbids_going_back_a_skin_that_faces_down_is_lifted_and_one_that_faces_up_is_left(tilt_deg):
+def test_at_the_edge_of_the_box_a_skin_is_lifted_if_it_faces_down_and_stays_if_it_faces_up(tilt_deg):
     """It gets no deeper into what it pressed, and the tool never leaves the box. Its axis is so far (degrees) from
     straight down, and the box ends behind it.
     """
@@ -319,8 +319,8 @@ def test_onset_is_exact_for_a_line_and_a_fifth_short_for_a_ball():
     sunk = np.maximum(0, 0.4e-3 - before)
     for power, short in ((1.0, 0.0), (1.5, 0.2)):
         rows = (sunk / 0.4e-3)[:, None] ** power * GAIN
-        found = onset_distance(rows, before, np.zeros(READINGS), GAIN)
-        assert abs(found - (1 - short) * 0.4e-3) < 0.02e-3 + 0.02 * short * 1e-3
+        distance = onset_distance(rows, before, np.zeros(READINGS), GAIN)
+        assert abs(distance - (1 - short) * 0.4e-3) < 0.02e-3 + 0.02 * short * 1e-3
     for rows in (0, 5):
         assert np.isnan(onset_distance(np.zeros((rows, READINGS)), np.zeros(rows), np.zeros(READINGS), GAIN))
 

@@ -10,7 +10,7 @@ import pytest
 from helpers.closed_form import GAIN, HEIGHT, WALL, listed, make, names, site
 
 from i2t import dataset
-from i2t.collect import notes, recorder
+from i2t.collect import folder_notes, recorder
 from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, written_at
 from i2t.errors import DataError, DeviceError
 from i2t.files.writing import unwritable
@@ -26,7 +26,7 @@ def lab(tmp_path):
         yield procedure, recording
 
 
-def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(lab):
+def test_a_touch_is_read_back_unchanged_with_the_whole_press_in_unix_time(lab):
     procedure, recording = lab
     (outcome,) = procedure.run(listed(site(3)), recording)
     (path,) = touches_in(recording.folder)
@@ -41,7 +41,7 @@ def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(l
     np.testing.assert_array_equal(record.images["colour"].values, 0)
     np.testing.assert_allclose(record.series["ambient"].values[0], touched.skins[""].ambient, rtol=1e-6)
     assert [text for _, text in record.events][:3] == ["site 3, attempt 1", "look", "prepare"]
-    for name in (recorder.UNDER_WAY, recorder.INTERRUPTED):  # no raw file is left
+    for name in (".under-way", recorder.INTERRUPTED):  # no raw file is left
         assert not (recording.folder / name).exists()
 
     tactile, pose, wrench = (record.series[name] for name in ("tactile", "pose", "wrench"))
@@ -61,12 +61,12 @@ def test_a_touch_is_read_back_as_it_was_made_with_the_whole_press_in_unix_time(l
     np.testing.assert_allclose(-wrench.values[:, 2], at, atol=0.05)
 
 
-def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab):
+def test_the_raw_file_of_an_interrupted_touch_is_kept_and_readable_at_any_cut(lab):
     procedure, recording = lab
     approach = procedure.arm.approach
 
-    def interrupted(*how, **named):
-        approach(*how, **named)
+    def interrupted(*motion, **options):
+        approach(*motion, **options)
         raise KeyboardInterrupt
 
     procedure.arm.approach = interrupted
@@ -89,13 +89,16 @@ def test_what_was_under_way_is_kept_aside_and_can_be_read_wherever_it_is_cut(lab
         for (kind, value), (whole_kind, whole_value) in zip(read, entries, strict=False):
             assert kind == whole_kind
             assert np.array_equal(value, whole_value) if kind != "event" else value == whole_value
-    for text, said in (("something", "no raw file"), ('{"touch": "i2t raw", "version": 1}\n', "of an earlier version")):
+    for text, message in (
+        ("something", "not a raw file"),
+        ('{"touch": "i2t raw", "version": 1}\n', "by an earlier version"),
+    ):
         raw.write_text(text)
-        with pytest.raises(DataError, match=said):
+        with pytest.raises(DataError, match=message):
             list(read_raw(raw))
 
 
-def test_a_folder_that_cannot_be_used_and_a_disk_that_is_nearly_full_are_found_before_the_arm_moves(tmp_path):
+def test_an_unusable_folder_and_a_nearly_full_disk_are_found_before_any_motion(tmp_path):
     (tmp_path / "file").write_text("")
     procedure = make()
     with pytest.raises(DeviceError, match="choose a folder you may write to"):
@@ -109,25 +112,25 @@ def test_a_folder_that_cannot_be_used_and_a_disk_that_is_nearly_full_are_found_b
 
 
 @pytest.mark.parametrize(
-    ("where", "code", "said"), [("raw", errno.ENOSPC, "No space left"), ("touch", errno.EROFS, "Read-only")]
+    ("where", "code", "sentence"), [("raw", errno.ENOSPC, "No space left"), ("touch", errno.EROFS, "Read-only")]
 )
-def test_trouble_with_the_disk_is_one_sentence_and_the_arm_stands(lab, monkeypatch, where, code, said):
+def test_a_failure_of_the_disk_is_one_sentence_and_the_arm_stops(lab, monkeypatch, where, code, sentence):
     procedure, recording = lab
     list(procedure.run(listed(site(0)), recording))
     error, write, states = OSError(code, os.strerror(code)), recorder.EventLog._write, []
 
-    def failing(made, entry):
+    def failing(log, entry):
         states.extend(entry[:1] if entry[0] == "arm" else [])
         if len(states) > 20:  # in the middle of an approach
             raise recorder._not_kept(recording.folder, error)
-        write(made, entry)
+        write(log, entry)
 
     if where == "raw":
         monkeypatch.setattr(recorder.EventLog, "_write", failing)
     else:
         monkeypatch.setattr(recorder.dataset, "write_touch", Mock(side_effect=unwritable(recording.folder, error)))
     acknowledged = []
-    with pytest.raises(StorageError, match=said) as ended:
+    with pytest.raises(StorageError, match=sentence) as ended:
         acknowledged.extend(procedure.run(listed(site(1)), recording))
     assert "\n" not in str(ended.value)
     assert not acknowledged
@@ -147,15 +150,15 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
 
     list(procedure.run(listed(site(0)), recording))
     procedure.camera.capture = jumped
-    for said in (r"jumped by -3600\.0 s; the touch is saved", "behind the newest touch"):
-        with pytest.raises(StorageError, match=said):
+    for sentence in (r"jumped by -3600\.0 s; the touch is saved", "behind the newest touch"):
+        with pytest.raises(StorageError, match=sentence):
             list(procedure.run(listed(site(1)), recording))
     first, second = touches_in(recording.folder)
     assert 5 < written_at(second) - written_at(first) < 30
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
 
 
-def test_names_of_touches_grow_even_if_the_clock_goes_back_and_states_are_in_the_order_of_time(lab):
+def test_names_of_touches_ascend_even_if_the_clock_goes_back(lab):
     """The clock of a later touch is read between its check and its date: set back by 0.3 s, it would sort first."""
     procedure, recording = lab
     (outcome,) = procedure.run(listed(site(0)), recording)
@@ -196,5 +199,5 @@ def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(lab, mon
     recording.save(outcome.touch)
     assert done[:3] == ["file", "rename", "folder"]
     done.clear()
-    notes.write_notes(recording.folder, {"seed": 0})
+    folder_notes.write_notes(recording.folder, {"seed": 0})
     assert done == ["file", "rename", "folder"]

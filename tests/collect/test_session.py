@@ -15,11 +15,11 @@ import trimesh
 from helpers import random_touches
 
 from i2t import dataset
-from i2t.collect import command, notes, recorder, session
+from i2t.collect import command, folder_notes, recorder, session
 from i2t.collect.arguments import CollectArgs, LabArgs
-from i2t.collect.beginning import begin
 from i2t.collect.devices import Devices
 from i2t.collect.site_plan import SiteSampler
+from i2t.collect.start import begin
 from i2t.collect.touch import SkinOnTool, UnreachableError
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedSkin
@@ -38,7 +38,7 @@ from i2t.types import ReturnCode
 BOX = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))  # any mesh
 
 
-def test_a_piece_that_is_not_to_be_touched_is_kept_clear_of(tmp_path, capsys):
+def test_sites_keep_clear_of_a_piece_that_is_not_touched(tmp_path, capsys):
     plate, post = trimesh.creation.box((100, 60, 10)), trimesh.creation.cylinder(5, 150)
     plate.apply_translation((0, 0, 5))
     post.apply_translation((20, 0, 86))  # loose: 1 mm above the plate
@@ -71,7 +71,7 @@ def rig(tmp_path_factory):
 
 
 @pytest.mark.full
-def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig, capsys):
+def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
     """A hexagon 30 mm high: the patch lies where the arm and the rig say, within their errors of a millimetre."""
 
     def run(*more, touches):
@@ -79,11 +79,11 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
         code = command.main(words)
         return code, "".join(capsys.readouterr())
 
-    code, said = run(touches=1)
+    code, output = run(touches=1)
     assert code == 0
     for sentence in ("SIMULATED: no real device takes part", "the simulated skin: at rest 400 Hz",
                      "top: met the object", "touch 1/1"):  # fmt: skip
-        assert sentence in said
+        assert sentence in output
     first = dataset.load_dataset(tmp_path / "set")
     assert (len(first), first.source, first.objects) == (1, "simulated", ("hexagon",))
     assert json.loads(first.meta["settings"])["force"] == 8.0
@@ -99,19 +99,19 @@ def test_it_collects_what_makes_sense_and_goes_on_where_it_stopped(tmp_path, rig
     assert (len(data), len(data.sessions)) == (2, 1)
     np.testing.assert_array_equal(data.touches.reading[:1], touches.reading)
     assert [recorder.site_number_of(path) for path in recorder.touches_in(tmp_path / "set")] == [0, 1]
-    code, said = run(touches=2)
+    code, output = run(touches=2)
     assert code == 0
-    assert "there already" in said
-    code, said = run("--object", "star", touches=2)
+    assert "there already" in output
+    code, output = run("--object", "star", touches=2)
     assert code == 2
-    assert "begun with another object" in said
-    (tmp_path / "set" / notes.NOTES).unlink()
-    code, said = run(touches=2)
+    assert "begun with another object" in output
+    (tmp_path / "set" / folder_notes.NOTES_FILE).unlink()
+    code, output = run(touches=2)
     assert code == 2
-    assert "another making" in said
+    assert "were not collected there" in output
 
 
-def test_no_session_starts_and_no_dry_run_passes_on_a_skin_that_lies(tmp_path, rig, capsys, monkeypatch):
+def test_a_defective_skin_stops_sessions_and_dry_runs(tmp_path, rig, capsys, monkeypatch):
     read = SimulatedSkin.read
 
     def frozen(self, count, timeout=None):
@@ -128,10 +128,10 @@ def test_no_session_starts_and_no_dry_run_passes_on_a_skin_that_lies(tmp_path, r
     assert "BAD       skins: the simulated skin: chip 2" in capsys.readouterr().out
 
 
-def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
+def test_a_folder_is_not_resumed_with_other_settings_rig_or_skin(tmp_path):
     args = CollectArgs(out=tmp_path)
-    _, begun = notes.resume(args, "hexagon", Rig(), BOX)
-    notes.write_notes(tmp_path, begun)
+    _, begun = folder_notes.resume(args, "hexagon", Rig(), BOX)
+    folder_notes.write_notes(tmp_path, begun)
     harder = replace(args, settings=replace(args.settings, press=0.004, force=9.0))
     heavier, larger = replace(Rig(), mass=Rig().mass + 0.1), BOX._replace(vertices=1.1 * BOX.vertices)
     fingers = replace(Rig(), skins=(CarriedSkin("right", "simulated", np.diag([1.0, -1, -1, 1])),))
@@ -140,49 +140,49 @@ def test_other_settings_another_rig_and_another_skin_are_not_mixed_in(tmp_path):
         *(((args, "hexagon", other, BOX), "begun with another rig") for other in (heavier, fingers)),
         ((args, "hexagon", Rig(), larger), "begun with another mesh"),  # of the same name, in another folder
     ]
-    refuse(DataError, [(notes.resume, *other) for other in others])
+    refuse(DataError, [(folder_notes.resume, *other) for other in others])
     patient = replace(args, settings=replace(args.settings, retries=9, patience=60.0))
-    _, begun = notes.resume(patient, "hexagon", Rig(), BOX)
+    _, begun = folder_notes.resume(patient, "hexagon", Rig(), BOX)
     for kind, name in (("skin", ""), ("camera", ""), ("arm", ""), ("skin", "right")):
         for serial in ("", "A1", "", "A1"):  # a number that is known only later counts from then on
             device = SimpleNamespace(serial_number=serial)
-            notes.keep_same(begun, notes.device_notes(kind, device, name), tmp_path)
-        other = notes.device_notes(kind, SimpleNamespace(serial_number="B2"), name)
+            folder_notes.require_same(begun, folder_notes.device_notes(kind, device, name), tmp_path)
+        other = folder_notes.device_notes(kind, SimpleNamespace(serial_number="B2"), name)
         with pytest.raises(DataError, match=rf"begun with another {kind}_serial.*: A1, now B2\); use that again"):
-            notes.keep_same(begun, other, tmp_path)
+            folder_notes.require_same(begun, other, tmp_path)
     for board in (grid_board(2, 2), grid_board(2, 2)):
-        notes.keep_same(begun, notes.board_notes(SkinOnTool("", None, board)), tmp_path)
+        folder_notes.require_same(begun, folder_notes.board_notes(SkinOnTool("", None, board)), tmp_path)
     with pytest.raises(DataError, match="begun with another layout of chips"):
-        notes.keep_same(begun, notes.board_notes(SkinOnTool("", None, grid_board(2, 3))), tmp_path)
-    assert notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
+        folder_notes.require_same(begun, folder_notes.board_notes(SkinOnTool("", None, grid_board(2, 3))), tmp_path)
+    assert folder_notes.rig_hash(Rig()) == "5fb9684045"  # as written when a key was still called travel
 
 
 def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
     assert command.main(["--out", str(tmp_path / "dry"), "--rig", str(rig), "--touches", "5", "--dry-run"]) == 0
-    said = capsys.readouterr().out
-    for sentence in ("nothing was moved", "0 of 5 cannot be reached", "a collision at 10 N/mm ends at 30 N at the"):
-        assert sentence in said
-    assert "BAD" not in said
+    output = capsys.readouterr().out
+    for sentence in ("nothing was moved", "0 of 5 cannot be reached", "a collision at 10 N/mm ends at 30 N at most"):
+        assert sentence in output
+    assert "BAD" not in output
     assert (tmp_path / "dry-rig.png").stat().st_size > 10_000
     assert not (tmp_path / "dry").exists()
 
 
 @pytest.mark.full
-def test_sigterm_stops_it_and_keeps_everything(tmp_path, rig, capsys):
+def test_sigterm_stops_a_collection_and_keeps_everything(tmp_path, rig, capsys):
     args = CollectArgs(out=tmp_path / "stopped", lab=LabArgs(rig), touches=5, skip_first_touch=True)
-    with pytest.raises(SystemExit) as ended, command.left_by_signals():
+    with pytest.raises(SystemExit) as ended, command.exiting_on_signals():
         session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
     assert ended.value.code == 128 + signal.SIGTERM
     assert len(dataset.load_dataset(tmp_path / "stopped")) == 1
-    assert "the same command goes on" in capsys.readouterr().out
+    assert "the same command resumes the collection" in capsys.readouterr().out
 
 
-def test_what_needs_no_model_is_refused_before_jax_is_imported(tmp_path):
+def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
     """Speeds beyond what the rig can stop, another seed, another pad, and devices that are not known."""
     args = CollectArgs(out=tmp_path)
-    notes.write_notes(tmp_path, begin(args).notes)
+    folder_notes.write_notes(tmp_path, begin(args).notes)
     wrong = {
-        "--settings.press .05": "told to stop at 8 N it would end at 34 N",
+        "--settings.press .05": "stopped at 8 N, it would end at 34 N",
         "--seed 1": "was begun with another seed (seed: 0, now 1); use that again",
         "--pad-name red": "was begun with another pad-name (pad-name: simulated pad 0, now red); use that again",
         "--arm nobody": "--arm nobody is not known",
@@ -196,17 +196,17 @@ def test_what_needs_no_model_is_refused_before_jax_is_imported(tmp_path):
     words = [sys.executable, "-c", program, str(tmp_path), *wrong]
     run = subprocess.run(words, capture_output=True, text=True, check=True)
     assert run.stdout == "False 2 2 2 2 2\n"
-    for line, said in zip(run.stderr.splitlines(), wrong.values(), strict=True):
-        assert said in line
+    for line, sentence in zip(run.stderr.splitlines(), wrong.values(), strict=True):
+        assert sentence in line
 
 
-def test_a_folder_of_an_earlier_version_goes_on_with_the_pad_that_its_touches_name(tmp_path):
+def test_a_folder_of_an_earlier_version_is_resumed_with_its_pad(tmp_path):
     args = CollectArgs(out=tmp_path)
     begun = {key: value for key, value in begin(args).notes.items() if key != "pad-name"}
-    notes.write_notes(tmp_path, begun)
+    folder_notes.write_notes(tmp_path, begun)
     assert begin(replace(args, pad_name="red")).notes["pad-name"] == "red"  # nobody knows
-    made = random_touches.make(1)
-    touch = replace(made, pads=("blue",), touches=made.touches._replace(pad=np.zeros(1)))
+    random = random_touches.make(1)
+    touch = replace(random, pads=("blue",), touches=random.touches._replace(pad=np.zeros(1)))
     dataset.write_touch(tmp_path, dataset.Record(touch, counters={"site": 3}))
     with pytest.raises(DataError, match=r"begun with another pad-name \(pad-name: blue, now red\)"):
         begin(replace(args, pad_name="red"))
@@ -225,7 +225,7 @@ def four_chips(tmp_path_factory):
 UR, RESKIN = "--arm ur --host 10.0.0.2", "--skin reskin --port /dev/skin"
 
 
-@pytest.mark.parametrize(("wrong", "said"), [
+@pytest.mark.parametrize(("wrong", "sentence"), [
     (f"--arm ur {RESKIN} --camera realsense", "pass --host"),
     (f"{UR} --rig lab.toml --skin emulated", "--skin is emulated, and feels nothing on this arm"),
     ("--arm emulated --skin emulated --host 10.0.0.2", "give both, or neither"),
@@ -239,22 +239,22 @@ UR, RESKIN = "--arm ur --host 10.0.0.2", "--skin reskin --port /dev/skin"
     ("--pose 30 0 0 0 0 0", "--pose is 30 0 0"),
     ("--pose 0 0 0.2 0 0 0", "above the table"),
 ])  # fmt: skip
-def test_what_does_not_go_together_is_said_in_a_sentence_before_anything_starts(
-    tmp_path, capsys, monkeypatch, four_chips, wrong, said
+def test_contradictory_options_are_refused_in_one_sentence_before_the_start(
+    tmp_path, capsys, monkeypatch, four_chips, wrong, sentence
 ):
     monkeypatch.chdir(four_chips)
     with pytest.raises(SystemExit) as ended:
         sys.exit(command.main(["--out", str(tmp_path / "set"), *wrong.split()]))
     assert ended.value.code == 2
-    assert said in "".join(capsys.readouterr())
+    assert sentence in "".join(capsys.readouterr())
     assert not (tmp_path / "set").exists()
 
 
-@pytest.mark.parametrize(("sources", "said"), [
+@pytest.mark.parametrize(("sources", "source"), [
     (("real", "real", "real"), "real"),
     (("real", "emulated", "real"), "mixed"),
     (("emulated", "emulated", "simulated"), "simulated"),
 ])  # fmt: skip
-def test_touches_are_real_only_where_every_device_is(sources, said):
+def test_touches_are_real_only_if_every_device_is(sources, source):
     arm, skin, camera = (SimpleNamespace(features=SimpleNamespace(source=source)) for source in sources)
-    assert Devices(arm, (SimpleNamespace(skin=skin),), camera, None).source == said
+    assert Devices(arm, (SimpleNamespace(skin=skin),), camera, None).source == source

@@ -53,8 +53,8 @@ def two(out_by: float):
 def info_of(procedure):
     info = names(procedure)
     about = {
-        name: replace(each, meta={"skin": f"{name or 'left'}'s", dataset.SKIN_NAME: name or procedure.rig.skin})
-        for name, each in info.skins.items()
+        name: replace(info_of_skin, meta={"skin": f"{name or 'left'}'s", dataset.SKIN_NAME: name or procedure.rig.skin})
+        for name, info_of_skin in info.skins.items()
     }
     return replace(info, skins=about)
 
@@ -62,12 +62,12 @@ def info_of(procedure):
 def touched(folder, procedure, touches=1):
     """The last of some touches."""
     with Recorder(folder, info_of(procedure), procedure.clock) as recording:
-        made = list(procedure.run(listed(*map(site, range(touches))), recording))
-    return made[-1].touch
+        outcomes = list(procedure.run(listed(*map(site, range(touches))), recording))
+    return outcomes[-1].touch
 
 
 @pytest.mark.parametrize("out_by", [-5e-3, 2e-3])
-def test_the_skin_that_is_further_out_feels_the_press_stops_it_and_has_the_force_to_itself(tmp_path, out_by):
+def test_the_skin_that_protrudes_stops_the_press_and_has_its_force(tmp_path, out_by):
     touch = touched(tmp_path, two(out_by))
     right = touch.skins["right"]
     pair = ((touch.skins[""], GAIN), (right, SQUARE_GAIN))
@@ -85,7 +85,7 @@ def test_the_skin_that_is_further_out_feels_the_press_stops_it_and_has_the_force
     assert [name for name in record.counters if "seen" in name] == ["skin right seen percent"]
 
 
-def test_two_skins_that_feel_a_press_share_its_force_which_is_then_unknown_for_each(tmp_path):
+def test_the_force_of_a_press_that_two_skins_feel_is_unknown(tmp_path):
     """Two springs side by side: the arm measures their sum, and the torque of the one that lies aside."""
     touch = touched(tmp_path, two(0.0))
     right = touch.skins["right"]
@@ -100,7 +100,7 @@ def test_two_skins_that_feel_a_press_share_its_force_which_is_then_unknown_for_e
     np.testing.assert_allclose(deepest[4], ASIDE_M * STIFFNESS * sunk, rtol=0.02)  # r x F, x aside and F against z
 
 
-def test_a_second_skin_that_falls_silent_ends_the_press_and_what_it_sent_is_kept(tmp_path):
+def test_a_second_skin_that_falls_silent_ends_the_press_and_its_samples_are_kept(tmp_path):
     procedure = two(-5e-3)
     skin, since, looks = procedure.skins[1].skin, procedure.skins[1].skin.since, count()
 
@@ -119,7 +119,7 @@ def test_a_second_skin_that_falls_silent_ends_the_press_and_what_it_sent_is_kept
     assert {part.shape[1] for part in rows} == {2 + 4 * 4}
 
 
-def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_named(tmp_path):
+def test_a_set_keeps_each_skin_with_its_board_and_is_loaded_by_its_name(tmp_path):
     """The skin at the tool is where every version reads it; a set without a name of a skin has none to name."""
     both = tmp_path / "both"
     touch = touched(both, two(2e-3), 2)
@@ -136,7 +136,7 @@ def test_a_set_keeps_each_skin_with_its_own_board_and_is_of_the_one_that_is_name
     assert alone.touch is right
     assert alone.series["tactile"] is record.series["tactile right"]
     sets = [dataset.load_dataset(both, skin=name) for name in ("left", "right")]
-    assert [(each.board.num_chips, len(each)) for each in sets] == [(5, 2), (4, 2)]
+    assert [(touches.board.num_chips, len(touches)) for touches in sets] == [(5, 2), (4, 2)]
     dataset.save_dataset(tmp_path / "packed" / "right.h5", sets[1])
     for again in (None, "right"):  # a set of one skin is named, and need not be
         packed = dataset.load_dataset(tmp_path / "packed", skin=again)
@@ -166,35 +166,35 @@ def rig(tmp_path):
     return write
 
 
-@pytest.mark.parametrize(("old", "new", "said"), [
+@pytest.mark.parametrize(("old", "new", "sentence"), [
     ('address = "/dev/ttyACM1"', "", "skins.right identifies no board; add its address or its serial_number"),
     ('pad = "right pad"', 'serial_number = "E6"', "skins.right has an address and a serial_number; keep one"),
     ("  [1.0, 0.0, 0.0, 0.02]", "  [2.0, 0.0, 0.0, 0.02]", "skins.right.T_tool_skin: is not a rigid motion"),
 ])  # fmt: skip
-def test_a_rig_with_skins_is_read_as_it_was_written_and_one_that_cannot_be_is_refused(rig, old, new, said):
+def test_a_rig_with_skins_is_read_back_and_an_impossible_one_refused(rig, old, new, sentence):
     path = rig("reskin", "/dev/ttyACM1")
     text = path.read_text()
     assert Rig.read(path).text() == text
     assert old in text
     path.write_text(text.replace(old, new))
-    with pytest.raises(ValueError, match=f"^{re.escape(str(path))}: .*{re.escape(said)}"):
+    with pytest.raises(ValueError, match=f"^{re.escape(str(path))}: .*{re.escape(sentence)}"):
         Rig.read(path)
 
 
-@pytest.mark.parametrize(("device", "flags", "said"), [
+@pytest.mark.parametrize(("device", "flags", "sentence"), [
     ("simulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "skins.right.device is simulated"),
     ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, and feels nothing on this"),
     ("nobody's", [], "skins.right.device nobody's is not known; give a name that"),
 ])  # fmt: skip
-def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, said):
+def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, sentence):
     path = rig(device, "/dev/ttyACM1" if device == "reskin" else "")
     assert command.main(["--rig", str(path), "--out", str(tmp_path / "out"), "--object", "cylinder", *flags]) == 2
-    assert said in capsys.readouterr().err
+    assert sentence in capsys.readouterr().err
 
 
-def test_a_skin_that_meets_everything_first_or_lies_on_another_is_doubted():
+def test_a_skin_that_protrudes_too_far_or_overlaps_another_is_doubted():
     turned = (np.pi, 0.0, 0.0)  # on the other side of a finger, where it presses nothing
-    for rotation, where, said in (
+    for rotation, where, sentence in (
         (np.zeros(3), (0.0, 0.0, 0.05), "puts it 50 mm in front of the skin that presses"),
         (np.zeros(3), (0.002, 0.0, 0.0), "puts it 2 mm from the skin at the tool, in its place"),
         (np.zeros(3), (ASIDE_M, 0.0, 0.0), None),
@@ -202,11 +202,11 @@ def test_a_skin_that_meets_everything_first_or_lies_on_another_is_doubted():
     ):
         T = pose_from_vector([*where, *rotation])
         doubts = implausible(replace(Rig(), skins=(CarriedSkin("right", "simulated", T),)))
-        assert [said in doubt for doubt in doubts] == ([True] if said else [])
+        assert [sentence in doubt for doubt in doubts] == ([True] if sentence else [])
 
 
 @pytest.mark.full
-def test_two_simulated_skins_are_collected_and_packed_and_not_with_a_dead_one(rig, tmp_path, capsys, monkeypatch):
+def test_two_simulated_skins_are_collected_and_packed_unless_one_is_dead(rig, tmp_path, capsys, monkeypatch):
     path, out = rig("simulated"), tmp_path / "out"
     words = ["--rig", str(path), "--out", str(out), "--object", "cylinder", "--skip-first-touch",
              "--board", "grid-4x4"]  # fmt: skip

@@ -43,7 +43,7 @@ UT = 1e-3  # uT: fields of up to 2000 uT in float32, whose spacing there is 1.2e
         (36, "binary", "tens of records", 12),
     ],
 )
-def test_the_authors_layout_comes_out_as_written(tmp_path, n, order, ambient, size):
+def test_the_authors_layout_is_converted_unchanged(tmp_path, n, order, ambient, size):
     truth = write(tmp_path / "src", "star", "1", n, order=order, ambient=ambient, size=size)
     dataset = converted("imagine2touch", tmp_path / "src", tmp_path / "dst")
     touches = dataset.touches
@@ -65,7 +65,7 @@ def test_the_authors_layout_comes_out_as_written(tmp_path, n, order, ambient, si
     assert dataset.meta["remarks on star 1"] == "skin 3, warm day"
 
 
-def test_a_layout_that_does_not_say_whether_it_is_real_is_not_called_real(tmp_path, capsys):
+def test_a_layout_without_a_source_is_not_declared_real(tmp_path, capsys):
     write(tmp_path / "src", "star", "1", 2, size=8)
     words = ("imagine2touch", tmp_path / "src")
     assert converted(*words, tmp_path / "unsaid").source == "not stated"
@@ -77,7 +77,7 @@ def test_a_layout_that_does_not_say_whether_it_is_real_is_not_called_real(tmp_pa
         assert converted(*words, tmp_path / source, "--source", source).source == source
 
 
-def test_a_chip_that_sends_zeros_costs_its_samples_and_no_more(tmp_path, capsys):
+def test_a_chip_that_sends_zeros_loses_only_its_samples(tmp_path, capsys):
     """Ten samples a touch: in one of them every chip is silent, in another touch one chip is in all of them."""
     write(tmp_path / "src", "star", "1", 8, size=8)
     field = np.random.default_rng(0).normal(0, 400, (8, 10, 5, 3))
@@ -109,8 +109,8 @@ def test_objects_and_runs_keep_their_names_and_the_order_of_counting(tmp_path):
     for file in list((tmp_path / "src").rglob("experiment_*")):
         if not file.suffix:  # as np.save names them itself
             file.rename(file.with_name(file.name + ".npy"))
-    one = converted("imagine2touch", tmp_path / "src" / "star", tmp_path / "one")
-    np.testing.assert_array_equal(one.touches.reading, dataset.touches.reading[2:])
+    star = converted("imagine2touch", tmp_path / "src" / "star", tmp_path / "one")
+    np.testing.assert_array_equal(star.touches.reading, dataset.touches.reading[2:])
 
 
 def test_images_turn_and_forces_change_axes_on_request(tmp_path):
@@ -139,7 +139,7 @@ def test_a_hole_of_65535_is_no_surface_and_images_in_another_unit_are_noted(tmp_
     assert f"begins {1e3 * np.median(tenths.nearest):.3g} mm in front of the skin at the touches" in printed
 
 
-def test_what_was_not_recorded_is_unknown_and_said(tmp_path, capsys):
+def test_missing_files_give_unknown_values_and_notes(tmp_path, capsys):
     truth = write(tmp_path / "src", "star", "1", 2)
     image = truth.depth[0].copy()
     image[:, 10] = 0  # not measured, so no surface
@@ -156,8 +156,8 @@ def test_what_was_not_recorded_is_unknown_and_said(tmp_path, capsys):
     for unknown in (touches.nearest, touches.force, touches.T_w_t):
         assert np.isnan(unknown).all()
     assert (touches.code == ReturnCode.UNDEFINED).all()
-    said = capsys.readouterr().out
-    assert all(name in said for name in ("final_contact", "rotations", "forces_torques", "contact_returns"))
+    output = capsys.readouterr().out
+    assert all(name in output for name in ("final_contact", "rotations", "forces_torques", "contact_returns"))
 
 
 # --- pickles -------------------------------------------------------------------------------------------------------
@@ -206,7 +206,7 @@ def test_hostile_pickles_are_refused_and_not_executed(tmp_path):
     assert marker.exists()
 
 
-def test_absurd_pickles_are_refused(tmp_path):
+def test_implausible_pickles_are_refused(tmp_path):
     loop = []
     loop.append(loop)
     laughs = [1.0] * 10  # lists that share one another: 10 ** 10 values in a few hundred bytes
@@ -241,7 +241,7 @@ def test_arrays_of_any_age_are_read(tmp_path):
         npy.read(tmp_path / "file")
 
 
-def test_a_named_tuple_is_read_by_its_name_alone_and_no_pickle_changes_what_later_ones_meet(tmp_path):
+def test_a_named_tuple_is_read_by_its_name_and_no_pickle_affects_later_ones(tmp_path):
     authors_layout.save(tmp_path / "file", np.array([{"a": 1}], dtype=object))
     with pytest.raises(DataError, match="asks for a dict"):
         npy.read(tmp_path / "file")
@@ -321,7 +321,7 @@ def swap_lines(path):
 
 DAMAGE = [
     ("imagine2touch", IMAGE, Path.unlink, "is missing"),
-    ("imagine2touch", IMAGE, cut, "no readable TIF"),
+    ("imagine2touch", IMAGE, cut, "not a readable TIF"),
     ("imagine2touch", IMAGE, image((48, 48), np.float32), "crop of uint16"),
     ("imagine2touch", IMAGE, image((48, 40)), "should be square"),
     ("imagine2touch", IMAGE, image((48, 48), value=0), "no pixel was measured"),
@@ -330,15 +330,15 @@ DAMAGE = [
     ("imagine2touch", TACTILE, edit(b"(12, 1, 4)", b"(13, 1, 4)"), "where its header says"),
     ("imagine2touch", TACTILE, stored(np.empty((0, 1, 4), object)), "holds no touch"),
     ("imagine2touch", TACTILE, stored(samples([1.0] * 19)), "a list of 19 where a sample"),
-    ("imagine2touch", TACTILE, stored(samples(changed=np.nan)), "item 2 holds a value that is no field"),
+    ("imagine2touch", TACTILE, stored(samples(changed=np.nan)), "item 2 holds a value that is not a field"),
     ("imagine2touch", TACTILE, stored(samples(changed=10**400)), "an integer of absurd size"),
-    ("imagine2touch", TACTILE, stored(samples([27.0] * 20)), "say --order"),
+    ("imagine2touch", TACTILE, stored(samples([27.0] * 20)), "pass --order"),
     ("imagine2touch", TACTILE, holds(as_npy(pickle.dumps(Hostile(os.system, "true")))), "refused, for it asks for"),
     ("imagine2touch", TACTILE + "_ambient", stored(np.ones((5, 15))), "holds 5 groups for 12 touches"),
     ("imagine2touch", POSES + "rotations", stored(np.zeros((12, 3))), "(12, 3) where 12 touches"),
     ("imagine2touch", POSES + "rotations", stored(np.tile([0, 0, 0, 2.0], (12, 1))), "not of length 1"),
     ("imagine2touch", POSES + "prepare_contact", stored(np.full((12, 3), 1e300)), "not finite"),
-    ("imagine2touch", FORCES + "contact_returns", stored(np.full(12, 0.5)), "no return code"),
+    ("imagine2touch", FORCES + "contact_returns", stored(np.full(12, 0.5)), "not a return code"),
     ("imagine2touch", FORCES + "forces_torques", stored(np.full((12, 6), np.inf)), "not finite"),
     ("eflesh", VALUES, Path.unlink, "is missing"),
     ("eflesh", STATES, edit(b",", b",word"), "is not a table of numbers"),
@@ -387,7 +387,7 @@ def intact(tmp_path_factory):
     return root
 
 
-def test_a_damaged_touch_ends_a_conversion_unless_it_is_to_be_left_out(intact, tmp_path):
+def test_a_damaged_touch_ends_a_conversion_unless_it_is_skipped(intact, tmp_path):
     source = shutil.copytree(intact / "imagine2touch", tmp_path / "src")
     stored(samples(changed=np.nan))(source / TACTILE)
     with pytest.raises(DataError, match="item 2"):
@@ -428,7 +428,7 @@ def test_each_wrong_number_is_one_sentence_and_its_row_can_be_skipped(tmp_path, 
     assert len(converted(*words, "--skip-bad")) == 5
 
 
-def test_options_that_mean_nothing_are_one_sentence(intact, tmp_path, capsys):
+def test_invalid_options_are_refused_in_one_sentence(intact, tmp_path, capsys):
     sphere = ("--indenter", "sphere:4")
     for options, problem in (
         (("--indenter", "cube:3"), "its shape 'cube' is unknown; give sphere:RADIUS"),
@@ -464,7 +464,7 @@ def table(path):
         return np.array([[float(cell) for cell in row] for row in csv.reader(file)])
 
 
-def test_real_spatial_presses_come_out_as_the_files_hold_them(shared_data, tmp_path):
+def test_real_spatial_presses_are_converted_unchanged(shared_data, tmp_path):
     source = shared_data / "eflesh" / "spatial"
     folder = next(source.iterdir())
     dataset = converted("eflesh", source, tmp_path / "dst", "--as-stated")
@@ -524,7 +524,7 @@ def test_real_shear_recordings_are_two_pads(shared_data, tmp_path, capsys):
     assert "shear force" in capsys.readouterr().out
 
 
-def test_a_row_of_which_a_chip_sent_zeros_is_no_press_and_a_difference_of_zero_is_one(tmp_path, capsys):
+def test_a_row_with_zeros_of_a_chip_is_left_out_and_a_difference_of_zero_is_kept(tmp_path, capsys):
     place, values = made_up_session(tmp_path / "src" / "a")
     values[4] = 0  # every chip of the differences
     raw = values + np.linspace(20, 40, 15)
@@ -544,7 +544,7 @@ def test_a_row_of_which_a_chip_sent_zeros_is_no_press_and_a_difference_of_zero_i
 # --- tables of presses ---------------------------------------------------------------------------------------------
 
 
-def test_a_table_of_presses_comes_out_as_written(tmp_path):
+def test_a_table_of_presses_is_converted_unchanged(tmp_path):
     more = {"force_N": ["1", "", "2.5", "3", "4", "5"], "run": list("aabbcc"), "pad": list("xyxyxy")}
     columns = presses_table(tmp_path / TABLE, ambient=True, **more)
     dataset = converted("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4.0")
@@ -588,7 +588,7 @@ def test_a_small_difference_that_was_rounded_to_zero_is_a_press(tmp_path):
     assert len(converted("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4", "--as-stated")) == 60
 
 
-def test_ambient_of_zero_subtracts_nothing_unless_a_chip_or_row_alone_has_it(tmp_path, capsys):
+def test_zero_ambient_subtracts_nothing_unless_only_a_chip_or_row_has_it(tmp_path, capsys):
     columns = presses_table(tmp_path / TABLE, n=20, ambient=True)
     words = (tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4", "--overwrite")
     ambient = ["a" + name[1:] for name in READING_NAMES]
@@ -602,7 +602,7 @@ def test_ambient_of_zero_subtracts_nothing_unless_a_chip_or_row_alone_has_it(tmp
     assert "the ambient field of chip 0 is zero in every row; correct its columns a0x_uT" in sentence
 
 
-def test_what_a_column_says_of_the_source_no_option_denies(tmp_path, capsys):
+def test_an_option_cannot_contradict_the_column_source(tmp_path, capsys):
     presses_table(tmp_path / TABLE, source=["simulated"] * 6)
     words = ("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "sphere:4")
     assert "--source real: the column source" in refused(capsys, *words, "--source", "real")
@@ -611,7 +611,7 @@ def test_what_a_column_says_of_the_source_no_option_denies(tmp_path, capsys):
     assert converted(*words, "--source", "simulated", "--overwrite").source == "simulated"
 
 
-def test_the_same_presses_come_out_the_same_from_two_layouts(tmp_path):
+def test_the_same_presses_in_two_layouts_give_the_same_touches(tmp_path):
     place, values = made_up_session(tmp_path / "src" / "a")
     middle = (place.min(0) + place.max(0)) / 2
     depth = place[:, 2].max() - place[:, 2]
@@ -624,7 +624,7 @@ def test_the_same_presses_come_out_the_same_from_two_layouts(tmp_path):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-8 if name != "reading" else UT)
 
 
-def test_a_cylinder_leaves_its_disk(tmp_path):
+def test_a_cylinder_s_patch_is_a_disk(tmp_path):
     """The area of pixels at depth 0 is that of the disk, within a ring of one pixel's diagonal about its edge."""
     columns = presses_table(tmp_path / TABLE, x_mm=np.linspace(-2, 3, 6), y_mm=np.linspace(1, -2, 6))
     patch = converted("presses", tmp_path / TABLE, tmp_path / "dst", "--indenter", "cylinder:3").touches.patch
@@ -675,7 +675,7 @@ def test_the_summary_for_a_program_and_for_a_person(tmp_path, capsys):
     assert all(f"{name} " in page for name in dataset.objects)
 
 
-def test_nothing_is_overwritten_or_mixed_unasked(tmp_path, capsys):
+def test_nothing_is_overwritten_or_mixed_by_default(tmp_path, capsys):
     write(tmp_path / "src", "star", "1", 1, size=8)
     touches = tmp_path / "dst/touches.h5"
     words = ("imagine2touch", tmp_path / "src", tmp_path / "dst")
@@ -727,7 +727,7 @@ def test_an_ambient_field_of_zeros_subtracts_nothing_and_one_of_a_chip_is_named(
     ("name", "value"),
     [("forces_torques", np.nan), ("rotations", 0.0), ("final_contact", np.inf), ("contact_returns", 9)],
 )
-def test_one_damaged_touch_costs_no_run(tmp_path, capsys, name, value):
+def test_one_damaged_touch_does_not_lose_the_run(tmp_path, capsys, name, value):
     truth = write(tmp_path / "src", "star", "1", 8, size=8)
     folder = "forces" if name in ("forces_torques", "contact_returns") else "poses"
     path = tmp_path / f"src/star/star_{folder}/experiment_1_{name}"

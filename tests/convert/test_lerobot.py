@@ -16,7 +16,7 @@ pq = pytest.importorskip("pyarrow.parquet")
 
 
 @pytest.mark.parametrize(("truth", "wide", "board"), [(False, False, "reskin"), (True, True, "grid-1x2")])
-def test_frames_hold_every_value_and_are_counted_as_lerobot_wants(tmp_path, truth, wide, board):
+def test_frames_hold_every_value_and_are_counted_as_lerobot_requires(tmp_path, truth, wide, board):
     dataset = make(9, truth=truth, wide=wide, board=board, pixels=6)
     folder = lerobot.write(tmp_path / "out", dataset)
     info, stats, note = (json.loads((folder / f"meta/{name}.json").read_text()) for name in ("info", "stats", "i2t"))
@@ -69,9 +69,9 @@ def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
 def test_lerobot_itself_reads_it(tmp_path):
     theirs = pytest.importorskip("lerobot.datasets.lerobot_dataset")
     dataset = make(6)
-    found = theirs.LeRobotDataset("i2t/touches", root=lerobot.write(tmp_path / "out", dataset))
-    assert len(found) == len(dataset)
-    for frame in found:
+    loaded = theirs.LeRobotDataset("i2t/touches", root=lerobot.write(tmp_path / "out", dataset))
+    assert len(loaded) == len(dataset)
+    for frame in loaded:
         row = int(frame["touch.row"])
         np.testing.assert_array_equal(frame["observation.tactile"].numpy(), dataset.touches.reading[row])
         np.testing.assert_array_equal(frame["observation.patch"].numpy(), dataset.touches.patch[row])

@@ -22,20 +22,20 @@ def findings_in(dataset):
     return [unknowns.Finding(**entry) for entry in json.loads(text)]
 
 
-def change(path, how):
-    authors_layout.save(path, how(np.load(path)))
+def change(path, function):
+    authors_layout.save(path, function(np.load(path)))
 
 
-def test_forces_that_pull_in_the_authors_layout_are_found_and_put_right(tmp_path, capsys):
+def test_pulling_forces_in_the_authors_layout_are_corrected(tmp_path, capsys):
     truth = authors_layout.write(tmp_path / "src", "star", "1", N)
     converted("imagine2touch", tmp_path / "src", tmp_path / "sound")
     assert "corrected" not in capsys.readouterr().out
     change(tmp_path / "src" / FORCES, np.negative)
-    found = converted("imagine2touch", tmp_path / "src", tmp_path / "found").touches
-    said = capsys.readouterr().out
-    assert "corrected" in said
-    assert "as if they pulled" in said
-    np.testing.assert_allclose(found.force, truth.force, atol=1e-5)
+    corrected = converted("imagine2touch", tmp_path / "src", tmp_path / "corrected").touches
+    output = capsys.readouterr().out
+    assert "corrected" in output
+    assert "as if they pulled" in output
+    np.testing.assert_allclose(corrected.force, truth.force, atol=1e-5)
 
 
 def test_a_recording_is_taken_as_stated_on_request_and_its_times_are_kept(tmp_path, capsys):
@@ -56,7 +56,7 @@ def write_presses(path, recorded: Recorded, sign=1.0):
     return write_table(path, ["x_mm", "y_mm", "depth_mm", "force_N", *READING_NAMES, "time_s"], rows)
 
 
-def test_a_mistake_in_a_table_of_presses_is_found_and_put_right(tmp_path, capsys):
+def test_a_mistake_in_a_table_of_presses_is_corrected(tmp_path, capsys):
     options = ("--indenter", "sphere:4", "--window-mm", 40)
     sound = press(0, 28, free=0.0)
     expected = converted("presses", write_presses(tmp_path / "sound.csv", sound), tmp_path / "sound", *options).touches
@@ -66,15 +66,15 @@ def test_a_mistake_in_a_table_of_presses_is_found_and_put_right(tmp_path, capsys
         negative = mistake == "depths negative"
         wrong = sound if negative else VARIANTS[mistake](sound)
         path = write_presses(tmp_path / f"{mistake}.csv", wrong, -1.0 if negative else 1.0)
-        found = converted("presses", path, tmp_path / mistake, *options)
+        corrected = converted("presses", path, tmp_path / mistake, *options)
         assert "corrected" in capsys.readouterr().out
         for name in ("reading", "force", "depth", "T_w_o"):
-            ours, theirs = getattr(found.touches, name), getattr(expected, name)
+            ours, theirs = getattr(corrected.touches, name), getattr(expected, name)
             np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
-        assert {finding.name for finding in findings_in(found)} >= {"units", "height zero"}
+        assert {finding.name for finding in findings_in(corrected)} >= {"units", "height zero"}
 
 
-def test_a_set_of_which_most_forces_pull_is_turned_by_the_converter_and_stays_so(tmp_path, capsys):
+def test_a_set_of_mostly_pulling_forces_is_corrected_once(tmp_path, capsys):
     """Of 85 %: whoever reads the set afterwards finds it corrected."""
     sound = press(0, 60, free=0.0)
     force = np.where(np.arange(60) % 20 < 17, -sound.force, sound.force)
@@ -86,22 +86,22 @@ def test_a_set_of_which_most_forces_pull_is_turned_by_the_converter_and_stays_so
 
 
 @pytest.mark.full
-def test_presses_to_one_height_have_no_depth_and_the_robot_frame_and_times_are_kept(shared_data, tmp_path, capsys):
+def test_presses_to_one_height_have_no_depth_but_keep_frame_and_times(shared_data, tmp_path, capsys):
     """Of a real session, those to 142.6 mm."""
     folder = next((shared_data / "eflesh" / "spatial").iterdir())
     states, values = (
         np.loadtxt(gzip.decompress((folder / f"{name}.csv.gz").read_bytes()).decode().splitlines(), delimiter=",")
         for name in ("states", "sensor_post_baselines")
     )
-    one = np.abs(states[:, 3] - 142.6) < 0.15
+    level = np.abs(states[:, 3] - 142.6) < 0.15
     states[:, 3] = 142.6
-    write_session(tmp_path / "src" / "late", states[one, 1:], values[one, 1:])
+    write_session(tmp_path / "src" / "late", states[level, 1:], values[level, 1:])
     dataset = converted("eflesh", tmp_path / "src", tmp_path / "dst")
     assert np.isnan(dataset.touches.depth).all()
     assert (dataset.touches.code == ReturnCode.UNDEFINED).all()
     # In float64: a float32 tells Unix time to two minutes.
-    np.testing.assert_array_equal(dataset.touches.time, 1.7e9 + 4.25 * np.arange(one.sum()) + 1e-3)
-    assert f"time ({one.sum()})" in (tmp_path / "dst" / "README.md").read_text()
+    np.testing.assert_array_equal(dataset.touches.time, 1.7e9 + 4.25 * np.arange(level.sum()) + 1e-3)
+    assert f"time ({level.sum()})" in (tmp_path / "dst" / "README.md").read_text()
     assert "all presses go to one height" in capsys.readouterr().out
     reference = json.loads(dataset.meta["reference of late"])
     assert reference["zero_m"] is None

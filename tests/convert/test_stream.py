@@ -55,18 +55,18 @@ def test_each_press_of_a_log_becomes_a_touch(tmp_path, capsys):
     np.testing.assert_allclose(touches.reading, told[:, 4:], atol=1.5)  # the drift of a median of 20 ms and more
     # The reading leaves its noise within a few rows, in which the stage moves 25 um each.
     np.testing.assert_allclose(1e3 * touches.depth, told[:, 2], atol=0.1)
-    said = capsys.readouterr().out
-    assert "found: 12 presses" in said
-    assert "depth counts from the height at which a press's reading left its rest" in said
+    output = capsys.readouterr().out
+    assert "found: 12 presses" in output
+    assert "depth counts from the height at which a press's reading left its rest" in output
 
 
-def test_a_log_read_piece_by_piece_has_the_presses_of_the_whole(tmp_path, monkeypatch):
+def test_a_log_read_in_pieces_has_the_presses_of_the_whole(tmp_path, monkeypatch):
     rows, _ = log(6)
     path = write_table(tmp_path / "log.csv.gz", NAMES, rows)
     whole = table_of_presses(path, board=BOARD)
-    found = segment_presses(rows[:, 0], rows[:, 5:])
-    assert [line for line, _ in whole.rows] == (found.start + 2).tolist()  # the first line holds the names
-    np.testing.assert_allclose(numbers(whole), found.reading, atol=1e-6)
+    segmented = segment_presses(rows[:, 0], rows[:, 5:])
+    assert [line for line, _ in whole.rows] == (segmented.start + 2).tolist()  # the first line holds the names
+    np.testing.assert_allclose(numbers(whole), segmented.reading, atol=1e-6)
     for at_once in (64, 1000):
         # Noise is found from the first rows, so a press may begin and end a block sooner or later.
         monkeypatch.setattr(log_rows, "ROWS_READ_AT_ONCE", at_once)
@@ -111,7 +111,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path):
         ("", "", "nothing presses in its"),
     ],
 )
-def test_what_is_no_log_of_presses_is_refused_in_a_sentence(tmp_path, old, new, sentence):
+def test_other_tables_are_refused_in_one_sentence(tmp_path, old, new, sentence):
     rows = log(2)[0]
     if not old:
         rows[:, 5:] = NOISE * np.random.default_rng(1).normal(size=(len(rows), 15))
@@ -125,7 +125,7 @@ def test_a_log_without_places_becomes_a_table_to_complete(tmp_path, capsys):
     path = write_table(tmp_path / "log.csv", np.delete(NAMES, [1, 2]), np.delete(rows, [1, 2], axis=1))
     data, table = tmp_path / "data", tmp_path / "presses.csv"
     indenter = ("--indenter", "sphere:4")
-    assert "where it was pressed is not known" in refused(capsys, "stream", path, data, *indenter)
+    assert "the positions of presses are unknown" in refused(capsys, "stream", path, data, *indenter)
     refused(capsys, "stream", path, table, *indenter)
     assert "--indenter is missing" in refused(capsys, "stream", path, data)
     assert run("stream", path, tmp_path / "presses.CSV") == 0
@@ -164,7 +164,7 @@ IN_A_PRESS = int(np.flatnonzero(LOG[:, 3] < 0)[300])  # in the second half of it
 @pytest.mark.parametrize(
     "silence", [{}, {"chips": slice(6, 9)}, {"share": 0.6}, {"gap": (IN_A_PRESS, IN_A_PRESS + 40)}], ids=str
 )
-def test_rows_of_a_silent_board_make_no_press_and_end_none(tmp_path, silence):
+def test_rows_of_a_silent_board_neither_make_nor_end_a_press(tmp_path, silence):
     rows, silent = silent_log(**silence)
     table = presses_of(tmp_path, rows=rows)
     assert f"left out: {silent} rows in which a chip did not answer" in table.notes
@@ -198,7 +198,7 @@ BAD_STAMPS = {
 
 
 @pytest.mark.parametrize("bad", BAD_STAMPS)
-def test_a_bad_stamp_costs_its_row_and_is_named(tmp_path, bad):
+def test_a_damaged_stamp_loses_only_its_row_and_is_named(tmp_path, bad):
     which, value = BAD_STAMPS[bad]
     stamps = changed(which, value)
     lines = np.arange(len(LOG))[which].ravel() + 2
@@ -250,7 +250,7 @@ def test_presses_are_the_same_by_any_clock(tmp_path, clock):
     assert not any("damaged" in note for note in table.notes)
 
 
-def test_a_full_counter_is_counted_on(tmp_path):
+def test_an_overflow_of_a_counter_is_continued(tmp_path):
     table = presses_of(tmp_path, full_after(1e-6, 32), name="time_us")
     time = [float(cells[0]) for _, cells in table.rows]
     even = [float(cells[0]) for _, cells in presses_of(tmp_path).rows]
@@ -258,7 +258,7 @@ def test_a_full_counter_is_counted_on(tmp_path):
     assert any("a 32-bit counter of microseconds is full" in note for note in table.notes)
 
 
-def test_stamps_that_say_nothing_are_said_and_a_rate_can_be_stated(tmp_path):
+def test_useless_stamps_are_noted_and_a_rate_can_be_stated(tmp_path):
     for stamps in (np.float32(1.76e9 + LOG[:, 0]), np.zeros(len(LOG))):
         table = presses_of(tmp_path, stamps)
         assert any("100 rows in a second" in note and "--rate-hz" in note for note in table.notes)
@@ -282,12 +282,12 @@ def test_stamps_that_say_nothing_are_said_and_a_rate_can_be_stated(tmp_path):
     ],
     ids=["unit", "other unit", "shuffled", "descending", "no unit", "other dates", "decimal minutes"],
 )
-def test_a_time_that_cannot_be_is_refused_with_its_remedy(tmp_path, name, stamps, sentence):
+def test_an_impossible_time_is_refused_with_its_remedy(tmp_path, name, stamps, sentence):
     with pytest.raises(DataError, match=sentence):
         presses_of(tmp_path, stamps, name=name)
 
 
-def test_a_simulated_log_says_so(tmp_path):
+def test_a_simulated_log_gives_a_simulated_set(tmp_path):
     rows = [[*row, "simulated"] for row in LOG]
     path = write_table(tmp_path / "log.csv", [*NAMES, "source"], rows)
     assert converted("stream", path, tmp_path / "dst", "--indenter", "sphere:4", "--as-stated").source == "simulated"
@@ -300,10 +300,10 @@ def test_memory_does_not_grow_with_the_log(tmp_path, monkeypatch):
     for presses in (10, 60):
         path = write_table(tmp_path / f"{presses}.csv", NAMES, log(presses)[0])
         tracemalloc.start()
-        found = table_of_presses(path, board=BOARD)
+        table = table_of_presses(path, board=BOARD)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-        assert len(found.rows) == presses
+        assert len(table.rows) == presses
     assert peaks[1] < 1.15 * peaks[0]
 
 
@@ -335,7 +335,7 @@ CUT_PRESSES = {
 
 
 @pytest.mark.parametrize("name", CUT_PRESSES)
-def test_a_press_that_is_cut_costs_no_other(tmp_path, name):
+def test_a_cut_press_loses_no_other(tmp_path, name):
     time, rows, lost = CUT_PRESSES[name]
     table = presses_of(tmp_path, time, rows)
     distance = np.linalg.norm(numbers(table)[:, None] - TOLD[:, 4:], axis=2).min(0)
@@ -344,7 +344,7 @@ def test_a_press_that_is_cut_costs_no_other(tmp_path, name):
     assert len(table.rows) == len(TOLD) or any("that had begun before their part" in note for note in table.notes)
 
 
-def test_a_session_that_changes_with_each_press_cuts_none(tmp_path):
+def test_a_session_that_changes_with_each_press_cuts_no_press(tmp_path):
     pressed = LOG[:, 3] < 0
     which = np.cumsum(np.diff(pressed, prepend=False) & pressed)
     sessions = [f"press {k}" if on else "" for k, on in zip(which, pressed, strict=True)]
@@ -380,7 +380,7 @@ def test_rows_that_repeat_earlier_ones_are_left_out(tmp_path):
     np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
 
 
-def test_a_depth_is_unknown_where_the_skin_was_met_unseen(tmp_path):
+def test_a_depth_is_unknown_if_first_contact_was_not_recorded(tmp_path):
     met = int(np.flatnonzero(np.diff(np.sign(LOG[:, 3])) < 0)[2])
     table = presses_of(tmp_path, *one_clock(np.delete(LOG, slice(met - 20, met + 20), axis=0)))
     depths = [cells[table.header.index("depth_mm")] for _, cells in table.rows]
@@ -411,7 +411,7 @@ def test_presses_of_a_clock_of_whole_seconds_have_times_between_them(tmp_path):
     np.testing.assert_allclose(*time, atol=0.1)
 
 
-def test_a_counter_that_is_often_full_is_refused_with_its_remedy(tmp_path):
+def test_a_counter_that_overflows_often_is_refused_with_its_remedy(tmp_path):
     with pytest.raises(DataError, match="give --rate-hz"):
         presses_of(tmp_path, np.round(1e6 * LOG[:, 0]) % 2**14, name="time_us")
 

@@ -39,7 +39,7 @@ def lab(errors=QUIET):
 
 
 @pytest.mark.full
-def test_a_line_over_a_dome_is_the_physics_between_its_loads_too(scene):
+def test_a_line_over_a_dome_follows_the_physics_between_its_loads(scene):
     """Down on a half ball of 30 mm: where it begins, and travel and reading at loads that are not tabulated. Between
     loads that grow by 1.85, straight pieces of a force that grows as travel to the power 1.5 are off by up to 4 %.
     """
@@ -101,8 +101,8 @@ def test_a_contact_model_in_a_thread_finds_the_same(scene):
     waits, threaded = ContactModel(scene), ContactModel(scene, wait=False)
     for model in (waits, threaded):
         stand(model, 0.4, 0.07)
-    assert threaded._coming is not None
-    threaded._coming.result()
+    assert threaded._pending is not None
+    threaded._pending.result()
     at = np.array([0.4, 0.0, 0.0297])
     np.testing.assert_allclose(threaded(at, DOWN), waits(at, DOWN), rtol=1e-5, atol=1e-7)
     assert waits(at, DOWN)[2] > 0.3
@@ -120,7 +120,7 @@ def test_force_off_the_middle_gives_a_torque(scene):
     np.testing.assert_allclose(np.cross([-0.005, 0.0, 0.0], wrench[:3]), wrench[3:], atol=0.1 * wrench[2] * 5e-3)
 
 
-def test_a_view_of_a_plane_is_its_equation():
+def test_a_view_of_a_plane_follows_its_equation():
     """Any plane, any pose: every pixel that sees it measures where its ray meets it."""
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -167,7 +167,7 @@ def test_a_sample_is_the_nearest_count_of_the_converter():
     assert (abs(skin.samples[0][2] - exact) <= np.tile([0.0751, 0.0751, 0.1211], 5)).all()
 
 
-def test_a_late_arm_overshoots_by_what_it_is_late():
+def test_a_late_arm_overshoots_by_its_latency():
     for latency in (0.0, 0.05):
         inside = lab()
         with SimulatedArm(inside, BOX, latency) as arm:
@@ -180,7 +180,7 @@ def test_a_late_arm_overshoots_by_what_it_is_late():
         assert 8.0 + 10e3 * 0.004 * latency <= force < 8.0 + 10e3 * (0.004 * (late + TICK_S) + 0.004**2 / 4) + 0.05
 
 
-def test_an_arm_feels_what_it_meets_however_short_it_stood_before():
+def test_an_arm_feels_contact_even_after_a_short_standstill():
     inside = lab()
     with SimulatedArm(inside, BOX) as arm:
         arm.go(pose(0.4, 0.0, 0.05))

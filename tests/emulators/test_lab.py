@@ -69,7 +69,7 @@ def settled(skin, wanted, atol):
 
 
 @pytest.mark.full
-def test_a_press_is_felt_as_the_physics_says_with_the_noise_of_its_world(touching):
+def test_a_press_follows_the_physics_with_the_noise_of_its_world(touching):
     pad = jax.jit(sample_pad)(jax.random.key(DEFAULT_PAD_KEY))
     pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
     noise = 5 * 4.6 / np.sqrt(SAMPLES)  # uT, five sigma of a mean
@@ -117,10 +117,10 @@ def test_the_command_collects_with_an_arm_by_its_address_and_a_skin_by_its_port(
              *PATIENT, *quick]  # fmt: skip
     assert any(command.main(["--out", str(out), *words]) == 0 for _ in range(ATTEMPTS))
     assert "SIMULATED: no real device takes part" in capsys.readouterr().out  # a pseudo-terminal is no lab
-    made = dataset.load_dataset(out)
-    assert made.source == "simulated"
-    assert made.meta["arm serial number"] == "20200000001"  # as the controller's dashboard tells it
-    touches = made.touches
+    collected = dataset.load_dataset(out)
+    assert collected.source == "simulated"
+    assert collected.meta["arm serial number"] == "20200000001"  # as the controller's dashboard tells it
+    touches = collected.touches
     assert touches.code[0] in (ReturnCode.SKIN, ReturnCode.WRENCH)
     assert np.linalg.norm(touches.reading[0]) > 10
     assert 0.026 < touches.T_w_t[0, 2, 3] < 0.0305  # the star's flat top, less what skin, arm and mount give
@@ -128,7 +128,7 @@ def test_the_command_collects_with_an_arm_by_its_address_and_a_skin_by_its_port(
     assert np.abs(np.median(seen)) < 1e-3  # the view shows the site where the arm went
 
 
-def test_what_cannot_be_touched_is_said(tmp_path, capsys):
+def test_impossible_options_are_refused_in_one_sentence(tmp_path, capsys):
     Rig().write(tmp_path / "lab.toml")
     for options, why in (
         (["--object", "nothing.stl"], "nothing.stl"),

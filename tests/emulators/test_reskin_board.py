@@ -6,8 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from i2t.emulators import reskin_board as boards
-from i2t.emulators.reskin_board import Readings, _newest_field
+from i2t.emulators.reskin_board import BoardSignal, Readings, _newest_field
 
 
 def test_the_newest_field_counts_and_one_of_another_board_ends_the_board():
@@ -25,12 +24,11 @@ def test_the_newest_field_counts_and_one_of_another_board_ends_the_board():
             _newest_field(inbox, before)
 
 
-def test_a_quiet_board_tells_its_presses_and_its_temperature():
-    quiet = Readings(noise=0.0, press=2.0, seed=0)
-    (rest, celsius), (pressed, _) = (quiet.at(now) for now in (0.0, boards.PRESS_PERIOD_S / 4))
-    assert (
-        abs(pressed - rest - 2 * boards.PRESS_UT.ravel()) <= np.tile(boards.STEPS_UT, 5) + 1e-9
-    ).all()  # half a count each
-    np.testing.assert_allclose(celsius, boards.BOARD_TEMPERATURE_C, atol=0.51 * boards.TEMPERATURE_STEP_C)
+def test_a_board_shows_its_presses_and_its_temperature():
+    quiet, signal = Readings(noise=0.0, press=2.0, seed=0), BoardSignal()
+    (rest, celsius), (pressed, _) = (quiet.at(now) for now in (0.0, signal.press_period / 4))
+    change = pressed - rest - 2 * np.ravel(signal.press)
+    assert (abs(change) <= np.tile(signal.steps, 5) + 1e-9).all()  # half a count each
+    np.testing.assert_allclose(celsius, signal.temperature, atol=0.51 * signal.temperature_step)
     noisy = Readings(noise=1.0, press=0.0, seed=0)
-    assert np.std([noisy.at(0.0)[1] for _ in range(200)]) == pytest.approx(boards.TEMPERATURE_NOISE_C, rel=0.1)
+    assert np.std([noisy.at(0.0)[1] for _ in range(200)]) == pytest.approx(signal.temperature_noise, rel=0.1)

@@ -61,7 +61,7 @@ def test_speeds_of_a_touch_are_bounded_and_shown():
     slow = TouchPath(Rig(), TouchSettings(speed=0.02, retreat=0.01), 0.03)
     assert (slow.free_speed, slow.retreat_speed) == (0.02, 0.01)
     free, press = energy_lines(path, 0.1)
-    assert "40 mm/s (150 asked)" in free
+    assert "40 mm/s (150 requested)" in free
     # k (v t + v^2 / 2 a) at 10 N/mm and 2 mm/s: 40 ms, 140 ms and 190 ms
     assert re.findall(r"([\d.]+) N\b(?!/)", press) == ["8.8", "2.8", "3.8"]
 

@@ -26,7 +26,7 @@ import numpy as np
 from helpers import random_touches
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.notes import resume
+from i2t.collect.folder_notes import resume
 from i2t.collect.recorder import RAW_FILE_HEADER, read_raw
 from i2t.convert import eflesh, imagine2touch, presses
 from i2t.dataset import load_dataset, read_touch, save_dataset

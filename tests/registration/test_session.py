@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 
 import i2t
 from i2t.collect.arguments import LabArgs
-from i2t.collect.beginning import read_rig
-from i2t.collect.registration_check import where_all_stood
+from i2t.collect.registration_check import describe_offsets
+from i2t.collect.start import read_rig
 from i2t.contact.approach import first_contact
 from i2t.dataset import Dataset
 from i2t.geometry import from_twist, inverse, to_twist
@@ -174,7 +174,7 @@ def test_a_collection_reports_the_errors_of_object_and_camera():
     back[:3, 3] = -(rig.looking_distance * rig.T_tool_camera[:3, 2] + rig.T_tool_camera[:3, 3])
     touches = embree_touches(hammer, SURFACES["hammer"], placed, back @ camera @ np.linalg.inv(back))
     dataset = Dataset.simulated(touches, ("hammer",), i2t.nominal_pad())
-    report = where_all_stood(dataset, hammer, 0, rig)
+    report = describe_offsets(dataset, hammer, 0, rig)
     numbers = [float(part) for pair in re.findall(r"([\d.]+) mm and ([\d.]+) degrees \(", report) for part in pair]
     expected = [
         value
@@ -183,4 +183,4 @@ def test_a_collection_reports_the_errors_of_object_and_camera():
     ]
     np.testing.assert_allclose(numbers, expected, atol=0.2)
     assert report.endswith("calibrate the rig again (docs/hardware.md)")
-    assert "11 touches" in where_all_stood(dataset.select(slice(11)), hammer, 0, rig)
+    assert "11 touches" in describe_offsets(dataset.select(slice(11)), hammer, 0, rig)

@@ -1,6 +1,6 @@
-"""Notes of a collection in its folder: what was begun there, so that only the same goes on.
+"""Notes of a collection in its folder, which ensure that it is resumed with the same object, rig, devices and settings.
 
-Board, camera and arm are told by their serial numbers where they have them.
+Boards, cameras and arms are recognised by their serial numbers if they have one.
 """
 
 import hashlib
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from i2t.collect.arguments import CollectArgs
-from i2t.collect.devices import wanted_skins
+from i2t.collect.devices import configured_skins
 from i2t.collect.recorder import site_number_of, touches_in, written_at
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.dataset import read_touch
@@ -25,41 +25,39 @@ from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 
-NOTES = ".collection.json"
-MAX_NOTES_BYTES = 2**26
-CHANGEABLE_SETTINGS = ("retries", "failures", "patience")  # settings that say when to give up, and nothing of a touch
+NOTES_FILE = ".collection.json"
 
 
 def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
-    """Keep what a session must know when it is resumed, whole or not at all.
+    """Write the notes of a collection, completely or not at all.
 
     Args:
-        folder: Of the touches.
-        notes: What can be written as JSON.
+        folder: Folder of the touches.
+        notes: Notes that can be written as JSON.
 
     Raises:
-        DataError: They cannot be written.
+        DataError: If they cannot be written.
     """
-    with replacing(folder / NOTES) as temporary:
+    with replacing(folder / NOTES_FILE) as temporary:
         temporary.write_text(json.dumps(notes, indent=1))
     sync_folder(folder)
 
 
 def read_notes(folder: Path) -> dict[str, Any] | None:
-    """Read the notes that `write_notes` kept.
+    """Read the notes that `write_notes` wrote.
 
     Args:
-        folder: Of the touches.
+        folder: Folder of the touches.
 
     Returns:
-        The notes, None if there are none.
+        The notes, or None if there are none.
 
     Raises:
-        DataError: They are damaged.
+        DataError: If they are damaged.
     """
-    path = folder / NOTES
+    path = folder / NOTES_FILE
     try:
-        notes = dict(read_json(path, MAX_NOTES_BYTES))
+        notes = dict(read_json(path, 2**26))
         return notes | {"session": str(notes["session"])}
     except FileNotFoundError:
         return None
@@ -69,29 +67,30 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
 
 
 def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int, float], dict[str, Any]]:
-    """Begin a collection, or go on with the one that was begun in its folder.
+    """Begin a collection, or resume the one that was begun in its folder.
 
     Args:
-        args: As on the command line.
-        name: Of the object.
-        rig: Where everything is.
-        mesh: Of the object.
+        args: Arguments as on the command line.
+        name: Name of the object.
+        rig: Calibration of the lab.
+        mesh: Mesh of the object.
 
     Returns:
-        Sites that were touched and when (Unix time), and the notes of the collection.
+        Unix time (s) of each touch by the number of its site, and the notes of the collection.
 
     Raises:
-        DataError: Another collection was begun there, or its notes are damaged.
+        DataError: If another collection was begun there, or its notes are damaged.
     """
     files = touches_in(args.out) if args.out.is_dir() else []
     notes = read_notes(args.out)
     if notes is None and files:
-        raise DataError(f"{args.out} holds touches of another making; choose another --out")
+        raise DataError(f"{args.out} holds touches that were not collected there; choose another --out")
     notes = notes or {"session": f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"}
     notes["session"] = args.session or notes["session"]
     if files and "pad-name" not in notes:  # begun by an earlier version
         record = read_touch(files[0])
-        notes |= {_pad_flag(name): each.pads[0] for name, each in {TOOL: record.touch, **record.skins}.items()}
+        notes |= {_pad_flag(name): touches.pads[0] for name, touches in {TOOL: record.touch, **record.skins}.items()}
+    changeable = ("retries", "failures", "patience")  # settings that decide when to give up, and do not affect a touch
     same = {
         "object": name,
         "seed": args.world.seed,
@@ -99,86 +98,86 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         "board": args.skin.board or DEFAULT_BOARD,
         "pose": args.lab.pose,
         "sites": vars(args.sites),
-        "settings": {key: value for key, value in vars(args.settings).items() if key not in CHANGEABLE_SETTINGS},
+        "settings": {key: value for key, value in vars(args.settings).items() if key not in changeable},
         "rig": rig_hash(rig),
         "mesh": _hash(np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)].round(7).tobytes()),
-        **{_pad_flag(each.name): each.pad for each in wanted_skins(args, rig)},
+        **{_pad_flag(skin.name): skin.pad for skin in configured_skins(args, rig)},
     }
-    keep_same(notes, same, args.out)
+    require_same(notes, same, args.out)
     return {site_number_of(file): written_at(file) for file in files}, notes
 
 
-def keep_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> None:
-    """Note what all touches of a folder must have in common.
+def require_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> None:
+    """Note values that all touches of a folder must have in common.
 
     Args:
-        notes: Of the folder; what they do not say yet is added.
-        same: What holds now; "" where it is not known.
+        notes: Notes of the folder, to which missing values are added.
+        same: Present values; "" if unknown.
         out: The folder.
 
     Raises:
-        DataError: The folder was begun with something else.
+        DataError: If the folder was begun with other values.
     """
     same = json.loads(json.dumps(dict(same)))
     before, now = _by_flag(notes), _by_flag(same)
     different = [key for key, value in now.items() if "" not in (value, before.get(key, "")) and before[key] != value]
     if different:
         changes = "; ".join(f"{key}: {before[key]}, now {now[key]}" for key in different)
-        said = f"{' and '.join(different)} ({changes})".replace("chips ", "layout of chips ")
-        raise DataError(f"{out} was begun with another {said}; use that again, or another --out")
+        difference = f"{' and '.join(different)} ({changes})".replace("chips ", "layout of chips ")
+        raise DataError(f"{out} was begun with another {difference}; use that again, or another --out")
     notes |= {key: value for key, value in same.items() if value != "" or key not in notes}
 
 
 def device_notes(kind: str, device: object, name: str = "") -> dict[str, str]:
-    """The serial number of a device, for its folder.
+    """Make the note on the serial number of a device.
 
     Args:
-        kind: arm, camera or skin.
-        device: Connected.
-        name: Of a further skin.
+        kind: Kind of device: arm, camera or skin.
+        device: The connected device.
+        name: Name of a further skin.
 
     Returns:
-        For `keep_same`.
+        The note, for `require_same`.
     """
     return {f"{kind}_serial {name}".strip(): serial_number(device)}
 
 
 def board_notes(skin: SkinOnTool) -> dict[str, str]:
-    """Where the chips of a board lie and how they turn, for its folder: no set could hold touches with others.
+    """Make the note on the positions and rotations of a board's chips, which the touches of a set share.
 
     Args:
-        skin: With its board.
+        skin: The skin, with its board.
 
     Returns:
-        For `keep_same`.
+        The note, for `require_same`.
     """
     board = np.concatenate([np.ravel(part) for part in skin.board]).astype(np.float32).round(5)
     return {f"chips {skin.name}": _hash(board.tobytes())}
 
 
 def serial_number(device: object) -> str:
-    """Serial number of a connected device: a board on USB, a camera, an arm's controller.
+    """Read the serial number of a connected device: a board on USB, a camera, an arm's controller.
 
     Args:
-        device: Connected.
+        device: The connected device.
 
     Returns:
-        The number; "" where it has none.
+        The serial number, or "" if the device has none.
     """
     number = getattr(device, "serial_number", None) or getattr(getattr(device, "info", None), "serial_number", None)
     return str(number or "")
 
 
 def rig_hash(rig: Rig) -> str:
-    """Hash of a rig and of the object's pose in it.
+    """Hash a rig, including the object's pose.
 
     Args:
-        rig: Where everything is.
+        rig: Calibration of the lab.
 
     Returns:
         Ten hexadecimal digits.
     """
-    # A key has its earlier name, so that a collection that an earlier version began goes on.
+    # A key keeps its earlier name, so that collections of an earlier version can be resumed.
     return _hash(rig.text().replace("\napproach_distance = ", "\ntravel = ").encode())
 
 
@@ -191,8 +190,8 @@ def _hash(data: bytes) -> str:
 
 
 def _by_flag(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Values by the names of the command line, those of groups as `settings.press`."""
+    """Flatten values to the names of the command line, such as `settings.press` in a group."""
     named: dict[str, Any] = {}
     for key, value in values.items():
-        named |= {f"{key}.{name}": each for name, each in value.items()} if isinstance(value, dict) else {key: value}
+        named |= {f"{key}.{name}": part for name, part in value.items()} if isinstance(value, dict) else {key: value}
     return named

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from i2t.collect.turned_look import camera_aside, matching_shifts
+from i2t.collect.camera_offset import lateral_offset, matching_shifts
 
 PIXEL, TOLERANCE = (0.75e-3, 0.75e-3), 6e-3
 ROWS, COLUMNS = np.indices((90, 100))
@@ -38,7 +38,7 @@ def test_a_shifted_view_is_found_within_half_a_pixel_along_a_tilted_table(u, v, 
     assert shifts[0, 2] == pytest.approx(2e-4 * u - nearer, abs=1e-4)
 
 
-def test_a_plane_tells_no_shift_an_edge_one_direction_and_nothing_measured_none():
+def test_a_plane_determines_no_shift_and_an_edge_one_direction():
     every = _matching(TABLE, TABLE)
     assert len(every) == 33**2
     along_v = _matching(_seen((slice(None), slice(37, 67))), _seen((slice(None), slice(35, 65))))
@@ -48,17 +48,17 @@ def test_a_plane_tells_no_shift_an_edge_one_direction_and_nothing_measured_none(
     assert len(_matching(TABLE[:20, :20], TABLE[:20, :20], (slice(5, 9), slice(5, 9)))) == 33**2  # no room for shifts
 
 
-def test_a_finer_view_is_shifted_in_no_more_steps():
+def test_a_finer_view_is_shifted_in_as_many_steps():
     shifts = _matching(_seen((slice(30, 60), slice(44, 74))), _seen(AROUND), pixel=(0.4e-3, 0.4e-3))
     np.testing.assert_allclose(shifts.mean(0)[:2], [3.6e-3, 0.0], atol=0.4e-3)
 
 
 @pytest.mark.parametrize("degrees", [180, 120, -90])
-def test_what_shifts_alike_is_the_object_and_what_turns_with_the_tool_the_camera(degrees):
+def test_an_offset_that_turns_with_the_tool_is_the_camera_s(degrees):
     first = Rotation.from_euler("xyz", [170, 8, 40], degrees=True)
     turned = first * Rotation.from_euler("z", degrees, degrees=True)
     moved, aside = np.array([4e-3, -2e-3, 1e-3]), np.array([5e-3, -3e-3, 0.0])
     shifts = [(moved - pose.apply(aside))[None] for pose in (first, turned)]
-    along, found, unsure = camera_aside(*shifts, (first.as_matrix(), turned.as_matrix()))
-    np.testing.assert_allclose(found, along @ aside[:2], atol=1e-12)
-    np.testing.assert_allclose(unsure, 0.0, atol=1e-12)
+    along, offset, uncertainty = lateral_offset(*shifts, (first.as_matrix(), turned.as_matrix()))
+    np.testing.assert_allclose(offset, along @ aside[:2], atol=1e-12)
+    np.testing.assert_allclose(uncertainty, 0.0, atol=1e-12)

@@ -1,6 +1,6 @@
-"""Beginning of a collection: what can be known, and refused, without JAX and without a device.
+"""Start of a collection: everything that can be read, and refused, without JAX and without a device.
 
-The rig and the object are read, the folder is resumed, and the settings are held against the arm's limits.
+The rig and the object are read, the folder is resumed, and the settings are compared with the arm's limits.
 """
 
 from dataclasses import replace
@@ -11,8 +11,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.collect.arguments import CollectArgs, LabArgs
-from i2t.collect.devices import require_together
-from i2t.collect.notes import resume
+from i2t.collect.devices import require_compatible
+from i2t.collect.folder_notes import resume
 from i2t.collect.path import TouchPath
 from i2t.errors import printable
 from i2t.hardware.plugins import find_plugin
@@ -21,35 +21,37 @@ from i2t.hardware.rig_checks import require_plausible
 from i2t.objects.named import describe_placement, read_object
 from i2t.objects.solids import Object, highest_point
 
-NO_RIG = "a real arm needs to know its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
+MISSING_RIG_MESSAGE = (
+    "a real arm needs the calibration of its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
+)
 
 
-class Beginning(NamedTuple):
-    """A collection before it has devices."""
+class PreparedCollection(NamedTuple):
+    """A collection before its devices are made."""
 
     args: CollectArgs
     rig: Rig
-    name: str  # of the object
+    name: str  # name of the object
     target: Object
-    done: dict[int, float]  # sites that were touched and when (Unix time)
-    notes: dict[str, Any]  # of the folder (`i2t.collect.notes`)
+    done: dict[int, float]  # Unix time (s) of each touch, by the number of its site
+    notes: dict[str, Any]  # notes of the folder (`i2t.collect.folder_notes`)
 
 
-def begin(args: CollectArgs) -> Beginning:
-    """Begin a collection, or go on with the one that was begun in its folder.
+def begin(args: CollectArgs) -> PreparedCollection:
+    """Begin a collection, or resume the one that was begun in its folder.
 
     Args:
-        args: As on the command line.
+        args: Arguments as on the command line.
 
     Returns:
-        What `i2t.collect.session.collect` goes on with.
+        The collection that `i2t.collect.session.collect` carries out.
 
     Raises:
-        ValueError: What was asked for does not go together, or cannot be read.
-        UnreachableError: The way across the object is outside the box.
+        ValueError: If options contradict each other, or a file cannot be read.
+        UnreachableError: If the transfer height above the object is outside the arm's box.
     """
     rig = read_rig(args.lab, real=find_plugin("arm", args.arm.kind).needs_rig)
-    require_together(args, rig)
+    require_compatible(args, rig)
     target = read_object(args.world.object, args.world.unit, largest_piece=args.world.largest_piece)
     if placement := describe_placement(target):
         print(printable(placement))
@@ -57,24 +59,24 @@ def begin(args: CollectArgs) -> Beginning:
     if not args.lab.trust_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
     TouchPath(rig, args.settings, highest_point(target, rig.T_world_object)).check_settings()
-    return Beginning(args, rig, name, target, *resume(args, name, rig, target.mesh))
+    return PreparedCollection(args, rig, name, target, *resume(args, name, rig, target.mesh))
 
 
 def read_rig(args: LabArgs, *, real: bool) -> Rig:
-    """The lab's calibration, with the object where the command line says.
+    """Read the calibration of the lab, with the pose of the object from the command line if given there.
 
     Args:
-        args: As on the command line.
+        args: Arguments as on the command line.
         real: Whether a real arm will move.
 
     Returns:
-        The rig; the emulators' own where none is named and no real arm is asked for.
+        The rig. It is that of the emulators if none is named and no real arm is requested.
 
     Raises:
-        ValueError: A real arm needs a rig, or the file is damaged.
+        ValueError: If a real arm has no rig, or the file is damaged.
     """
     if args.rig is None and real:
-        raise ValueError(NO_RIG)
+        raise ValueError(MISSING_RIG_MESSAGE)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
     if args.pose is None:
         return rig
