@@ -125,7 +125,7 @@ def test_only_what_was_swept_is_free_and_a_pose_that_is_not_known_is_refused():
             contact_evidence(pose, swept=swept)
     with pytest.raises(ValueError, match="is not a rigid motion"):
         contact_evidence(np.diag([-1.0, 1, 1, 1]))
-    with pytest.raises(ValueError, match="points of a touch must be finite"):
+    with pytest.raises(ValueError, match="give one or more surface points of a touch"):
         with_surface_points(short, np.zeros((1, 3)), np.array([np.nan]))
 
 
