@@ -271,7 +271,7 @@ AWAY = np.eye(4) + np.diag([0.0, 0, 1], 1)  # a metre above, looking up
         (lambda *made: made[1].predict(FLAT, force=1.0), "nearest"),
         (lambda *made: made[1].predict(np.zeros((20, 20)), force=1.0, nearest=0.0), "pixels"),
         (lambda *made: made[2].predict(np.zeros((8, 8))), "needs nearest"),
-        (lambda *made: made[2].predict(np.zeros((9, 9)), nearest=0.0), "sees 8"),
+        (lambda *made: made[2].predict(np.zeros((9, 9)), nearest=0.0), "takes 8"),
         (lambda *made: made[0].predict_touch(DOME, AWAY), "nothing lies in"),
         (lambda *made: made[0].predict_touch(DOME, np.full((4, 4), np.nan)), "finite"),
     ],
