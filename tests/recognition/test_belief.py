@@ -341,7 +341,7 @@ def test_probabilities_are_those_of_being_right():
     spread = np.sqrt(1 + np.asarray(model.growth) * now.variance[..., 1:2])
     t = rng.normal(size=(*shape, 15)) / np.sqrt(rng.chisquare(8, shape) / 8)[..., None]
     reading = now.reading[..., 1, :] + (spread * t) @ np.linalg.inv(np.asarray(model.whiten, np.float64)).T
-    off = rng.normal(size=(episodes, 1, 6)) * SPREAD * belief.PARTICLE_STD_RATIO
+    off = rng.normal(size=(episodes, 1, 6)) * SPREAD * 0.5
     advance = expected(now, 1) + (now.jacobian * off).sum(-1) + rng.normal(scale=0.5e-3, size=shape)
 
     def episode(at):

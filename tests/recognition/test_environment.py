@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.environments import OBJECTS, SITES, random_environment
 
-from i2t.recognition.environment import HOME_HEIGHT_M, EnvironmentConfig, TouchAction, record
+from i2t.recognition.environment import EnvironmentConfig, TouchAction, record
 from i2t.simulation.touches import SimulationErrors
 
 QUIET = EnvironmentConfig(touches=4, errors=SimulationErrors.none())
@@ -27,7 +27,7 @@ def begun():
 
 def test_a_touch_is_that_of_the_table_and_its_reward_the_cross_entropy_of_the_prediction(begun):
     environment, params, state = begun
-    above = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, HOME_HEIGHT_M], [0, 0, 0, 1]]  # the origin, looking down
+    above = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.15], [0, 0, 0, 1]]  # the origin, looking down
     fresh, _ = environment.reset(jax.random.key(0), params)
     np.testing.assert_array_equal(fresh.T_w_t, np.float32(above))
     logits = np.array([1.0, -2.0, 0.5], np.float32)

@@ -101,13 +101,13 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, 
 
     monkeypatch.setattr(episodes_module, "predict_outcomes", predict)
     monkeypatch.setattr(episodes_module, "run_belief", judge)
-    monkeypatch.setattr(episodes_module, "BELIEVED_TOUCHES", 3 * together)
     observations = belief.TouchObservation(*(np.zeros((7, 3)) for _ in range(4)))
     made = Episodes(np.arange(7), chosen, observations, np.zeros((7, 3, 4, 4), np.float32))
     model = create_autospec(BeliefModel, instance=True, kinds=("readings", "fused"))
     found = inspect.unwrap(episodes_module.believe)(
         [None, None], SitePool(jnp.asarray(T), np.zeros(30, int)), made, belief.sample_particles(np.full(6, 1e-3), 1),
         {"": model, ", oracle": model}, overtravel=OVERTRAVEL, label="test",
+        touches_at_a_time=3 * together,
     )  # fmt: skip
     assert set(found) == {"readings", "fused", "readings, oracle", "fused, oracle"}
     expected = np.repeat(heights[chosen][..., None], 2, -1) + np.arange(7)[:, None, None]

@@ -80,7 +80,7 @@ def test_gains_are_mutual_information(prior):
     distances = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 20.0])
     bound = stats.bernoulli(prior).entropy()
     # What is not known about a place makes the approach distance unsure along its slope.
-    unsure = np.hypot(belief.PARTICLE_STD_RATIO * SPREAD[2], POSITION)
+    unsure = np.hypot(0.5 * SPREAD[2], POSITION)
     steep = touches(0.0, unsure * apart(distances))._replace(jacobian=jnp.broadcast_to(jnp.eye(6)[2], (*SHAPE, 6)))
     for likelihood, table in (
         (TACTILE, touches(NOISE * apart(distances))),

@@ -50,7 +50,7 @@ def test_some_episodes_may_share_their_sites_and_no_others(surfaces, monkeypatch
 
 @pytest.mark.full
 def test_joined_pools_number_their_own_sites_pool_by_pool(surfaces):
-    pools = site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, each=6, limits=RECOGNITION_LIMITS)
+    pools = site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, per_object=6, limits=RECOGNITION_LIMITS)
     assert pools.T_w_t.shape == (4, 2, 6, 4, 4)
     assert len(np.unique(pools.T_w_t[:, :, :, :3, 3].reshape(-1, 3), axis=0)) == 4 * 2 * 6
     joined = pools.joined()
@@ -73,4 +73,6 @@ def test_an_object_without_safe_sites_is_named(surfaces, monkeypatch):
     none = touch_sites.Sites(jax.numpy.zeros((256, 4, 4)), jax.numpy.zeros(256, bool))
     monkeypatch.setattr(site_pool, "_draw_batch", lambda *_: none)
     with pytest.raises(ValueError, match="square has too few safe sites: 0 among"):
-        site_pool.sample_pools(jax.random.key(0), surfaces[:1], NAMES[:1], pools=1, each=1, limits=RECOGNITION_LIMITS)
+        site_pool.sample_pools(
+            jax.random.key(0), surfaces[:1], NAMES[:1], pools=1, per_object=1, limits=RECOGNITION_LIMITS
+        )
