@@ -332,8 +332,8 @@ class TouchEnvironment:
             return TouchOutcome(touched.reading, touched.force, end, touched.contact)
         pressed = simulate_touch(
             key, element(params.surfaces, state.object), jnp.eye(4), T_w_site,
-            session=state.session, pad=worn(params.pads, state.pad), errors=self.config.errors,
-            limits=self.config.limits, law=self.config.law, response=worn(params.response, state.pad),
+            session=state.session, pad=select_pad(params.pads, state.pad), errors=self.config.errors,
+            limits=self.config.limits, law=self.config.law, response=select_pad(params.response, state.pad),
         )  # fmt: skip
         return TouchOutcome(pressed.reading, pressed.force, pressed.T_w_t, pressed.code != ReturnCode.AIR)
 
@@ -349,7 +349,7 @@ class TouchEnvironment:
         """
         return read_session(
             jax.random.wrap_key_data(state.sensor_key), state.made.reading, state.made.T_w_t,
-            worn(pads, state.pad), self.config.errors, presses_before=self.config.presses_before,
+            select_pad(pads, state.pad), self.config.errors, presses_before=self.config.presses_before,
         )  # fmt: skip
 
     def measure(self, state: EpisodeState, params: EnvironmentParams) -> TouchObservation:
@@ -405,7 +405,7 @@ class TouchEnvironment:
         )
 
 
-def worn(stacked: PadTree, number: Int[Array, ""]) -> PadTree:
+def select_pad(stacked: PadTree, number: Int[Array, ""]) -> PadTree:
     """Select one pad, or its response, from several.
 
     Args:

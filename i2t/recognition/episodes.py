@@ -243,14 +243,14 @@ def believe(
     T, twist = np.asarray(sites.T_w_t), particles.twist
     chunks = filled_batches(np.arange(count), per_batch)
     touched = [np.unique(episodes.site[rows], return_inverse=True) for rows in chunks]  # episodes may share sites
-    most = max(len(where) for where, _ in touched)
+    largest = max(len(where) for where, _ in touched)
     parts: list[dict[str, np.ndarray]] = []
-    total = len(surfaces) * len(twist) * most * len(chunks)
+    total = len(surfaces) * len(twist) * largest * len(chunks)
     with progress(total=total, desc=f"{label}: predicting", unit="touch", unit_scale=True) as bar:
         for rows, (where, of_touch) in zip(chunks, touched, strict=True):
             some: Episodes = select_rows(episodes, rows)
             tables = predict_outcomes(
-                surfaces, twist, T[np.resize(where, most)], reading_models,
+                surfaces, twist, T[np.resize(where, largest)], reading_models,
                 overtravel=overtravel, label=label, bar=bar,
             )  # fmt: skip
             some = some._replace(site=of_touch.reshape(per_batch, touches))

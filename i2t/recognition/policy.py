@@ -94,18 +94,18 @@ def expected_information_gain(
     twist = compared.mean[objects, particle] + jnp.einsum("nij,nj->ni", root[objects, particle], normal)
     noise = _draw_noise(key_noise, likelihood, (num_draws, table.reading.shape[-1] + 2))
     draws = _Draws(objects, particle, twist, noise)
-    imagine = partial(imagine_observation, likelihood=likelihood, skin_change=skin_change, force=PressLimits.force)
+    simulate = partial(simulate_observation, likelihood=likelihood, skin_change=skin_change, force=PressLimits.force)
 
     def site_gain(row: PredictedTouch) -> InformationGain:
         some = jax.tree.map(lambda x: jax.vmap(lambda x, i: x[i])(x, compared.particle), row)  # (objects, particles)
         true = jax.tree.map(lambda x: x[draws.object, draws.particle], some)
-        density = _compare(jax.vmap(imagine)(true, draws.twist, draws.noise), some, compared, likelihood)
+        density = _compare(jax.vmap(simulate)(true, draws.twist, draws.noise), some, compared, likelihood)
         return _mutual_information(density, log_prior, draws)
 
     return map_batches(site_gain, table, batch_size=16)
 
 
-def imagine_observation(
+def simulate_observation(
     predicted: PredictedTouch,
     twist: Float[Array, "6"],
     noise: Float[Array, " noise"],
@@ -261,7 +261,7 @@ def _draw_noise(key: Key[Array, ""], likelihood: Likelihood, shape: tuple[int, i
 
 
 def _compare(
-    imagined: TouchObservation, predicted: PredictedTouch, compared: _Compared, likelihood: Likelihood
+    simulated: TouchObservation, predicted: PredictedTouch, compared: _Compared, likelihood: Likelihood
 ) -> Float[Array, "n objects p"]:
     """Compute the log likelihood of each simulated touch under each compared particle."""
 
@@ -269,7 +269,7 @@ def _compare(
         under = jax.vmap(jax.vmap(partial(evidence, observation, likelihood=likelihood)))
         return log_likelihood(under(predicted, compared.mean, compared.covariance), likelihood)
 
-    return jax.vmap(compare)(imagined)
+    return jax.vmap(compare)(simulated)
 
 
 def _mutual_information(

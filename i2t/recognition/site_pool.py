@@ -210,14 +210,14 @@ def predict_outcomes(
     by_layer: dict[tuple[float, ...], list[int]] = {}  # contacts are computed once for all pads of one layer
     for i, model in enumerate(reading_models):
         by_layer.setdefault(tuple(float(part) for part in model.layer), []).append(i)
-    most = max(len(numbers) for numbers in by_layer.values())
+    largest = max(len(numbers) for numbers in by_layer.values())
     predicted: dict[int, PredictedTouch] = {}
     total = len(by_layer) * len(surfaces) * len(T_w_site) * len(twist)
     new_bar = partial(progress, total=total, desc=f"{label}: predicting", unit="touch", unit_scale=True)
     with new_bar() if bar is None else nullcontext(bar) as shown:
         for numbers in by_layer.values():
             # Groups are filled up to one size, so that one compilation serves all layers.
-            models = [reading_models[i] for i in np.resize(numbers, most)]
+            models = [reading_models[i] for i in np.resize(numbers, largest)]
             touches = _predict_on_layer(surfaces, twist, np.asarray(T_w_site), models, overtravel, shown)
             predicted |= dict(zip(numbers, touches, strict=False))
     return [predicted[i] for i in range(len(reading_models))]

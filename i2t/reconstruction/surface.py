@@ -253,7 +253,7 @@ def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
         ball = np.linalg.norm(model.points - middle, axis=-1) - model.config.radius
         return SurfacePrior(ball.astype(np.float32), np.zeros((len(ball), 0), np.float32))
     weight = np.exp(log_w - logsumexp(log_w))
-    pick = likeliest if model.config.likeliest and state.evidence else few_of_many
+    pick = likeliest if model.config.likeliest and state.evidence else subsample
     shapes, weights = pick(weight, count)
     deviations = model.library.fields(shapes)
     mean = deviations @ weights
@@ -262,7 +262,7 @@ def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
     return SurfacePrior(mean, deviations)
 
 
-def few_of_many(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+def subsample(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Choose a few weighted shapes that represent many, after Fearnhead and Clifford (J. R. Statist. Soc. B 65, 2003).
 
     Shapes with large weights are kept. Some of the others are drawn, evenly by weight and without random numbers, and
@@ -289,7 +289,7 @@ def few_of_many(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.nda
 
 
 def likeliest(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Choose the shapes with the largest weights, without others that represent the rest as in `few_of_many`.
+    """Choose the shapes with the largest weights, without others that represent the rest as in `subsample`.
 
     Args:
         weight: Weights of all shapes, which sum to 1.

@@ -90,9 +90,9 @@ def test_the_range_grows_away_from_what_was_touched():
 
 
 def test_methods_share_what_they_made_of_the_same_touches_only():
-    made: list[int] = []
+    calls: list[int] = []
     given, rows = TrainingTouches(bare_dataset(np.zeros((4, 5, 5)), np.zeros((4, 6)))), np.arange(4) < 2
-    values = [given.once("sum", mask, lambda: made.append(1) or len(made)) for mask in (rows, rows, ~rows)]
+    values = [given.once("sum", mask, lambda: calls.append(1) or len(calls)) for mask in (rows, rows, ~rows)]
     assert values == [1, 1, 2]
 
 

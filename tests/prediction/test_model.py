@@ -37,8 +37,8 @@ def examples(cfg: ModelConfig, n: int) -> Inputs:
 
 
 def plain(conditions: int) -> Normalisation:
-    one = jnp.ones(15)
-    return Normalisation(Standard(0 * one, one), Standard(jnp.zeros(conditions), jnp.ones(conditions)), 0 * one)
+    ones = jnp.ones(15)
+    return Normalisation(Standard(0 * ones, ones), Standard(jnp.zeros(conditions), jnp.ones(conditions)), 0 * ones)
 
 
 def start(cfg: ModelConfig) -> dict:

@@ -117,21 +117,21 @@ def test_a_position_is_a_mixture_of_kalman_steps_and_outliers_that_leave_the_pla
     mean, covariance = rng.normal(scale=0.1e-3, size=(MANY, 6)), root @ root.swapaxes(1, 2)
     errors = np.resize([0.0, 0.3e-3, 1e-3, 0.5], MANY)  # half a metre
     likelihood = like(position_std=std, position_share=share, outlier_rate=rate, indentation_error=deep)
-    found = judged(outcome, errors, likelihood=likelihood, mean=mean, covariance=covariance)
+    compared = judged(outcome, errors, likelihood=likelihood, mean=mean, covariance=covariance)
     for i, error in enumerate(errors):
         P, slope = covariance[i], np.asarray(outcome.jacobian[i], np.float64)
         toward, surprise = P @ slope, error - slope @ mean[i]
         variance = slope @ toward + np.array(std) ** 2 + (deep * float(outcome.indentation[i, 1])) ** 2
         usual = np.array(share) * stats.norm.pdf(surprise, scale=np.sqrt(variance))
         joint = np.append((1 - rate) * usual, rate / STRAY)
-        assert float(found.spatial[i]) == pytest.approx(np.log(joint.sum()), abs=1e-3)
+        assert float(compared.spatial[i]) == pytest.approx(np.log(joint.sum()), abs=1e-3)
         weight = joint / joint.sum()
         gains = np.append(np.outer(1 / variance, toward), np.zeros((1, 6)), axis=0)
         step = weight @ gains * surprise
         off = gains * surprise - step
         mixed = P + np.einsum("c,ci,cj->ij", weight, off, off) - np.outer(weight @ gains, toward)
-        np.testing.assert_allclose(found.mean[i], mean[i] + step, atol=1e-7)
-        np.testing.assert_allclose(found.covariance[i], mixed, atol=1e-3 * P.max())
+        np.testing.assert_allclose(compared.mean[i], mean[i] + step, atol=1e-7)
+        np.testing.assert_allclose(compared.covariance[i], mixed, atol=1e-3 * P.max())
 
 
 def test_meeting_something_and_nothing_share_one():
@@ -159,11 +159,11 @@ def test_a_force_that_no_wrench_sensor_can_tell_is_the_least():
     # Readings and indentations are those of the least load; the arm gives by the force that was measured.
     advance = np.asarray(same.approach_distance) + force / ARM_STIFFNESS_N_PER_M
     at = measured(np.asarray(same.reading)[:, 0] / 20, force, advance, np.ones(MANY, bool))
-    found = evidence(at, same, jnp.zeros((MANY, 6)), jnp.float32(PRIOR), LIKE)
-    for values in (found.tactile, found.spatial, found.mean):
+    compared = evidence(at, same, jnp.zeros((MANY, 6)), jnp.float32(PRIOR), LIKE)
+    for values in (compared.tactile, compared.spatial, compared.mean):
         values = np.asarray(values).reshape(MANY // 4, 4, -1)
         np.testing.assert_allclose(values, values[:, -1:].repeat(4, 1), rtol=1e-4, atol=1e-7)
-    assert np.isfinite(found.tactile).all()
+    assert np.isfinite(compared.tactile).all()
 
 
 def test_extremes_stay_finite():
@@ -177,9 +177,9 @@ def test_extremes_stay_finite():
     for contact in (True, False):
         at = measured(reading, force, advance, np.full(MANY, contact))
         for likelihood in (LIKE, like(outlier_rate=1e-12)):
-            found = evidence(at, outcome, jnp.zeros((MANY, 6)), jnp.float32(covariance), likelihood)
-            assert all(np.isfinite(values).all() for values in found)
-            assert (np.linalg.eigvalsh(np.asarray(found.covariance, np.float64)) > -1e-6 * SPREAD.max() ** 2).all()
+            compared = evidence(at, outcome, jnp.zeros((MANY, 6)), jnp.float32(covariance), likelihood)
+            assert all(np.isfinite(values).all() for values in compared)
+            assert (np.linalg.eigvalsh(np.asarray(compared.covariance, np.float64)) > -1e-6 * SPREAD.max() ** 2).all()
 
 
 # --- particles --------------------------------------------------------------------------------------------------------
@@ -275,8 +275,8 @@ def test_weights_leave_evidence_out_which_may_be_nan(middle):
 
     def apart(other: TouchObservation, **weights: float) -> float:
         """How far weights of particles come apart where another touch was measured."""
-        one, two = (update(now, touch, outcome, like(**weights)).log_weight for touch in (at, other))
-        return float(np.abs(one - two).max())
+        first, second = (update(now, touch, outcome, like(**weights)).log_weight for touch in (at, other))
+        return float(np.abs(first - second).max())
 
     felt, ended = at._replace(reading=at.reading + 30), at._replace(advance=at.advance + 1e-3)
     air, lost = at._replace(contact=jnp.asarray(False)), at._replace(reading=jnp.full(15, jnp.nan))

@@ -20,10 +20,10 @@ def test_the_temperature_of_beliefs_that_count_touches_twice_is_found():
         t = np.arange(1, touches + 1)
         sure = right * (wanted.initial * (1 + wanted.growth * (t - 1)))[None, :, None]
         p = np.exp(sure - logsumexp(sure, axis=-1, keepdims=True))
-        found = calibrated.fit_temperature(p, truth)
-        assert found.initial == pytest.approx(wanted.initial, abs=0.06)
-        assert found.growth == pytest.approx(wanted.growth, abs=0.03)
-        sober = calibrated.calibrated_beliefs(p, found)
+        fitted = calibrated.fit_temperature(p, truth)
+        assert fitted.initial == pytest.approx(wanted.initial, abs=0.06)
+        assert fitted.growth == pytest.approx(wanted.growth, abs=0.03)
+        sober = calibrated.calibrated_beliefs(p, fitted)
         assert (sober.argmax(-1) == p.argmax(-1)).mean() > 0.9999
         assert metrics.log_loss(sober, truth).mean() <= metrics.log_loss(p, truth).mean() + 1e-4
 

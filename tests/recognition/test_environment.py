@@ -90,8 +90,8 @@ def test_touches_to_come_change_no_reading_of_those_made():
         outcome = environment.touch(jax.random.key(site), state, jnp.int32(site), params)
         state = record(state, jnp.int32(site), outcome)
         readings.append(environment.measure(state, params).reading)
-    for made, reading in enumerate(readings[:2], 1):
-        np.testing.assert_array_equal(reading[:made], readings[2][:made])
+    for count, reading in enumerate(readings[:2], 1):
+        np.testing.assert_array_equal(reading[:count], readings[2][:count])
     assert not np.array_equal(readings[2][:3], state.made.reading[:3])  # which is that of an ideal skin
 
 

@@ -21,14 +21,14 @@ def test_recorded_touches_are_seen_from_the_object():
     rows = np.ones(len(dataset), bool)
     rows[:4] = False
     touches = dataset.touches
-    known = recorded_touches(dataset, rows, {"mug": MUG}, "DATA")
-    assert len(known.dataset) == known.rows.sum() == 36
+    selected = recorded_touches(dataset, rows, {"mug": MUG}, "DATA")
+    assert len(selected.dataset) == selected.rows.sum() == 36
     T_o_t = np.linalg.inv(touches.T_w_o[rows]) @ touches.T_w_t[rows]
-    np.testing.assert_allclose(known.dataset.touches.T_w_t, T_o_t, atol=1e-6)
-    np.testing.assert_array_equal(known.dataset.touches.T_w_o, np.broadcast_to(np.eye(4), (36, 4, 4)))
-    np.testing.assert_array_equal(known.dataset.touches.reading, touches.reading[rows])
-    assert list(known.surfaces) == ["star", "mug"]
-    assert known.made_from == "DATA"
+    np.testing.assert_allclose(selected.dataset.touches.T_w_t, T_o_t, atol=1e-6)
+    np.testing.assert_array_equal(selected.dataset.touches.T_w_o, np.broadcast_to(np.eye(4), (36, 4, 4)))
+    np.testing.assert_array_equal(selected.dataset.touches.reading, touches.reading[rows])
+    assert list(selected.surfaces) == ["star", "mug"]
+    assert selected.made_from == "DATA"
 
 
 def test_objects_without_a_mesh_are_left_out_or_named():
@@ -64,7 +64,7 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"code": np.full(40, ReturnCode.AIR)}, "no press among the training touches was ended by the skin"),
         ({"force": np.full(40, np.nan)}, "no press among the training touches has a measured force, depth and pose"),
@@ -76,9 +76,9 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
         ),
     ],
 )
-def test_why_touches_make_no_pad_model(changed, said):
+def test_why_touches_make_no_pad_model(changed, message):
     dataset = recorded_presses(objects=("star", "hammer"), **changed)
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(DataError, match=message):
         recorded_touches(dataset, np.ones(len(dataset), bool), {}, "DATA")
 
 

@@ -60,8 +60,8 @@ def test_joined_pools_number_their_own_sites_pool_by_pool(surfaces):
 
 
 def test_the_heuristic_is_of_each_pool_by_itself_and_plans_touches_there():
-    found = site_pool.pool_informativeness(TWO_POOLS)
-    np.testing.assert_allclose(found, [[[0, 1], [0, 1]], [[1, 0], [1, 0]]], atol=1e-6)
+    weights = site_pool.pool_informativeness(TWO_POOLS)
+    np.testing.assert_allclose(weights, [[[0, 1], [0, 1]], [[1, 0], [1, 0]]], atol=1e-6)
     plan = site_pool.plan_informative_touches(jax.random.key(0), TWO_POOLS, np.array([0, 1, 1]), 20)
     at = np.asarray(plan.sites.T_w_t)[plan.chosen][:, :, 0, 3]
     np.testing.assert_allclose(at, [[1e-2] * 20, [0] * 20, [0] * 20], atol=1e-8)

@@ -59,12 +59,12 @@ def test_only_what_is_safe_is_chosen_and_nothing_where_nothing_is(policy, touche
 def test_sites_lie_on_the_surface_and_look_into_it():
     model = _balls()
     estimate = estimate_surface(model, init(model)[0])
-    found = exploration.propose_sites(estimate, np.random.default_rng(0), config=_config(limits=AROUND_LIMITS))
-    offset = found.T_o_t[:, :3, 3] - CENTRE
+    proposals = exploration.propose_sites(estimate, np.random.default_rng(0), config=_config(limits=AROUND_LIMITS))
+    offset = proposals.T_o_t[:, :3, 3] - CENTRE
     away = offset / np.linalg.norm(offset, axis=-1, keepdims=True)
     np.testing.assert_allclose(np.linalg.norm(offset, axis=-1), RADII.mean(), atol=1e-3)
-    assert ((found.T_o_t[:, :3, 2] * away).sum(-1) < -0.97).all()
-    assert found.safe.all()
+    assert ((proposals.T_o_t[:, :3, 2] * away).sum(-1) < -0.97).all()
+    assert proposals.safe.all()
 
 
 def test_a_site_below_an_overhang_or_whose_overtravel_meets_the_table_is_not_safe():

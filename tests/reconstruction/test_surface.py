@@ -30,12 +30,12 @@ from i2t.reconstruction.surface import (
     SurfaceConfig,
     condition_on,
     estimate_surface,
-    few_of_many,
     init,
     likeliest,
     posterior_covariance,
     predict,
     regress,
+    subsample,
     surface_model,
     update,
     weighted_prior,
@@ -59,16 +59,16 @@ def _smooth(**changes):
 
 
 def test_the_signed_distance_of_a_ball_is_its_closed_form_and_its_mesh_has_its_volume():
-    found = signed_distance_grid(_ball(30e-3, subdivisions=3), GRID)
+    distance = signed_distance_grid(_ball(30e-3, subdivisions=3), GRID)
     true = np.linalg.norm(GRID.points(), axis=-1) - 30e-3
-    assert np.abs(found - true)[np.abs(true) < 8e-3].max() < 0.25e-3  # chords lie 0.16 mm within the ball
-    assert np.abs(found - true).max() < 0.8e-3
-    assert ((found < 0) == (true < 0))[np.abs(true) > 0.3e-3].all()
+    assert np.abs(distance - true)[np.abs(true) < 8e-3].max() < 0.25e-3  # chords lie 0.16 mm within the ball
+    assert np.abs(distance - true).max() < 0.8e-3
+    assert ((distance < 0) == (true < 0))[np.abs(true) > 0.3e-3].all()
     mesh = extract_mesh(GRID, true.astype(np.float32))
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces)
     assert solid.is_watertight
     assert solid.volume == pytest.approx(4 / 3 * np.pi * 30e-3**3, rel=0.05)  # it looks outward
-    assert extract_mesh(GRID, 1 + 0 * found).faces.shape == (0, 3)  # where nothing is inside
+    assert extract_mesh(GRID, 1 + 0 * distance).faces.shape == (0, 3)  # where nothing is inside
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 30e-3, atol=0.6e-3)
 
 
@@ -96,8 +96,8 @@ def test_shapes_of_the_library_are_the_meshes_on_all_sides_turned_and_mirrored(o
         assert np.abs(field - wanted)[near].max() < 1.5e-3  # where the field bends, heights are interpolated
         assert np.abs(field - wanted)[near].mean() < 0.25e-3
         rows = np.flatnonzero(near)[::50]
-        found = model.library.near(model.points[rows] + 0.2e-3, number // 6)[:, number % 6]
-        np.testing.assert_allclose(found, field[rows], atol=1e-6)
+        values = model.library.near(model.points[rows] + 0.2e-3, number // 6)[:, number % 6]
+        np.testing.assert_allclose(values, field[rows], atol=1e-6)
     assert len(np.unique(np.round(fields, 4), axis=1).T) == 48
 
 
@@ -209,7 +209,7 @@ def test_a_floor_is_what_no_touch_takes_away():
 
 def test_points_that_a_touch_felt_are_points_of_the_surface():
     model = _balls()
-    x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
     cap = np.stack([x, y, np.sqrt(25e-3**2 - x**2 - y**2)], -1)
     evidence = with_surface_points(
         contact_evidence(from_above(25e-3)), cap * (1, -1, -1) + (0, 0, 25e-3), np.full(25, 0.1e-3)
@@ -223,12 +223,12 @@ def test_a_reading_says_where_in_its_square_the_pad_met_the_surface_and_what_is_
     """Of planes that tilt: the lowest corner is met, the opposite one is free."""
     posterior = summarize(jnp.zeros(24).at[0].set(1.0), jnp.float32(1.0), library=library)  # nearest where x is least
     T_o_t = from_above(20e-3)
-    touch, found = contact_evidence(T_o_t), reading_evidence(T_o_t, posterior)
+    touch, felt = contact_evidence(T_o_t), reading_evidence(T_o_t, posterior)
     met = T_o_t[:3, :3] @ np.append(posterior.centre, 0.0) + T_o_t[:3, 3]
-    np.testing.assert_allclose(found.points[0], met, atol=1e-6)
-    np.testing.assert_allclose(found.points[1], met - [0, 0, 3e-3], atol=1e-6)
-    np.testing.assert_array_equal(found.values, [0, -3e-3])
-    more = (found.free[len(touch.free) :] - T_o_t[:3, 3]) @ T_o_t[:3, :3]
+    np.testing.assert_allclose(felt.points[0], met, atol=1e-6)
+    np.testing.assert_allclose(felt.points[1], met - [0, 0, 3e-3], atol=1e-6)
+    np.testing.assert_array_equal(felt.values, [0, -3e-3])
+    more = (felt.free[len(touch.free) :] - T_o_t[:3, 3]) @ T_o_t[:3, :3]
     assert len(more)
     depth = 1e-3 * (more[:, 0] / 8.5e-3 + 1)  # of the plane
     assert (more[:, 2] < depth).all()
@@ -240,14 +240,14 @@ def test_few_shapes_stand_for_many_by_their_weight():
     for spread in (0.0, 1.0, 4.0):
         weight = np.exp(spread * rng.normal(size=2000))
         weight /= weight.sum()
-        shapes, weights = few_of_many(weight, 100)
+        shapes, weights = subsample(weight, 100)
         assert len(set(shapes)) == len(shapes) == 100
         assert weights.sum() == pytest.approx(1)
         heavy = np.flatnonzero(weight > 0.02)
-        np.testing.assert_allclose([weights[shapes == each].sum() for each in heavy], weight[heavy], rtol=1e-5)
+        np.testing.assert_allclose([weights[shapes == index].sum() for index in heavy], weight[heavy], rtol=1e-5)
         below = np.arange(2000) < 1000  # in number and in weight, those drawn are as the rest
         assert weights[below[shapes]].sum() == pytest.approx(weight[below].sum(), abs=0.02)
-    shapes, weights = few_of_many(np.array([0.2, 0.5, 0.3]), 3)
+    shapes, weights = subsample(np.array([0.2, 0.5, 0.3]), 3)
     np.testing.assert_allclose(weights[np.argsort(shapes)], [0.2, 0.5, 0.3], rtol=1e-6)
 
 
