@@ -155,7 +155,7 @@ def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> 
     batches = filled_batches(np.arange(len(point)), VIEW_BATCH)
     calls = ((point[rows], surface) for surface in surfaces for rows in batches)
     distance = np.concatenate(list(spread(_nearest_distances, calls))).reshape(len(surfaces), -1)
-    return distance[:, : len(point)].T / 1e-3
+    return distance[:, : len(point)].T / 1e-3  # mm
 
 
 # --- rules ---

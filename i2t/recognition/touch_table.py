@@ -173,7 +173,7 @@ def _safe_sites(
 ) -> SitePool:
     """Draw sites that are safe on every object at its believed pose, as equally from all objects as possible."""
     per_object = -(-count // len(surfaces))
-    pool = sample_sites(key, surfaces, names, 4 * per_object, config.safety)  # few are safe on every object
+    pool = sample_sites(key, surfaces, names, 4 * per_object, config.safety)  # not all are safe on every object
     safe = np.all(safe_sites(surfaces, pool, config.safety), axis=1)
     good = np.flatnonzero(safe)
     if len(good) < count:

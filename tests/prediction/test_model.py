@@ -105,7 +105,7 @@ def test_weights_of_a_seed_are_those_of_earlier_versions() -> None:
     np.testing.assert_allclose(params["bottleneck"]["kernel"][0], expected, rtol=4 * EPS)
 
 
-def test_layers_left_out_change_no_other() -> None:
+def test_omitted_layers_do_not_change_the_others() -> None:
     whole, part = start(replace(SMALL, heteroscedastic=True)), start(replace(SMALL, auxiliary=False))
     for name, layer in part.items():
         jax.tree.map(np.testing.assert_array_equal, layer, whole[name])

@@ -142,7 +142,7 @@ def test_the_board_of_the_training_is_kept(network, tmp_path, name):
     assert network.board is None
 
 
-def test_a_name_that_is_no_predictor_leads_to_the_ready_model(monkeypatch, tmp_path):
+def test_an_unknown_name_of_a_predictor_hints_at_the_ready_model(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for name in ("nominall", "Nominal", "NOMINAL/", "nominal/"):
         with pytest.raises(CheckpointError, match=r"holds no predictor .*; did you mean nominal\?"):
@@ -153,7 +153,7 @@ def test_a_name_that_is_no_predictor_leads_to_the_ready_model(monkeypatch, tmp_p
 
 @pytest.mark.full
 @pytest.mark.parametrize("which", ["process", "network", "on_pressure"])
-def test_what_is_saved_is_what_is_loaded(which, patches, request, tmp_path):
+def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_path):
     original = request.getfixturevalue(which)
     original = original[0] if which == "process" else original
     predictor.save(tmp_path / "p", original)
@@ -197,9 +197,7 @@ def edit_metadata(folder, edit):
 @pytest.mark.parametrize(
     ("sign", "offset", "force"), [(1.0, 0.0, 0.8), (-1.0, 0.0, 0.8), (1.0, 1e-3, 0.8), (1.0, 0, -2)]
 )
-def test_a_predictor_of_before_knew_signs_and_is_refused_where_they_were_not_the_usual_ones(
-    patches, tmp_path, sign, offset, force
-):
+def test_an_old_predictor_with_unusual_sign_conventions_is_refused(patches, tmp_path, sign, offset, force):
     fitted, _ = fitted_gp(patches, 12)
     predictor.save(tmp_path / "p", replace(fitted, default_force=0.8))
 
@@ -226,7 +224,7 @@ def test_any_board_is_predicted(patches):
     assert np.corrcoef(fitted.predict(patches, force=0.8).mean.ravel(), np.ravel(readings))[0, 1] > 0.9
 
 
-def test_a_network_predicts_what_the_model_says(network, patches):
+def test_a_network_predicts_the_same_as_its_model(network, patches):
     """Through the user's door or straight from i2t.prediction.model: the same numbers."""
     params, cfg, norm = network.model.params, network.model.cfg, network.model.normalisation
     inputs = model.Inputs(jnp.asarray(patches[0]), jnp.array([1.2, -2e-4]))
@@ -277,7 +275,7 @@ AWAY = np.eye(4) + np.diag([0.0, 0, 1], 1)  # a metre above, looking up
         (lambda *fixtures: fixtures[0].predict_touch(DOME, np.full((4, 4), np.nan)), "finite"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_sentence(process, network, baseline_predictors, call, words):
+def test_input_that_does_not_fit_is_refused_in_one_sentence(process, network, baseline_predictors, call, words):
     with pytest.raises(ValueError, match=words) as error:
         call(process[0], network, baseline_predictors["ridge-measured"])
     assert "\n" not in str(error.value)

@@ -49,7 +49,7 @@ def anything(extra: Any = None) -> Anything:
     )
 
 
-def test_whatever_a_model_holds_comes_back(tmp_path):
+def test_all_fields_of_a_model_are_restored(tmp_path):
     original = anything()
     save(tmp_path / "p", Predictor(original, 17e-3, 4e-3, 1.0, 3e-4))
     back: Any = load_predictor(tmp_path / "p").model
@@ -63,7 +63,7 @@ def test_whatever_a_model_holds_comes_back(tmp_path):
 
 
 @pytest.mark.parametrize("extra", [[np.ones(2), np.ones(3)], {"a": "text"}, print, np.array(["a"]), np.array([2**40])])
-def test_what_no_file_holds_is_refused_in_one_sentence(extra):
+def test_fields_that_cannot_be_saved_are_refused_in_one_sentence(extra):
     with pytest.raises(ValueError, match=r"Anything\.extra cannot be kept on disk") as error:
         to_disk(anything(extra))
     assert "\n" not in str(error.value)

@@ -66,7 +66,7 @@ def measured(reading, force, advance, contact) -> TouchObservation:
     return TouchObservation(jnp.float32(reading), jnp.float32(force), jnp.float32(advance), jnp.asarray(contact))
 
 
-def test_errors_are_whitened_and_a_density_of_a_reading_is_student_t():
+def test_the_density_of_a_whitened_reading_error_is_student_t():
     likelihood = like(dof=5, inflation=1.3)
     whiten = np.asarray(likelihood.whiten, np.float64)
     loss = 15 * EPS * np.linalg.cond(COVARIANCE)  # of factors in float32
@@ -108,7 +108,7 @@ def judged(outcome, error=0.0, *, likelihood=LIKE, mean=0.0, covariance=PRIOR, l
     ("std", "share", "rate", "deep"),
     [([POSITION], [1.0], 1e-12, 0), ([POSITION], [1.0], 1e-12, 0.3), ([5e-5, 2e-4, 1e-3], [0.6, 0.3, 0.1], 0.01, 0)],
 )
-def test_a_position_is_a_mixture_of_kalman_steps_and_outliers_that_leave_the_placement(std, share, rate, deep):
+def test_a_position_updates_the_pose_by_a_mixture_of_kalman_steps_and_outliers_do_not(std, share, rate, deep):
     """Density, mean and covariance by the mixture's components, in double precision; the error of a deep indentation
     adds to that of the position.
     """
@@ -134,7 +134,7 @@ def test_a_position_is_a_mixture_of_kalman_steps_and_outliers_that_leave_the_pla
         np.testing.assert_allclose(compared.covariance[i], mixed, atol=1e-3 * P.max())
 
 
-def test_meeting_something_and_nothing_share_one():
+def test_probabilities_of_contact_and_of_none_sum_to_one_plus_outliers():
     rng = np.random.default_rng(5)
     outcome, hit = outcomes(rng, MANY), np.arange(MANY) % 3 != 0
     approach = np.where(hit, PAST + rng.normal(scale=2e-3, size=MANY), PAST)
@@ -152,7 +152,7 @@ def test_meeting_something_and_nothing_share_one():
     np.testing.assert_array_equal(missed.covariance, np.float32(PRIOR))
 
 
-def test_a_force_that_no_wrench_sensor_can_tell_is_the_least():
+def test_a_force_below_the_smallest_load_counts_as_that_load():
     outcome = outcomes(np.random.default_rng(60), MANY)
     force = np.tile([-0.1, 0.0, 1e-6, MIN_LOAD_N], MANY // 4)
     same = jax.tree.map(lambda x: jnp.repeat(x[::4], 4, axis=0), outcome)
@@ -166,7 +166,7 @@ def test_a_force_that_no_wrench_sensor_can_tell_is_the_least():
     assert np.isfinite(compared.tactile).all()
 
 
-def test_extremes_stay_finite():
+def test_evidence_of_extreme_touches_is_finite():
     outcome, covariance = outcomes(np.random.default_rng(6), MANY), PRIOR.copy()
     reading, force, advance = np.zeros((MANY, 15)), np.ones(MANY), np.zeros(MANY)
     reading[0], force[1], force[2], advance[3], advance[4] = 1e6, 0, 1e5, 1e3, -1e3
@@ -270,7 +270,7 @@ def middle() -> tuple[Belief, TouchObservation, PredictedTouch]:
     return now, measured(reading, 0.9, -1e-3, True), outcome
 
 
-def test_weights_leave_evidence_out_which_may_be_nan(middle):
+def test_evidence_without_weight_may_be_nan(middle):
     now, at, outcome = middle
 
     def apart(other: TouchObservation, **weights: float) -> float:
@@ -295,7 +295,7 @@ def test_weights_leave_evidence_out_which_may_be_nan(middle):
 
 
 @pytest.mark.full
-def test_the_zero_of_the_sensor_is_followed():
+def test_the_bias_of_the_sensor_is_tracked():
     rng = np.random.default_rng(11)
     offset, noise = rng.normal(scale=20, size=15), np.linalg.cholesky(np.cov(ERRORS.T))
 
@@ -324,7 +324,7 @@ def test_the_zero_of_the_sensor_is_followed():
 
 
 @pytest.mark.full
-def test_probabilities_are_those_of_being_right():
+def test_posterior_probabilities_are_frequencies_of_right_decisions():
     """All that happens is drawn from the model, which is known to be right then."""
     kinds, few, episodes, sites, shape = 3, 16, 1500, 6, (1500, 3)
     model, places = like(outlier_rate=1e-9, position_std=[0.5e-3]), belief.sample_particles(SPREAD, 16)

@@ -57,7 +57,7 @@ def recorded(heights: np.ndarray, codes: list[ReturnCode]) -> Dataset:
     return Dataset(recording, ("square",), ("pad",), ("session",), BOARD, "simulated")
 
 
-def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
+def test_the_site_of_a_touch_without_contact_lies_before_its_end():
     heights = np.array([TOP, TOP + 3e-3, TOP - 1e-3])
     data = recorded(heights, [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH])
     sites, episodes = episodes_from_dataset(data, ["square"], 3, overtravel=OVERTRAVEL)
@@ -73,7 +73,7 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
             episodes_from_dataset(data, names, count)
 
 
-def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
+def test_each_kind_of_evidence_has_its_own_weight_and_fused_has_all():
     for kind in EVIDENCE:
         weighed = weigh_evidence(LIKELIHOOD, kind)
         on = [bool(x > 0) for x in (weighed.tactile_weight, weighed.spatial_weight, weighed.presence_weight)]
@@ -81,7 +81,7 @@ def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
 
 
 @pytest.mark.parametrize(("share", "together"), [(1, 2), (2, 3)])
-def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, together):
+def test_the_batch_size_of_episodes_does_not_change_beliefs(monkeypatch, share, together):
     """Each touch is judged by what was predicted at its own site, whichever episodes are taken together; a site that
     episodes share is imagined once, also where one more episode would fit.
     """

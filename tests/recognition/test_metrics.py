@@ -15,7 +15,7 @@ def sharper(p, power):
 
 
 @pytest.mark.parametrize(("right", "n"), [(0, 10), (3, 10), (351, 400)])
-def test_intervals_are_those_of_scipy(right, n):
+def test_intervals_equal_those_of_scipy(right, n):
     expected = stats.beta(right + 0.5, n - right + 0.5)  # Jeffreys' posterior
     interval = intervals.rate_interval((np.arange(n) < right).astype(float))
     assert_allclose(interval, (right / n, expected.ppf(0.025) if right else 0.0, expected.ppf(0.975)), atol=1e-12)
@@ -74,7 +74,7 @@ def test_bins_and_their_gap_by_hand():
     assert scores.calibration_error(sure, hit, 10).error == pytest.approx((0.05 + 0.85 + 2 * 0.07 + 0) / 5)
 
 
-def test_the_calibration_error_of_a_calibrated_forecaster_is_that_of_chance():
+def test_the_calibration_error_of_a_calibrated_forecaster_is_due_to_chance():
     p, truth = calibrated_forecaster(2, 4000)
     sure, hit = scores.confidence(p)[:, 2], scores.hits(p, truth)[:, 2]
     calibration = scores.calibration_error(sure, hit)

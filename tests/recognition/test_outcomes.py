@@ -102,7 +102,7 @@ def test_slopes_are_differences_of_approach_distances():
         assert np.abs(contacts.jacobian).max() > 0.5
 
 
-def test_a_miss_is_all_zeros_and_no_nan():
+def test_a_miss_is_all_zeros_without_nan():
     # Beside the block; above it by a little more and a little less than the overtravel; below it, where an approach
     # that begins a millimetre below the bottom leads away from it.
     places = [60e-3, 0, TOP], *([0, 0, TOP + PAST + off] for off in (4 * DELTA, -4 * DELTA)), [0, 0, -STANDOFF - 1e-3]
@@ -143,7 +143,7 @@ def outcome() -> PredictedTouch:
     return PredictedTouch(jnp.array(True), *values)
 
 
-def test_between_loads(outcome):
+def test_touches_are_interpolated_between_loads(outcome):
     force = np.geomspace(0.1, 8.1, 61)  # from a third of the least load to three times the largest, which are knots
     sunk, reading, variance = (np.asarray(x, np.float64) for x in interpolate_load(outcome, LOAD, jnp.float32(force)))
     knots = [np.argmin(np.abs(force - load)) for load in LOADS_N]

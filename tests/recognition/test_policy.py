@@ -100,7 +100,7 @@ def test_gains_are_mutual_information(prior):
 
 
 @pytest.mark.full
-def test_errors_are_imagined_with_the_distributions_of_the_likelihood():
+def test_simulated_errors_follow_the_distributions_of_the_likelihood():
     """Readings of a multivariate Student's t, and positions of a mixture and its outliers."""
     heavy = NORMAL._replace(
         position_std=jnp.float32([0.1e-3, 1e-3]), position_share=jnp.float32([0.8, 0.2]),
@@ -141,7 +141,7 @@ def test_information_on_the_object_and_on_the_place():
     close(information.both, np.log([8, 1, 8, 1, 2, 1]))
 
 
-def test_what_is_imagined_is_what_is_expected_plus_its_noise():
+def test_a_simulated_observation_is_the_prediction_plus_noise():
     outcome = jax.tree.map(lambda x: x[0, 0, 0], touches(3.0, 1e-3))
     outcome = outcome._replace(jacobian=jnp.arange(6.0), variance=jnp.full(3, 0.02))
     off, noise = jnp.full(6, 1e-4), (jnp.arange(17.0) - 8).at[15:].set(jnp.array([7 * POSITION, -2.0]))
@@ -176,7 +176,7 @@ def probable(*probability: float) -> Belief:
     return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)))
 
 
-def test_permitted_sites_are_safe_on_what_is_possible():
+def test_allowed_sites_are_safe_on_the_possible_objects():
     now = probable(0.9, 0.06, 0.03)
     safe = jnp.array([[1, 1, 1], [1, 1, 0], [1, 0, 1], [1, 0, 0], [0, 1, 1]], bool)
     np.testing.assert_array_equal(policy.safe_sites_mask(now, safe), [True, True, False, False, False])
@@ -194,6 +194,6 @@ def test_permitted_sites_are_safe_on_what_is_possible():
         ((0, 0, 0, 0), {}, policy.NO_SITE),
     ],
 )
-def test_the_most_informative_of_the_allowed_sites_is_chosen_and_none_where_none_is(allowed, weight, chosen):
+def test_the_most_informative_allowed_site_is_chosen_if_any(allowed, weight, chosen):
     gain = InformationGain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
     assert policy.choose_site(gain, jnp.array(allowed, bool), **weight) == chosen

@@ -16,7 +16,7 @@ from i2t.types import ReturnCode
 MUG = Mesh(np.array([[0, 0, 0], [0, 0.02, 0], [0.02, 0, 0], [0, 0, 0.02]]), np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1]]))
 
 
-def test_recorded_touches_are_seen_from_the_object():
+def test_poses_of_recorded_touches_are_in_the_frame_of_the_object():
     dataset = recorded_presses()
     rows = np.ones(len(dataset), bool)
     rows[:4] = False
@@ -76,13 +76,13 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
         ),
     ],
 )
-def test_why_touches_make_no_pad_model(changed, message):
+def test_touches_unsuitable_for_a_pad_model_are_refused_with_the_reason(changed, message):
     dataset = recorded_presses(objects=("star", "hammer"), **changed)
     with pytest.raises(DataError, match=message):
         recorded_touches(dataset, np.ones(len(dataset), bool), {}, "DATA")
 
 
-def test_a_rig_says_how_far_objects_may_be_off():
+def test_the_rig_sets_the_uncertainty_of_placements():
     errors = with_placement(SimulationErrors(), np.diag([4e-6] * 3 + [(0.05 * TWIST_LEVER_M) ** 2] * 3))
     assert errors.placement == pytest.approx(2e-3)
     assert errors.placement_angle == pytest.approx(0.05)

@@ -41,7 +41,7 @@ def _with_predictions(params):
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", POLICIES)
-def test_every_policy_touches_nothing_twice_in_episodes_longer_than_its_sites(name):
+def test_no_policy_touches_a_site_twice_even_in_episodes_longer_than_its_sites(name):
     environment, params = random_environment(EnvironmentConfig(touches=SITES + 1))
     params = _with_predictions(params)
 
@@ -66,7 +66,7 @@ def test_every_policy_touches_nothing_twice_in_episodes_longer_than_its_sites(na
 
 
 @pytest.mark.full
-def test_episodes_side_by_side_are_those_of_the_environment():
+def test_parallel_episodes_equal_those_of_the_environment():
     """The readings, the belief and the end of an episode are those that its own steps give."""
     environment, params = random_environment(EnvironmentConfig(touches=3))
     params = _with_predictions(params)

@@ -33,7 +33,7 @@ def test_no_two_touches_share_a_site(surfaces):
         assert np.asarray(check(surface, plan.sites.T_w_t))[plan.sites.owner == i].all()
 
 
-def test_some_episodes_may_share_their_sites_and_no_others(surfaces, monkeypatch):
+def test_only_episodes_of_one_pool_share_sites(surfaces, monkeypatch):
     drawn = iter(range(100))
 
     def draw(key, surface, count, limits, name):
@@ -59,7 +59,7 @@ def test_joined_pools_number_their_own_sites_pool_by_pool(surfaces):
     assert joined.owner[number] == 1
 
 
-def test_the_heuristic_is_of_each_pool_by_itself_and_plans_touches_there():
+def test_the_heuristic_plans_touches_in_each_pool_separately():
     weights = site_pool.pool_informativeness(TWO_POOLS)
     np.testing.assert_allclose(weights, [[[0, 1], [0, 1]], [[1, 0], [1, 0]]], atol=1e-6)
     plan = site_pool.plan_informative_touches(jax.random.key(0), TWO_POOLS, np.array([0, 1, 1]), 20)

@@ -28,7 +28,7 @@ def world():
 
 
 @pytest.mark.full
-def test_a_press_is_that_of_the_whole_physics_within_the_noise(world):
+def test_a_linear_press_equals_the_full_physics_within_the_noise(world):
     """Without friction: force within 8 %, travel within 20 um, and reading within 3 uT of those of cells of 0.5 mm and
     displaced dipoles.
     """
@@ -60,7 +60,7 @@ def test_a_press_is_that_of_the_whole_physics_within_the_noise(world):
 
 
 @pytest.mark.full
-def test_a_row_of_the_table_is_the_touch_pressed(world):
+def test_a_row_of_the_table_equals_the_simulated_touch(world):
     environment, params = world
     table = tabulate(jax.random.key(1), environment, params, 2).table
     for pad, which, site in ((0, 0, 2), (1, 1, 5)):

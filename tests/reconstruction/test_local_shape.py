@@ -39,7 +39,7 @@ def press(model):
 
 
 @pytest.mark.full
-def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, library):
+def test_a_press_finds_the_true_patch_in_the_library(press, model, library):
     posterior = INFER(*press, model=model, library=library, samples=64)
     assert int(jnp.argmax(posterior.weight)) == TRUE
     assert float(posterior.weight[TRUE]) > 0.99
@@ -51,7 +51,7 @@ def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, librar
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf])
-def test_a_stop_of_unknown_force_or_reading_counts_as_not_made(press, model, library, lost):
+def test_a_stop_of_unknown_force_or_reading_is_ignored(press, model, library, lost):
     reading, force, travel = press
     alone = INFER(reading[0], force[0], travel[0], model=model, library=library)
     unread = INFER(reading.at[1, 2].set(lost), force, travel, model=model, library=library)
@@ -63,7 +63,7 @@ def test_a_stop_of_unknown_force_or_reading_counts_as_not_made(press, model, lib
     np.testing.assert_allclose(nothing.weight, 1 / 24, atol=1e-6)
 
 
-def test_the_marginal_likelihood_is_that_of_dense_matrices(press, model):
+def test_the_marginal_likelihood_equals_that_of_dense_matrices(press, model):
     """Nuisances are integrated out as a covariance that is written down whole and inverted."""
     reading, force, travel = press
     reading, travel = reading + 3.0, travel + 2e-5
@@ -110,7 +110,7 @@ def test_a_slant_is_no_evidence_against_a_patch(press, model):
 
 
 @pytest.mark.full
-def test_what_was_not_measured_counts_as_not_made(press, model, library):
+def test_missing_measurements_are_ignored(press, model, library):
     reading, force, travel = press
     once = INFER(reading[0], force[0], travel[0], model=model, library=library, samples=16)
     broken = (reading.at[1, 0].set(jnp.nan), force, travel)
@@ -127,7 +127,7 @@ def test_no_touch_is_certain_while_the_prior_has_a_share_and_samples_come_in_pro
     np.testing.assert_allclose(np.bincount(drawn, minlength=4), [10, 60, 0, 30], atol=1)
 
 
-def test_a_blurred_mask_has_the_variance_of_the_blur_and_keeps_what_is_even():
+def test_a_blurred_mask_has_the_variance_of_the_blur_and_keeps_constant_masks():
     mask = np.zeros((31, 31))
     mask[15, 15] = 1
     blurred, at = np.asarray(_blurred(jnp.float32(mask), 2.0)), np.arange(31) - 15
@@ -136,7 +136,7 @@ def test_a_blurred_mask_has_the_variance_of_the_blur_and_keeps_what_is_even():
 
 
 @pytest.mark.full
-def test_imagined_readings_are_those_of_the_full_physics():
+def test_predicted_readings_equal_those_of_the_full_physics():
     """On cells of 1 mm and with loose tolerances, within a fifth of presses on cells of half a millimetre."""
     surface = i2t.prepare_surface(i2t.make_object("stamp-cross").mesh)
     contacts, objects = sample_contacts(jax.random.key(0), [surface], 3)

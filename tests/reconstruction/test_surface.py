@@ -101,7 +101,7 @@ def test_shapes_of_the_library_are_the_meshes_on_all_sides_turned_and_mirrored(o
     assert len(np.unique(np.round(fields, 4), axis=1).T) == 48
 
 
-def test_what_a_pad_swept_is_free_and_nothing_else_is_carved():
+def test_swept_space_is_free_and_nothing_else_is_carved():
     model = _balls()
     state, _ = init(model)
     state, _ = update(model, state, contact_evidence(from_above(0.0), hit=False, swept=0.1))  # down to the middle
@@ -114,7 +114,7 @@ def test_what_a_pad_swept_is_free_and_nothing_else_is_carved():
     np.testing.assert_allclose(state.evidence[0].region.lower_bound(at), [4e-3, 2e-3])
 
 
-def test_only_what_was_swept_is_free_and_a_pose_that_is_not_known_is_refused():
+def test_only_swept_space_is_free_and_an_invalid_pose_is_refused():
     short = contact_evidence(from_above(0.0), swept=4e-3)
     assert (short.free[:, 2] < 4e-3).all()
     assert (short.free_bound > 0).all()
@@ -129,7 +129,7 @@ def test_only_what_was_swept_is_free_and_a_pose_that_is_not_known_is_refused():
         with_surface_points(short, np.zeros((1, 3)), np.array([np.nan]))
 
 
-def test_what_lies_outside_the_box_of_the_surface_is_refused():
+def test_contacts_outside_the_box_of_the_surface_are_refused():
     model = _balls()
     with pytest.raises(ValueError, match="outside the box of the surface"):
         update(model, init(model)[0], contact_evidence(from_above(3.0)))
@@ -165,7 +165,7 @@ def _turned(axis, height):
     return T
 
 
-def test_the_regression_is_the_textbooks():
+def test_the_regression_equals_the_textbook_formula():
     """Rasmussen and Williams, Gaussian Processes for Machine Learning, equations 2.23 and 2.24, in double precision."""
     model = _smooth(smooth_residual=10e-3, smooth_length=20e-3, band_floor=0.0)
     rng = np.random.default_rng(0)
@@ -191,7 +191,7 @@ def test_the_regression_is_the_textbooks():
     np.testing.assert_allclose(posterior_covariance(model, posterior, asked, asked), cov, atol=0.01 * cov.max())
 
 
-def test_a_floor_is_what_no_touch_takes_away():
+def test_no_touch_reduces_the_floor_of_the_band():
     top = np.array([[0.0, 0.0, 20e-3]])
 
     def spread(floor):
@@ -207,7 +207,7 @@ def test_a_floor_is_what_no_touch_takes_away():
     np.testing.assert_allclose(spread(2e-3), np.hypot(bare, 2e-3), rtol=1e-5)
 
 
-def test_points_that_a_touch_felt_are_points_of_the_surface():
+def test_felt_points_become_points_of_the_surface():
     model = _balls()
     x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
     cap = np.stack([x, y, np.sqrt(25e-3**2 - x**2 - y**2)], -1)
@@ -219,7 +219,7 @@ def test_points_that_a_touch_felt_are_points_of_the_surface():
     assert abs(predict(model, regress(model, state), cap[[6]])[0][0]) < 1e-3
 
 
-def test_a_reading_says_where_in_its_square_the_pad_met_the_surface_and_what_is_free_before_it(library, model):
+def test_a_reading_locates_the_contact_in_the_square_and_the_free_space_in_front(library, model):
     """Of planes that tilt: the lowest corner is met, the opposite one is free."""
     posterior = summarize(jnp.zeros(24).at[0].set(1.0), jnp.float32(1.0), library=library)  # nearest where x is least
     T_o_t = from_above(20e-3)
@@ -235,7 +235,7 @@ def test_a_reading_says_where_in_its_square_the_pad_met_the_surface_and_what_is_
     assert (more[:, 2] > 0.3 * depth).all()
 
 
-def test_few_shapes_stand_for_many_by_their_weight():
+def test_a_subsample_of_shapes_keeps_their_weights():
     rng = np.random.default_rng(0)
     for spread in (0.0, 1.0, 4.0):
         weight = np.exp(spread * rng.normal(size=2000))
@@ -257,7 +257,7 @@ def test_the_likeliest_shapes_share_all_weight():
     assert sorted(shapes) == [1, 3]
 
 
-def test_a_view_shows_a_surface_and_carves_what_it_looked_through():
+def test_a_view_gives_surface_points_and_carves_the_space_before_them():
     ball = _ball(25e-3, subdivisions=3)
     T_o_c = from_above(0.25)
     camera = Camera(80, 60, 120.0, 120.0, 39.5, 29.5)
