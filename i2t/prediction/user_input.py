@@ -325,7 +325,7 @@ def check_met(
         )
     if warn and stands_out.max() > _LIMITS.unnoticed_gap:
         warnings.warn(
-            f"the object stands out by {1e3 * stands_out.max():.3g} mm beside the patch and under the skin's rim at "
+            f"the object stands out by {1e3 * stands_out.max():.3g} mm next to the patch and under the skin's rim at "
             "this pose: the skin meets it first, and the prediction is the reading of a press on it",
             stacklevel=stacklevel,
         )

@@ -91,7 +91,7 @@ def episodes_from_dataset(
     unknown = sorted(set(kinds) - set(names))
     if unknown:
         raise DataError(
-            f"the data set has touches of {', '.join(unknown)}, and no object to tell apart is called so; pass a mesh "
+            f"the data set has touches of {', '.join(unknown)}, but no object to recognise has this name; pass a mesh "
             f"of that name among --objects, such as {unknown[0]}.stl"
         )
     T_o_t = inverse(recording.T_w_o[rows]) @ recording.T_w_t[rows]

@@ -169,7 +169,7 @@ class ObjectRecognizer:
         if not isinstance(meshes, Mapping):
             raise TypeError(f"meshes: is a {type(meshes).__name__}; give a mapping of names to meshes")
         if len(meshes) < 2:
-            raise ValueError("a recogniser needs at least two objects to tell apart")
+            raise ValueError("a recogniser needs at least two objects")
         self.names, self.config, self.likelihood = tuple(meshes), config, pad_model.likelihood
         self.T_w_o = np.eye(4) if T_w_o is None else validation.pose("T_w_o", T_w_o)
         objects = list(meshes.values())

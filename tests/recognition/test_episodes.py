@@ -66,7 +66,7 @@ def test_the_site_of_a_touch_without_contact_lies_before_its_end():
     np.testing.assert_array_equal(episodes.observations.contact[0], [True, False, True])
     np.testing.assert_allclose(episodes.T_w_t[0, :, 2, 3], heights, atol=1e-8)
     for names, count, message in (
-        (["hexagon"], 1, "no object to tell apart is called so"),
+        (["hexagon"], 1, "no object to recognise has this name"),
         (["square"], 4, "no session has 4"),
     ):
         with pytest.raises(DataError, match=message):
