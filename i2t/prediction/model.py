@@ -101,7 +101,8 @@ class Network(nn.Module):
         if cfg.heteroscedastic:
             # The output starts at the data's own variance. Its smooth bound keeps the loss from overflowing: standard
             # deviations lie between 0.7 % and 150 times the data's own.
-            raw, limit = nn.Dense(cfg.readings, kernel_init=nn.initializers.zeros, name="log_variance")(decoded), 10.0
+            limit = 10.0
+            raw = nn.Dense(cfg.readings, kernel_init=nn.initializers.zeros, name="log_variance")(decoded)
             log_variance = limit * jnp.tanh(raw / limit)
         return MemberPrediction(reading, log_variance, decode_image(cfg, latent) if cfg.auxiliary else None, latent)
 

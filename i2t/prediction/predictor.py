@@ -40,7 +40,8 @@ from i2t.runtime.batching import size_classes
 from i2t.skin.boards import board_from_lists
 from i2t.types import Board, Surface
 
-PREDICTOR_FORMAT, PREDICTOR_VERSION = "i2t predictor", 4
+PREDICTOR_FORMAT = "i2t predictor"
+PREDICTOR_VERSION = 4
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 

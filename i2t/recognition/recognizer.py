@@ -419,13 +419,13 @@ class ObjectRecognizer:
 
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
         """Calibrate probabilities of the known objects, given those of all objects including surrogates."""
-        count, fitted_prior = len(self.names), 0.5
+        count = len(self.names)
         named = calibrated.TEMPERATURE_SCALING.apply(p[:count], touches)
         if self._objects == count:
             return named
         everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown
         raw = everything[:, :count], everything[:, count:].sum(-1)
-        # The scaling was fitted at another prior: move there, and back.
+        fitted_prior = 0.5  # of `UNKNOWN_SCALING`: move there, and back
         _, unknown = calibrated.with_unknown_prior(*raw, prior, fitted_prior)
         scaled = UNKNOWN_SCALING.apply(unknown, touches)
         shares = named[None] * (1 - scaled)[:, None]
