@@ -47,7 +47,7 @@ def main(touches: int = 468, epochs: int = 60, episodes: int = 24, count: int = 
 
     # Recognise objects never touched before: sample a hypothesis, touch where it tells most, let the touch vote.
     surfaces = prepare_surfaces([i2t.make_object(name).mesh for name in UNSEEN])
-    pools = sample_pools(key_pool, surfaces, UNSEEN, pools=1, each=24, limits=RECOGNITION_LIMITS)
+    pools = sample_pools(key_pool, surfaces, UNSEEN, pools=1, per_object=24, limits=RECOGNITION_LIMITS)
     truth = np.arange(episodes) % len(UNSEEN)
     world = TouchEnvironment(config := EnvironmentConfig(errors, limits, count))
     params = environment_params(surfaces, [pad], pools.joined(), config)

@@ -170,7 +170,7 @@ def test_a_predictor_of_one_s_own_is_trained_compared_kept_and_loaded_like_any_o
     assert (model.bottleneck, model.auxiliary_weight, model.readings) == (3, 0.5, 6)
 
     assert train.main([*words[:-6], "no_such_module:Slopes", "--out", str(tmp_path / "none")]) == 2
-    assert "no_such_module:Slopes cannot be had" in capsys.readouterr().err
+    assert "no_such_module:Slopes cannot be imported" in capsys.readouterr().err
 
 
 @pytest.mark.full
@@ -181,6 +181,6 @@ def test_a_saved_predictor_of_one_s_own_is_loaded_once_its_module_is_imported(tm
     patch = np.zeros((48, 48))
     np.testing.assert_array_equal(again.predict(patch).mean, predictor.predict(patch).mean)
     name = f"{example.SlopeModel.__module__}:SlopeModel"
-    monkeypatch.delitem(TouchModel.known, name)
-    with pytest.raises(CheckpointError, match=f"a {name}, which is not known here; importlib"):
+    monkeypatch.delitem(TouchModel.registered, name)
+    with pytest.raises(CheckpointError, match=f"a {name}, which is not registered here; call importlib"):
         i2t.load_predictor(tmp_path / "p")

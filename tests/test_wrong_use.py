@@ -302,14 +302,14 @@ def test_a_patch_that_is_none_is_refused_in_one_sentence(predictor, given, said)
 
 
 def test_a_force_far_beyond_training_is_warned_of(predictor):
-    with pytest.warns(UserWarning, match="no more than a guess"):
+    with pytest.warns(UserWarning, match="only a guess"):
         predictor.predict(FLAT, force=30.0)
 
 
 def test_a_force_beyond_the_largest_of_training_is_warned_of_and_four_times_that_refused(predictor):
     trained = replace(predictor, metadata={"force_range": [0.2, 2.0]})
     trained.predict(FLAT, force=2.0)
-    with pytest.warns(UserWarning, match="at most 2 N: what it says .* no more than a guess"):
+    with pytest.warns(UserWarning, match="at most 2 N: its prediction .* only a guess"):
         trained.predict(FLAT, force=2.5)
     with pytest.raises(ValueError, match="give at most 8 N, or train on harder presses"):
         trained.predict(FLAT[None].repeat(2, 0), force=[1.0, 10.5])
@@ -411,7 +411,7 @@ def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box,
         assert predictor.predict_touch(mesh, on_top(), unit=unit).mean.shape == (15,)
     with pytest.raises(ValueError, match="metres"):
         predictor.predict_touch(trimesh.Trimesh(1e3 * box.vertices, box.faces), on_top())
-    with pytest.raises(ValueError, match="unit is of a file"):
+    with pytest.raises(ValueError, match="unit is that of a file"):
         predictor.predict_touch(box, on_top(), unit="mm")
     with pytest.raises(ValueError, match="say in which unit"):
         predictor.predict_touch(tmp_path / "box.stl", on_top())

@@ -92,5 +92,5 @@ def draw_pools(
     """Pools of random sites for a few episodes each, and the number (e,) of each episode's pool."""
     pool = np.arange(episodes) // cfg.pool_episodes
     count = int(pool[-1]) + 1
-    pools = sample_pools(key, surfaces, names, pools=count, each=cfg.pool_sites, limits=cfg.site_limits)
+    pools = sample_pools(key, surfaces, names, pools=count, per_object=cfg.pool_sites, limits=cfg.site_limits)
     return pools, pool

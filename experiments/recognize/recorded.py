@@ -31,7 +31,7 @@ from i2t.recognition import belief, metrics
 from i2t.recognition.belief import Particles
 from i2t.recognition.episodes import BeliefModel, believe, episodes_from_dataset, usable_touches
 from i2t.recognition.paper_rules import paper_rules
-from i2t.recognition.recorded import SAME_PRESS_S, describe, merge_samples
+from i2t.recognition.recorded import describe, merge_samples
 from i2t.recognition.recorded import to_json as pad_model_to_json
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recordings.sets import corrected_dataset
@@ -84,7 +84,7 @@ def run(args: DatasetArgs) -> dict[str, Any]:
     print(f"{args.dataset} ({source_words(recorded.source)}): {sessions.describe()}")
     if len(recorded) < len(loaded):
         print(
-            f"{len(loaded)} recorded touches are samples of {len(recorded)}: those within {SAME_PRESS_S:g} s at one "
+            f"{len(loaded)} recorded touches are samples of {len(recorded)}: those within 1 s at one "
             "place are of one contact, and count as one touch with their mean reading"
         )
     particles = belief.sample_particles((rig or Rig()).object_covariance, cfg.num_particles, args.seed)

@@ -14,7 +14,6 @@ import numpy as np
 
 from experiments.train.prepare import Prepared
 from i2t.intervals import grouped_interval, student_interval
-from i2t.prediction.baselines import MIN_SPREAD_UT
 from i2t.prediction.methods import Method
 from i2t.prediction.metrics import score
 from i2t.prediction.predictor import Predictor, coverage, std_scale
@@ -111,7 +110,7 @@ def evaluate(
             )
         if np.isfinite(reading.mean).all() and not (np.isfinite(reading.std).all() and (reading.std >= 0).all()):
             raise ValueError(f"{name} predicts standard deviations that are negative or not finite")
-        reading = Reading(reading.mean, np.maximum(reading.std, MIN_SPREAD_UT))
+        reading = Reading(reading.mean, np.maximum(reading.std, 1e-6))  # uT, because errors are divided by it
         seen = Reading(reading.mean[tuning], reading.std[tuning])
         scale = std_scale(truth, seen)
         validated[name] = reading.mean[judged]

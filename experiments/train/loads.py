@@ -7,7 +7,7 @@ import numpy as np
 
 from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset
-from i2t.prediction.methods import ALIKE_FORCE_N, views_of
+from i2t.prediction.methods import ASSUMED_FORCE_N, views_of
 from i2t.recordings.sets import MIN_DEPTH_M
 from i2t.skin_models import pressure_gp as gp
 from i2t.types import Touches
@@ -47,7 +47,7 @@ def press_load(touches: Touches) -> PressLoad:
         return _deep(depth)
     if not np.isfinite(force).any() and not np.isfinite(depth).any():
         said = "neither force nor depth is known: contact pressure is predicted as if all touches were pressed with"
-        return PressLoad("force", (f"{said} {ALIKE_FORCE_N:g} N",), constant=True)
+        return PressLoad("force", (f"{said} {ASSUMED_FORCE_N:g} N",), constant=True)
     missing = f"force is missing at {np.sum(~np.isfinite(force))} and depth at {np.sum(~np.isfinite(depth))}"
     return PressLoad(None, (f"{missing} of {len(force)} touches: methods on predicted contact pressure are left out",))
 

@@ -15,7 +15,7 @@ from experiments.train.loads import (
 from experiments.train.splitting import conditions_of, judging_touches, split_dataset
 from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset, Split
-from i2t.prediction.methods import ALIKE_FORCE_N, TrainingTouches, views_of
+from i2t.prediction.methods import ASSUMED_FORCE_N, TrainingTouches, views_of
 from i2t.recordings.sets import corrected_dataset
 
 NOISY_CURVATURE_M = 20e-6  # median second difference of pixels that a surface without noise stays below
@@ -92,7 +92,7 @@ def with_pressure(prepared: Prepared, model: PressureModelConfig, load: PressLoa
     """Predict the contact pressure of each touch; none where almost all predicted pressures are zero."""
     split, dataset, notes = prepared.split, prepared.touches.dataset, prepared.notes
     print("predicting contact pressures")
-    force = np.full(len(dataset), ALIKE_FORCE_N, np.float32) if load.constant else dataset.touches.force
+    force = np.full(len(dataset), ASSUMED_FORCE_N, np.float32) if load.constant else dataset.touches.force
     pressure = predict_pressures(model, views_of(dataset), force, dataset.touches.depth)
     total = np.asarray(pressure.pressure)[split.train].sum((1, 2))
     pressed = float(np.mean(total > model.floor / 10))

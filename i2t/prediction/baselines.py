@@ -1,19 +1,19 @@
-"""Predictors that every model has to beat, and that are kept where none does: the mean reading, the nearest touches and
-ridge regression, from an image of a touch alone or together with measurements at contact.
+"""Baselines that every model has to beat, and that are kept if no model does: the mean reading, the nearest touches and
+ridge regression, from an image of a touch with or without measurements at contact.
 
 The image is the depth patch or the predicted contact pressure. A touch becomes a vector x: principal components of its
-image, and what was measured, both scaled to unit mean square length over the training touches. With readings y,
+image, and the measurements, both scaled to unit mean square length over the training touches. With readings y,
 
   mean               y_bar
-  nearest touches    mean of y over the k training touches nearest in x, and those as near as the k-th
+  nearest touches    mean of y over the k training touches nearest in x, and over those as near as the k-th
   ridge              y_bar + (x - x_bar) W, W minimising |y - y_bar - (x - x_bar) W|^2 / n + penalty |W|^2
 
-k and the penalty have the least squared error on held-out groups of the training touches. Errors on these held-out
-groups are also what standard deviations are made of: the variance of neighbours grows with their squared distance as
-held-out errors do (non-negative least squares), that of ridge regression with the leverage (Hoerl and Kennard,
-Technometrics 12, 1970; Hastie, Tibshirani and Friedman, "The Elements of Statistical Learning", sections 3.4 and 13.3).
+k and the penalty have the smallest squared error on held-out groups of the training touches. These errors also give the
+standard deviations: the variance of neighbours grows with their squared distance as held-out errors do (non-negative
+least squares), that of ridge regression with the leverage (Hoerl and Kennard, Technometrics 12, 1970; Hastie,
+Tibshirani and Friedman, "The Elements of Statistical Learning", sections 3.4 and 13.3).
 
-NumPy, because nothing here is differentiated.
+This module uses NumPy because nothing in it is differentiated.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,20 +32,28 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, stacked
 from i2t.types import in_one_line
 
-COMPONENTS = 30  # of images, at most
-BASELINE_NEIGHBOUR_COUNTS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
-PENALTIES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
-FOLDS = 5
-MIN_VARIANCE_SHARE = 0.05  # of the mean held-out variance, however near a neighbour is
-MIN_SPREAD_SHARE = 1e-3  # of the spread over all channels: a dead channel has none of its own
-MIN_SPREAD_UT = 1e-6
+
+@dataclass(frozen=True)
+class BaselineConfig:
+    """Options from which the baselines choose on held-out groups, and lower bounds of their standard deviations."""
+
+    max_components: int = 30  # principal components of images
+    neighbour_counts: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+    penalties: tuple[float, ...] = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
+    folds: int = 5
+    min_relative_variance: float = 0.05  # of the mean held-out variance, even for a neighbour at distance zero
+    min_relative_std: float = 1e-3  # of the standard deviation over all channels, for dead channels
+    min_std: float = 1e-6  # uT
+
+
+_CONFIG = BaselineConfig()
 
 
 @in_one_line
 class TouchFeatures(NamedTuple):
     """Map from a touch to a vector."""
 
-    image_mean: Float[np.ndarray, " pixels"]  # m, or N where images are contact pressures
+    image_mean: Float[np.ndarray, " pixels"]  # m, or N for contact pressures
     basis: Float[np.ndarray, "k pixels"]
     length: Float[np.ndarray, ""]  # m or N, root mean square length of the training images' components
     measured_mean: Float[np.ndarray, " m"]  # N or m
@@ -61,7 +69,7 @@ class MeanReading(TouchModel):
 
     @property
     def channels(self) -> int:
-        """Values of a reading."""
+        """Number of values in a reading."""
         return len(self.mean)
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
@@ -72,16 +80,16 @@ class MeanReading(TouchModel):
 
 @dataclass(frozen=True)
 class OnFeatures(TouchModel):
-    """Model on an image and measurements at contact."""
+    """Model that predicts from an image and measurements at contact."""
 
     features: TouchFeatures
-    spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups, at the least variance
-    conditions: tuple[str, ...]  # of force, nearest and depth, those that it is given
-    pressure: PressureModelConfig | None = field(default=None, kw_only=True)  # type: ignore[misc]  # None: on patches
+    spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups, at the smallest variance
+    conditions: tuple[str, ...]  # those of force, nearest and depth that it uses
+    pressure: PressureModelConfig | None = field(default=None, kw_only=True)  # type: ignore[misc]  # None for patches
 
     @property
     def channels(self) -> int:
-        """Values of a reading."""
+        """Number of values in a reading."""
         return len(self.spread)
 
     def _features(self, touches: TouchBatch) -> np.ndarray:
@@ -89,7 +97,7 @@ class OnFeatures(TouchModel):
         images = touches.patch if self.pressure is None else np.asarray(touches.pressures(self.pressure).pressure)
         if images.shape[1] != pixels:
             name = "patch" if self.pressure is None else "contact pressure"
-            raise ValueError(f"{name} has {images.shape[1]} pixels an edge; this model sees {pixels}")
+            raise ValueError(f"{name} has {images.shape[1]} pixels an edge; this model takes {pixels}")
         return features_of(self.features, images, touches.conditions(self.conditions))
 
     def _reading(self, mean: np.ndarray, growth: np.ndarray) -> Reading:
@@ -103,7 +111,7 @@ class NearestTouches(OnFeatures):
     points: Float[np.ndarray, "n d"]
     readings: Float[np.ndarray, "n c"]  # uT
     neighbours: Float[np.ndarray, ""]
-    growth: Float[np.ndarray, "2"]  # of the variance, in spread^2: at distance zero, and by squared distance
+    growth: Float[np.ndarray, "2"]  # variance in spread^2: at distance zero, and per squared distance
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `TouchModel.predict_batch`."""
@@ -119,7 +127,7 @@ class RidgeOnImages(OnFeatures):
     centre: Float[np.ndarray, " d"]
     weights: Float[np.ndarray, "d c"]  # uT
     mean: Float[np.ndarray, " c"]  # uT
-    inverse: Float[np.ndarray, "d d"]  # of the system, for the leverage
+    inverse: Float[np.ndarray, "d d"]  # inverse of the system, for the leverage
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `TouchModel.predict_batch`."""
@@ -134,43 +142,43 @@ Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, Option], n
 
 
 def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
-    """The mean reading as a model.
+    """Build the model that predicts the mean reading.
 
     Args:
-        readings: uT, of the training touches.
+        readings: Readings (uT) of the training touches.
 
     Returns:
-        It, with the spread of the readings.
+        Model with the mean and the standard deviation of the readings.
     """
     plain = readings.astype(np.float64)
     return MeanReading(_plain(plain.mean(0)), _floored(plain.std(0)))
 
 
 def image_components(images: Float[np.ndarray, "n h w"]) -> Components:
-    """Principal components of images, which take seconds and are the same whatever was measured.
+    """Compute principal components of images. They take seconds and do not depend on the measurements.
 
     Args:
         images: Patches (m) or contact pressures (N) of the training touches.
 
     Returns:
-        Mean image, components, and their typical length.
+        Mean image, components, and the root mean square length of the images' components.
     """
     flat = images.reshape(len(images), -1).astype(np.float64)
     mean = flat.mean(0)
-    basis = np.linalg.svd(flat - mean, full_matrices=False)[2][:COMPONENTS]
-    length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # all images alike
+    basis = np.linalg.svd(flat - mean, full_matrices=False)[2][: _CONFIG.max_components]
+    length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # 1 if all images are equal
     return _plain(mean), _plain(basis), _plain(np.asarray(length))
 
 
 def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
-    """The map from touches to vectors.
+    """Build the map from touches to vectors.
 
     Args:
-        components: Of the training touches' images (`image_components`).
-        measured: What was measured at their contacts.
+        components: Components of the training touches' images (`image_components`).
+        measured: Measurements at the contacts of the training touches.
 
     Returns:
-        The components, and the scales of what was measured.
+        Map with the components and the scales of the measurements.
     """
     std = measured.astype(np.float64).std(0)
     return TouchFeatures(*components, _plain(measured.mean(0)), _plain(np.where(std > 0, std, 1)))
@@ -179,15 +187,15 @@ def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -
 def features_of(
     features: TouchFeatures, images: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]
 ) -> Float[np.ndarray, "n d"]:
-    """Touches as vectors.
+    """Convert touches to vectors.
 
     Args:
-        features: Of the training touches.
-        images: Patches (m) or contact pressures (N), as those of the training touches.
-        measured: What was measured at contact.
+        features: The map from touches to vectors.
+        images: Patches (m) or contact pressures (N), as for the training touches.
+        measured: Measurements at contact.
 
     Returns:
-        Components of the images and what was measured, which weigh alike.
+        `(n, d)` vectors of image components and measurements, both with unit mean square length in training.
     """
     flat = images.reshape(len(images), -1).astype(np.float64) - features.image_mean
     seen = flat @ features.basis.T.astype(np.float64) / float(features.length)
@@ -196,34 +204,35 @@ def features_of(
 
 
 def fold_of(groups: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
-    """Parts of cross-validation that leave groups whole: `FOLDS`, or as many as there are groups; of a single group,
-    rows are parted by themselves.
+    """Assign touches to folds of cross-validation that keep groups whole.
+
+    There are five folds, or as many as there are groups. The touches of a single group are assigned one by one.
 
     Args:
         groups: The run or spatial block of each touch.
 
     Returns:
-        The number of each touch's part, from 0.
+        `(n,)` fold of each touch, from 0.
     """
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2:
         names = group = np.arange(len(groups))
-    return np.random.default_rng(0).permutation(len(names))[group.ravel()] % min(FOLDS, len(names))
+    return np.random.default_rng(0).permutation(len(names))[group.ravel()] % min(_CONFIG.folds, len(names))
 
 
 def ridge(
     x: Float[np.ndarray, "n d"], y: Float[np.ndarray, "n c"], at: Float[np.ndarray, "m d"], penalty: float
 ) -> Float[np.ndarray, "m c"]:
-    """Linear regression with an intercept and a squared penalty per training touch.
+    """Predict by linear regression with an intercept and a squared penalty per training touch.
 
     Args:
         x: Features of the training touches.
-        y: Their readings.
+        y: Readings of the training touches.
         at: Features of the touches to predict.
-        penalty: On the squared weights, in units of the mean squared error.
+        penalty: Penalty on the squared weights, in units of the mean squared error.
 
     Returns:
-        Readings, in the unit of `y`.
+        `(m, c)` readings, in the unit of `y`.
     """
     mean_x, mean_y = x.mean(0), y.mean(0)
     return (at - mean_x) @ np.linalg.solve(_system(x, penalty), (x - mean_x).T @ (y - mean_y)) + mean_y
@@ -238,18 +247,18 @@ def tuned(
     *,
     at: Float[np.ndarray, "m d"],
 ) -> Float[np.ndarray, "m c"]:
-    """Predict with the option that has the least squared error on held-out groups of the training touches.
+    """Predict with the option that has the smallest squared error on held-out groups of the training touches.
 
     Args:
-        method: `method(x, y, at, option)` predicts.
-        options: To choose from.
+        method: Function such that `method(x, y, at, option)` predicts.
+        options: Options to choose from.
         x: Features of the training touches.
-        y: Their readings.
+        y: Readings of the training touches.
         groups: The run or spatial block of each training touch.
         at: Features of the touches to predict.
 
     Returns:
-        Readings, in the unit of `y`.
+        `(m, c)` readings, in the unit of `y`.
     """
     return method(x, y, at, best_option(method, options, x, y, fold_of(groups))[0])
 
@@ -261,26 +270,26 @@ def best_option(
     y: Float[np.ndarray, "n c"],
     fold: Int[np.ndarray, " n"],
 ) -> tuple[Option, Float[np.ndarray, "n c"]]:
-    """The option with the least squared error on held-out parts of the training touches.
+    """Choose the option that has the smallest squared error on held-out folds of the training touches.
 
     Args:
-        method: `method(x, y, at, option)` predicts.
-        options: To choose from.
+        method: Function such that `method(x, y, at, option)` predicts.
+        options: Options to choose from.
         x: Features of the training touches.
-        y: Their readings.
-        fold: Their part, as of `fold_of`.
+        y: Readings of the training touches.
+        fold: Fold of each training touch, from `fold_of`.
 
     Returns:
-        The option, and its errors on held-out parts in the unit of `y`.
+        Chosen option, and its `(n, c)` errors on held-out folds in the unit of `y`.
     """
     if fold.max() == 0:  # nothing can be held out of a single touch
         return options[0], y - y.mean(0)
 
     def left_out(option: Option) -> np.ndarray:
-        """Errors of each part of cross-validation, predicted from all others."""
+        """Compute the errors of each fold, predicted from all other folds."""
         error = np.empty_like(y)
-        for known, asked in ((fold != i, fold == i) for i in np.unique(fold)):
-            error[asked] = y[asked] - method(x[known], y[known], x[asked], option)
+        for held_out in (fold == i for i in np.unique(fold)):
+            error[held_out] = y[held_out] - method(x[~held_out], y[~held_out], x[held_out], option)
         return error
 
     errors = [left_out(option) for option in options]
@@ -293,12 +302,12 @@ def _fit_nearest(
 ) -> NearestTouches:
     x = np.asarray(points, np.float64)
 
-    k, error = best_option(nearest_neighbours, BASELINE_NEIGHBOUR_COUNTS, x, readings, fold)
+    k, error = best_option(nearest_neighbours, _CONFIG.neighbour_counts, x, readings, fold)
     spread = _floored(np.sqrt((error**2).mean(0)))
     away = np.empty(len(x))
     for i in np.unique(fold):
-        known = fold != i if (fold != i).any() else fold == i
-        away[fold == i] = _mean_square_distance(x[known], x[fold == i], k)
+        others = fold != i if (fold != i).any() else fold == i
+        away[fold == i] = _mean_square_distance(x[others], x[fold == i], k)
     growth = nnls(np.c_[np.ones(len(x)), away], ((error / spread) ** 2).mean(1))[0]
     return NearestTouches(features, spread, conditions, points, _plain(readings), _plain(np.asarray(k)), _plain(growth))
 
@@ -307,11 +316,11 @@ def _fit_ridge(
     features: TouchFeatures, conditions: tuple[str, ...], points: np.ndarray, readings: np.ndarray, fold: np.ndarray
 ) -> RidgeOnImages:
     x = np.asarray(points, np.float64)
-    penalty, error = best_option(ridge, PENALTIES, x, readings, fold)
+    penalty, error = best_option(ridge, _CONFIG.penalties, x, readings, fold)
     centre, mean, inverse = x.mean(0), readings.mean(0), np.linalg.inv(_system(x, penalty))
     weights = inverse @ (x - centre).T @ (readings - mean)
-    known = 1 + _leverage(inverse, x - centre)
-    spread = _floored(np.sqrt((error**2 / known[:, None]).mean(0)))
+    growth = 1 + _leverage(inverse, x - centre)
+    spread = _floored(np.sqrt((error**2 / growth[:, None]).mean(0)))
     centre, weights, mean, inverse = (_plain(value) for value in (centre, weights, mean, inverse))
     return RidgeOnImages(features, spread, conditions, centre, weights, mean, inverse)
 
@@ -331,15 +340,16 @@ def _mean_square_distance(points: np.ndarray, at: np.ndarray, k: float) -> np.nd
 
 
 def _grown(growth: np.ndarray, square: np.ndarray) -> np.ndarray:
-    return np.maximum(growth[0] + growth[1] * square, MIN_VARIANCE_SHARE)
+    return np.maximum(growth[0] + growth[1] * square, _CONFIG.min_relative_variance)
 
 
 def _floored(spread: np.ndarray) -> np.ndarray:
-    return _plain(np.maximum(spread, max(MIN_SPREAD_SHARE * float(np.sqrt((spread**2).mean())), MIN_SPREAD_UT)))
+    lowest = _CONFIG.min_relative_std * float(np.sqrt((spread**2).mean()))
+    return _plain(np.maximum(spread, max(lowest, _CONFIG.min_std)))
 
 
 def _plain(values: np.ndarray) -> np.ndarray:
-    """Values as on disk, so that a loaded model predicts the same."""
+    """Round values to the precision on disk, so that a loaded model predicts the same."""
     return np.asarray(values, np.float32)
 
 
@@ -355,16 +365,16 @@ class Mean(Method):
 
 
 class Nearest(Method):
-    """The nearest patches."""
+    """The mean reading of the nearest patches."""
 
     title = "k nearest patches"
     baseline = True
-    measured: ClassVar[bool] = False  # whether it is given what was measured at contact
+    measured: ClassVar[bool] = False  # whether the method uses the measurements at contact
     on_pressure: ClassVar[bool] = False  # whether its image is the predicted contact pressure
     fit_points: ClassVar[Callable[..., OnFeatures]] = staticmethod(_fit_nearest)
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit, as in `Method.fit`; with measurements and predicted pressures, where there are any."""
+        """Fit, as in `Method.fit`; return None if the touches lack the measurements or pressures that it uses."""
         conditions = touches.measured if self.measured else ()
         if (self.measured and not conditions) or (self.on_pressure and touches.pressure is None):
             return None
@@ -386,18 +396,18 @@ class Nearest(Method):
         readings: Float[np.ndarray, "n c"],
         groups: Int[np.ndarray, " n"],
     ) -> OnFeatures:
-        """The model of n training touches.
+        """Fit the model to n training touches.
 
         Args:
-            components: Of the images.
-            conditions: Names of what was measured.
+            components: Components of the images.
+            conditions: Names of the measurements.
             images: Patches (m) or contact pressures (N).
-            measured: What was measured at contact.
-            readings: uT.
-            groups: Held out together.
+            measured: Measurements at contact.
+            readings: Readings (uT).
+            groups: Groups of touches that are held out together.
 
         Returns:
-            The fitted model, which takes its images for patches.
+            Fitted model, which treats its images as patches.
         """
         features = touch_features(components, measured)
         points = _plain(features_of(features, images, measured))
@@ -405,21 +415,21 @@ class Nearest(Method):
 
 
 class NearestMeasured(Nearest):
-    """The nearest touches, by patch and measurements."""
+    """The mean reading of the touches nearest in patch and measurements."""
 
     title = "k nearest patches + measured"
     measured = True
 
 
 class NearestPressure(Nearest):
-    """The nearest predicted contact pressures."""
+    """The mean reading of the nearest predicted contact pressures."""
 
     title = "k nearest predicted pressures"
     on_pressure = True
 
 
 class NearestPressureMeasured(NearestPressure):
-    """The nearest touches, by predicted contact pressure and measurements."""
+    """The mean reading of the touches nearest in predicted contact pressure and measurements."""
 
     title = "k nearest predicted pressures + measured"
     measured = True

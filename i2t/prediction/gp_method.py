@@ -19,8 +19,8 @@ class GPModel(TouchModel):
     """A Gaussian process on predicted contact pressure.
 
     Attributes:
-        gp: Fitted.
-        pressure: How contact pressure is predicted.
+        gp: The fitted Gaussian process.
+        pressure: Configuration of the predicted contact pressure.
     """
 
     gp: GP
@@ -28,7 +28,7 @@ class GPModel(TouchModel):
 
     @property
     def channels(self) -> int:
-        """Values of a reading."""
+        """Number of values in a reading."""
         return self.gp.scale.shape[-1]
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
@@ -38,12 +38,12 @@ class GPModel(TouchModel):
 
 
 class GaussianProcess(Method):
-    """Hyperparameters from held-out groups of the training touches."""
+    """A Gaussian process whose hyperparameters are chosen on held-out groups of the training touches."""
 
     title = "Gaussian process on predicted contact pressure"
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit, as in `Method.fit`; it needs predicted pressures."""
+        """Fit, as in `Method.fit`; this method needs predicted pressures."""
         if touches.pressure is None or touches.pressure_model is None:
             return None
         fitted = fit_gp(key, touches.pressure, touches.dataset.touches.reading, split)
@@ -51,16 +51,16 @@ class GaussianProcess(Method):
 
 
 def fit_gp(key: Key[Array, ""], pressure: ContactPressure, readings: np.ndarray, split: Split) -> GP:
-    """The Gaussian process on the training touches.
+    """Fit the Gaussian process to the training touches.
 
     Args:
-        key: Of the folds.
-        pressure: Of all touches.
-        readings: uT, of all touches.
-        split: Which of them train.
+        key: Random key of the folds.
+        pressure: Contact pressures of all touches.
+        readings: Readings (uT) of all touches.
+        split: Split that selects the training touches.
 
     Returns:
-        Fitted.
+        Fitted Gaussian process on contact pressure.
     """
     rows = np.flatnonzero(split.train)
     return PressureModel().fit(key, PressureTouches(select_rows(pressure, rows), readings[rows], split.groups[rows]))

@@ -8,7 +8,7 @@
             model = MyModel(...)  # an i2t.prediction.touch_model.TouchModel
             return touches.predictor(model, split)
 
-`python -m experiments.train --method my_package.module:Mine` fits it beside the others, on the same touches, and keeps
+`python -m experiments.train --method my_package.module:Mine` fits it next to the others, on the same touches, and keeps
 it if it is the best on validation touches. `METHODS` are those that come with i2t.
 """
 
@@ -16,7 +16,7 @@ import json
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module  # noqa: TID251  # of a user's class
+from importlib import import_module  # noqa: TID251  # for the class of a user
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -30,7 +30,7 @@ from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_dis
 from i2t.skin.boards import board_as_lists
 from i2t.training import TrainConfig
 
-METHODS: Mapping[str, str] = {  # names of the command line; the first of equal ones is kept
+METHODS: Mapping[str, str] = {  # by the name on the command line; of equally good methods the first one is kept
     "mean": "i2t.prediction.baselines:Mean",
     "nearest": "i2t.prediction.baselines:Nearest",
     "nearest-measured": "i2t.prediction.baselines:NearestMeasured",
@@ -47,10 +47,9 @@ METHODS: Mapping[str, str] = {  # names of the command line; the first of equal 
     "pressure-network": "i2t.prediction.networks:OnPressure",
     "gp": "i2t.prediction.gp_method:GaussianProcess",
 }
-ALIKE_FORCE_N = 1.0  # where nothing says how hard touches were pressed
-USUAL_DEPTH_M = 0.3e-3  # past first contact, likewise
+ASSUMED_FORCE_N = 1.0  # of touches whose force was not recorded
 
-Made = TypeVar("Made")
+Shared = TypeVar("Shared")
 
 
 @dataclass(frozen=True)
@@ -58,13 +57,13 @@ class TrainingTouches:
     """Input of every method.
 
     Attributes:
-        dataset: All touches, those to validate and to test with included; `Split` says which may be fitted to.
-        measured: Of force, nearest and depth, those that were measured at every touch.
-        pressure_model: How contact pressure is predicted; None where nothing says how hard touches were pressed.
-        pressure: Contact pressures of all touches, likewise.
+        dataset: All touches, including those for validation and test; `Split` tells them apart.
+        measured: Those of force, nearest and depth that were measured at every touch.
+        pressure_model: Configuration of the predicted contact pressure; None if neither force nor depth is recorded.
+        pressure: Contact pressures of all touches; None without a pressure model.
         paper: Sizes and loss of the paper's network.
-        training: How networks are trained.
-        shared: What methods compute once for all (`once`).
+        training: Configuration of the training of networks.
+        shared: Values that methods compute once and share (`once`).
     """
 
     dataset: Dataset
@@ -75,31 +74,31 @@ class TrainingTouches:
     training: TrainConfig = field(default_factory=TrainConfig)
     shared: dict[tuple[str, bytes], Any] = field(default_factory=dict, repr=False)
 
-    def once(self, name: str, rows: np.ndarray, make: Callable[[], Made]) -> Made:
-        """Value that methods share, made by the first that asks.
+    def once(self, name: str, rows: np.ndarray, make: Callable[[], Shared]) -> Shared:
+        """Return a value that methods share, which the first of them computes.
 
         Args:
-            name: Of what is made.
-            rows: (n,) mask of the touches that it is made of.
-            make: Makes it.
+            name: Name of the value.
+            rows: (n,) mask of the touches from which it is computed.
+            make: Function that computes the value.
 
         Returns:
-            What was made.
+            Value of this name for these touches.
         """
         key = name, rows.tobytes()
         if key not in self.shared:
             self.shared[key] = make()
-        made: Made = self.shared[key]
-        return made
+        value: Shared = self.shared[key]
+        return value
 
     def batch(self, rows: np.ndarray) -> TouchBatch:
-        """Touches as predictors take them.
+        """Select touches in the form that predictors take.
 
         Args:
             rows: (n,) mask of touches.
 
         Returns:
-            What is known of them beside their readings.
+            Patches, views and conditions of these touches, without their readings.
         """
         touches = self.dataset.touches
         return TouchBatch(
@@ -114,17 +113,17 @@ class TrainingTouches:
         ).rows(np.flatnonzero(rows))
 
     def predictor(self, model: TouchModel, split: Split) -> Predictor:
-        """Predictor around a fitted model.
+        """Wrap a fitted model in a predictor.
 
         Args:
-            model: Fitted.
-            split: Whose training touches say what stands in for a force or depth that a user does not give.
+            model: The fitted model.
+            split: Split whose training touches give the default force and depth.
 
         Returns:
-            The predictor.
+            Predictor of readings for this data set's patches and board.
 
         Raises:
-            ValueError: The model could not be kept on disk, which is better known now than at the end of a run.
+            ValueError: The model cannot be saved to disk. This check fails before a run starts rather than at its end.
         """
         try:
             arrays, about = to_disk(model)
@@ -132,21 +131,21 @@ class TrainingTouches:
         except (LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"a {type(model).__name__} could not be loaded again: {error}") from error
         pressed = self.dataset.touches
-        force, depth = _usual_force(pressed.force[split.train]), _median(pressed.depth[split.train], USUAL_DEPTH_M)
-        known = pressed.force[split.train]
-        known = known[np.isfinite(known)]
+        force, depth = _usual_force(pressed.force[split.train]), _median(pressed.depth[split.train], 0.3e-3)
+        forces = pressed.force[split.train]
+        forces = forces[np.isfinite(forces)]
         metadata: dict[str, Any] = {"board": board_as_lists(self.dataset.board)}
-        if len(known):
-            metadata["force_range"] = [float(known.min()), float(known.max())]
+        if len(forces):
+            metadata["force_range"] = [float(forces.min()), float(forces.max())]
         return Predictor(model, self.dataset.window, self.dataset.reach, force, depth, metadata=metadata)
 
 
 class Method(ABC):
-    """Method that is fitted to touches and predicts.
+    """Method that is fitted to touches and predicts readings.
 
     Attributes:
-        title: Of its rows in tables.
-        baseline: Whether it is one of those that every other has to beat.
+        title: Name of its rows in tables.
+        baseline: Whether it is a baseline that all other methods have to beat.
     """
 
     title: ClassVar[str]
@@ -158,69 +157,69 @@ class Method(ABC):
 
         Args:
             key: Random key.
-            touches: All touches, and what is known of them.
-            split: Which of them train, and which validate.
+            touches: All touches with their measured conditions.
+            split: Split into training and validation touches.
 
         Returns:
-            The predictor; None where the touches lack what the method needs.
+            Fitted predictor, or None if the touches lack an input of the method.
         """
 
 
 def find_method(name: str) -> Method:
-    """A method by its name.
+    """Find a method by its name.
 
     Args:
-        name: One of `METHODS`, or the module and class of another, as "my_package.module:Mine".
+        name: A key of `METHODS`, or the module and class of another method, such as "my_package.module:Mine".
 
     Returns:
-        The method.
+        Instance of the method.
 
     Raises:
-        ValueError: There is none of that name.
+        ValueError: No method has this name.
     """
     module, _, kind = METHODS.get(name, name).partition(":")
     if not kind:
-        raise ValueError(f"there is no method {name}; choose of {', '.join(METHODS)}, or name one as module:Class")
+        raise ValueError(f"there is no method {name}; choose {', '.join(METHODS)}, or give module:Class")
     try:
-        found = getattr(import_module(module), kind)
+        method = getattr(import_module(module), kind)
     except (ImportError, AttributeError) as error:
-        raise ValueError(f"the method {name} cannot be had: {error}") from error
-    if not (isinstance(found, type) and issubclass(found, Method) and hasattr(found, "title")):
-        raise ValueError(f"{name} is no i2t.prediction.methods.Method with a title")
+        raise ValueError(f"the method {name} cannot be imported: {error}") from error
+    if not (isinstance(method, type) and issubclass(method, Method) and hasattr(method, "title")):
+        raise ValueError(f"{name} is not an i2t.prediction.methods.Method with a title")
     try:
-        return found()
-    except TypeError as error:  # `fit` is missing, or it wants arguments
-        raise ValueError(f"the method {name} cannot be made: {error}") from error
+        return method()
+    except TypeError as error:  # `fit` is missing, or the constructor needs arguments
+        raise ValueError(f"the method {name} cannot be constructed: {error}") from error
 
 
 def find_methods(names: Sequence[str]) -> tuple[Method, ...]:
-    """Methods by their names.
+    """Find methods by their names.
 
     Args:
-        names: As of `find_method`; one that is named twice is found once.
+        names: Names as for `find_method`; a repeated name counts once.
 
     Returns:
-        The methods, each with a title of its own.
+        Instances of the methods, whose titles differ.
 
     Raises:
-        ValueError: There is none of a name, or two have one title.
+        ValueError: No method has one of the names, or two methods have the same title.
     """
-    found = {name: find_method(name) for name in names}
-    titles = [method.title for method in found.values()]
-    for name, method in found.items():
+    methods = {name: find_method(name) for name in names}
+    titles = [method.title for method in methods.values()]
+    for name, method in methods.items():
         if titles.count(method.title) > 1:
             raise ValueError(f"the method {name} has the title of another, {method.title!r}; give it its own")
-    return tuple(found.values())
+    return tuple(methods.values())
 
 
 def views_of(dataset: Dataset) -> np.ndarray:
-    """Wide views where they were recorded, else patches.
+    """Return wide views if they were recorded, otherwise patches.
 
     Args:
-        dataset: Of n touches.
+        dataset: Data set of n touches.
 
     Returns:
-        (n, w, w) m.
+        `(n, w, w)` views (m).
     """
     wide = dataset.touches.wide
     centre = wide.shape[-1] // 2
@@ -228,11 +227,11 @@ def views_of(dataset: Dataset) -> np.ndarray:
 
 
 def _usual_force(force: np.ndarray) -> float:
-    """The median of the forces (N); where most of them do not press, of those that do."""
-    median = _median(force, ALIKE_FORCE_N)
-    return median if median > 0 else _median(np.where(force > 0, force, np.nan), ALIKE_FORCE_N)
+    """Compute the median force (N); if it does not press, that of the pressing touches."""
+    median = _median(force, ASSUMED_FORCE_N)
+    return median if median > 0 else _median(np.where(force > 0, force, np.nan), ASSUMED_FORCE_N)
 
 
 def _median(values: np.ndarray, default: float) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else default
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else default

@@ -1,20 +1,20 @@
-"""Networks beyond the paper's, built of its parts (`i2t.paper.network`), and functions that every network needs.
+"""Networks beyond the paper's, built from its parts (`i2t.paper.network`), and functions that all networks share.
 
-By configuration the input is any square image (say a predicted contact pressure);
-conditions measured at contact (force, nearest, depth) join the image's features at the encoder's input and again, for
-the reading, next to the bottleneck, because what the camera saw does not tell how hard the skin is pressed; and a
-second output predicts the log variance of each value, which makes the loss of a reading the Gaussian one,
+The configuration allows any square image as input, such as a predicted contact pressure.
+Conditions measured at contact (force, nearest, depth) join the image's features at the encoder's input and, for the
+reading, again next to the bottleneck, because the camera's view does not show how hard the skin is pressed.
+A second output predicts the log variance of each value, and the loss of a reading becomes the Gaussian one,
 
     (s + (y - m)^2 exp(-s) + log 2 pi) / 2,  weighted by exp(beta s) held constant
 
-for a reading y, its prediction m and its log variance s: beta = 0 is the likelihood itself, beta = 0.5 keeps poorly
-fitted readings from being explained away as noise (Seitzer et al., "On the pitfalls of heteroscedastic uncertainty
-estimation with probabilistic neural networks", 2022).
+for a reading y, its prediction m and its log variance s. With beta = 0 it is the likelihood itself; beta = 0.5 prevents
+poorly fitted readings from being explained away as noise (Seitzer et al., "On the pitfalls of heteroscedastic
+uncertainty estimation with probabilistic neural networks", 2022).
 
-Inside a network everything is standardised; `predict` speaks physical units. Parameters are one plain pytree; the
-members of an ensemble are its axis 0. `init`, `apply` and `losses` work on one member and one example and are lifted by
-`vmap`; `predict` mixes members (Lakshminarayanan et al., "Simple and scalable predictive uncertainty estimation using
-deep ensembles", 2017).
+Inside a network everything is standardised; `predict` uses physical units. Parameters are one plain pytree, whose
+axis 0 counts the members of an ensemble. `init`, `apply` and `losses` work on one member and one example and are lifted
+by `vmap`; `predict` mixes members (Lakshminarayanan et al., "Simple and scalable predictive uncertainty estimation
+using deep ensembles", 2017).
 """
 
 from dataclasses import dataclass
@@ -35,13 +35,11 @@ from i2t.types import in_one_line
 
 Condition: TypeAlias = Literal["force", "nearest", "depth"]
 
-LOG_VARIANCE_LIMIT = 10.0  # of standardised readings: standard deviations between 0.7 % and 150 times the data's own
-
 
 class Inputs(NamedTuple):
     """Inputs of a network for one touch."""
 
-    image: Float[Array, "n n"]  # a patch in m, or whatever `PaperConfig.input` says
+    image: Float[Array, "n n"]  # a patch in m, or another image by `PaperConfig.input`
     conditions: Float[Array, " k"]  # in the order of `ModelConfig.conditions`: N, m, m
 
 
@@ -50,7 +48,7 @@ class MemberPrediction(NamedTuple):
 
     reading: Float[Array, " c"]
     log_variance: Float[Array, " c"] | None  # None unless heteroscedastic
-    image: Float[Array, "n n"] | None  # the prepared image decoded again (logits for a mask), by the auxiliary head
+    image: Float[Array, "n n"] | None  # the input image as the auxiliary head decodes it (logits for a mask)
     latent: Float[Array, " b"]
 
 
@@ -60,16 +58,16 @@ class Normalisation(NamedTuple):
 
     reading: Standard  # uT
     conditions: Standard  # in the order of `ModelConfig.conditions`
-    residual: Float[Array, " c"]  # variance (standardised) that a model without variance of its own leaves unexplained
+    residual: Float[Array, " c"]  # standardised variance of the errors of a model that predicts no variance
 
 
 @dataclass(frozen=True)
 class ModelConfig(PaperConfig):
-    """A network's options; without its own fields, the paper's."""
+    """Options of a network, in addition to the paper's."""
 
     auxiliary: bool = True  # whether there is an auxiliary decoder
     heteroscedastic: bool = False
-    beta: float = 0.5  # of the Gaussian loss
+    beta: float = 0.5  # exponent of the weights in the Gaussian loss
     conditions: tuple[Condition, ...] = ()
     members: int = 1
 
@@ -94,28 +92,30 @@ class Network(nn.Module):
 
     @nn.compact
     def __call__(self, inputs: Inputs) -> MemberPrediction:
-        """`inputs` are prepared (see `prepare`)."""
+        """Apply the network to prepared inputs (see `prepare`)."""
         cfg = self.cfg
         latent = encode(cfg, jnp.concatenate([inputs.image.reshape(-1), inputs.conditions]))
         decoded = decode(cfg, jnp.concatenate([latent, inputs.conditions]))
         reading = dense(cfg.readings, "reading")(decoded)
         log_variance = None
         if cfg.heteroscedastic:
-            # Starts at the data's own variance, and is bounded smoothly so that no reading can make the loss overflow.
+            # The output starts at the data's own variance. Its smooth bound keeps the loss from overflowing: standard
+            # deviations lie between 0.7 % and 150 times the data's own.
+            limit = 10.0
             raw = nn.Dense(cfg.readings, kernel_init=nn.initializers.zeros, name="log_variance")(decoded)
-            log_variance = LOG_VARIANCE_LIMIT * jnp.tanh(raw / LOG_VARIANCE_LIMIT)
+            log_variance = limit * jnp.tanh(raw / limit)
         return MemberPrediction(reading, log_variance, decode_image(cfg, latent) if cfg.auxiliary else None, latent)
 
 
 def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
-    """Random parameters of one member, as `i2t.paper.network.init` draws them.
+    """Draw random parameters of one member, as `i2t.paper.network.init` does.
 
     Args:
         key: Random key.
-        cfg: Which network.
+        cfg: Configuration of the network.
 
     Returns:
-        Layers by name.
+        Parameters of the layers by name.
     """
     example = Inputs(jnp.zeros((cfg.pixels, cfg.pixels)), jnp.zeros(len(cfg.conditions)))
     params: Params = Network(cfg).init(key, example)["params"]
@@ -123,20 +123,20 @@ def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
 
 
 def apply(params: Params, cfg: PaperConfig, inputs: Inputs | Array) -> MemberPrediction:
-    """One member's prediction for one example, both in the network's units.
+    """Predict one example with one member, all in the network's units.
 
     Args:
-        params: Of one member.
-        cfg: Which network.
-        inputs: As `prepare` gives them.
+        params: Parameters of one member.
+        cfg: Configuration of the network.
+        inputs: Inputs from `prepare`.
 
     Returns:
-        The reading and what else the network gives.
+        Reading with the other outputs of the network.
     """
     if not isinstance(cfg, ModelConfig):
         assert not isinstance(inputs, Inputs)
-        said = network.apply(params, cfg, inputs)
-        return MemberPrediction(said.reading, None, said.image, said.latent)
+        paper = network.apply(params, cfg, inputs)
+        return MemberPrediction(paper.reading, None, paper.image, paper.latent)
     prediction: Any = Network(cfg).apply({"params": params}, inputs)
     return prediction
 
@@ -144,58 +144,60 @@ def apply(params: Params, cfg: PaperConfig, inputs: Inputs | Array) -> MemberPre
 def losses(
     params: Params, cfg: ModelConfig, batch: Batch, weights: Float[Array, " n"]
 ) -> tuple[Float[Array, ""], Losses]:
-    """The mean loss of some examples and its parts.
+    """Compute the mean loss of some examples and its parts.
 
-    The best epoch is chosen by the likelihood itself (beta 0), because beta's weights, good for gradients, would reward
-    any small variance.
+    The epoch is chosen by the likelihood itself (beta 0), because the weights of beta, which help the gradients, would
+    reward any small variance.
 
     Args:
-        params: Of one member.
-        cfg: Which network, and its weights.
-        batch: Of `Inputs`, prepared, with standardised readings.
-        weights: Of the examples.
+        params: Parameters of one member.
+        cfg: Configuration of the network and of its loss.
+        batch: Prepared `Inputs` with standardised readings.
+        weights: Weights of the examples.
 
     Returns:
-        What is descended, and all parts.
+        Loss that training minimises, and all of its parts.
     """
-    said = jax.vmap(partial(apply, params, cfg))(batch.inputs)
-    squared = jax.vmap(loss.squared_error)(said.reading, batch.target)
-    descended = reading = squared
-    if said.log_variance is not None:
+    prediction = jax.vmap(partial(apply, params, cfg))(batch.inputs)
+    squared = jax.vmap(loss.squared_error)(prediction.reading, batch.target)
+    minimised = reading = squared
+    if prediction.log_variance is not None:
         likelihood = jax.vmap(gaussian, in_axes=(0, 0, 0, None))
-        descended, reading = (likelihood(said.reading, said.log_variance, batch.target, b) for b in (cfg.beta, 0.0))
+        minimised, reading = (
+            likelihood(prediction.reading, prediction.log_variance, batch.target, beta) for beta in (cfg.beta, 0.0)
+        )
     image = jnp.zeros(len(weights))
-    if said.image is not None:
-        image = jax.vmap(partial(loss.image_error, cfg.input))(said.image, batch.inputs.image)
-    return Losses(descended + cfg.auxiliary_weight * image, reading, squared, image).mean(weights)
+    if prediction.image is not None:
+        image = jax.vmap(partial(loss.image_error, cfg.input))(prediction.image, batch.inputs.image)
+    return Losses(minimised + cfg.auxiliary_weight * image, reading, squared, image).mean(weights)
 
 
 def gaussian(
     reading: Float[Array, " k"], log_variance: Float[Array, " k"], target: Float[Array, " k"], beta: float
 ) -> Float[Array, ""]:
-    """Beta-weighted negative log likelihood per value; its value (not its gradient) depends on the weights too.
+    """Compute the beta-weighted negative log likelihood per value. The weights are constant for its gradient.
 
     Args:
-        reading: Predicted, standardised.
-        log_variance: Predicted, of each value.
-        target: Measured, standardised.
-        beta: Exponent of the weights; 0 is the likelihood itself.
+        reading: Predicted standardised reading.
+        log_variance: Predicted log variance of each value.
+        target: Measured standardised reading.
+        beta: Exponent of the weights; 0 gives the likelihood itself.
 
     Returns:
-        Dimensionless.
+        Scalar loss without unit.
     """
     nll = 0.5 * (log_variance + (target - reading) ** 2 * jnp.exp(-log_variance) + jnp.log(2 * jnp.pi))
     return jnp.mean(jax.lax.stop_gradient(jnp.exp(beta * log_variance)) * nll)
 
 
 def learner(cfg: PaperConfig) -> Learner:
-    """Learner for `i2t.training`.
+    """Make the learner of a network for `i2t.training`.
 
     Args:
-        cfg: Which network; the paper's looks at patches, any other at `Inputs`.
+        cfg: Configuration of the network. The paper's network takes patches, any other one `Inputs`.
 
     Returns:
-        The learner.
+        Learner with the network's initialisation and losses.
     """
     if isinstance(cfg, ModelConfig):
         return Learner(cfg, init, losses, cfg.members)
@@ -203,12 +205,12 @@ def learner(cfg: PaperConfig) -> Learner:
 
 
 def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
-    """Refuse touches that cannot be learned from.
+    """Refuse touches that are unsuitable for training.
 
     Args:
-        batch: Of `Inputs`, in physical units.
-        cfg: Which network is to learn from them.
-        name: Of the set, for the message: "training" or "validation".
+        batch: `Inputs` and readings in physical units.
+        cfg: Configuration of the network that is to be trained.
+        name: Name of the set, "training" or "validation", for messages.
 
     Raises:
         ValueError: There are no touches, shapes do not fit the network, or values are not finite.
@@ -233,40 +235,40 @@ def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
 
 
 def conditions_of(cfg: PaperConfig) -> tuple[Condition, ...]:
-    """Conditions of a network beside the image.
+    """List the conditions that a network takes in addition to the image.
 
     Args:
-        cfg: Which network.
+        cfg: Configuration of the network.
 
     Returns:
-        Names of conditions; none for the paper's.
+        Names of the conditions; none for the paper's network.
     """
     return cfg.conditions if isinstance(cfg, ModelConfig) else ()
 
 
 def normalisation(batch: Batch) -> Normalisation:
-    """Mean and standard deviation of the readings and conditions of a training set.
+    """Compute mean and standard deviation of the readings and conditions of a training set.
 
     Args:
-        batch: Of `Inputs`, in physical units.
+        batch: `Inputs` and readings in physical units.
 
     Returns:
-        The normalisation, without a residual.
+        Normalisation without a residual.
     """
     return Normalisation(standard(batch.target), standard(batch.inputs.conditions), jnp.zeros(batch.target.shape[1]))
 
 
 def prepare(cfg: PaperConfig, norm: Normalisation, inputs: Inputs) -> Inputs | Array:
-    """Physical inputs of one touch as the network wants them.
+    """Convert the physical inputs of one touch to the network's units.
 
     Args:
-        cfg: Which network.
-        norm: Of the training set.
+        cfg: Configuration of the network.
+        norm: Normalisation of the training set.
         inputs: The image (m, or N on each cell for a contact pressure) and the conditions (N, m, m).
 
     Returns:
-        The image in [0, 1] unless it is taken as it is, and the conditions standardised; for the paper's network the
-        patch alone.
+        Image, scaled to [0, 1] if the network asks for it, and standardised conditions; for the paper's network the
+        image alone.
     """
     image = network.prepare_patch(cfg, inputs.image)
     if not isinstance(cfg, ModelConfig):
@@ -275,34 +277,34 @@ def prepare(cfg: PaperConfig, norm: Normalisation, inputs: Inputs) -> Inputs | A
 
 
 def prepared(cfg: PaperConfig, norm: Normalisation, batch: Batch) -> Batch:
-    """Physical touches in the network's units.
+    """Convert physical touches to the network's units.
 
     Args:
-        cfg: Which network.
-        norm: Of the training set.
-        batch: Of `Inputs`, in physical units.
+        cfg: Configuration of the network.
+        norm: Normalisation of the training set.
+        batch: `Inputs` and readings in physical units.
 
     Returns:
-        The same touches, prepared for its learner.
+        The same touches with prepared inputs and standardised readings.
     """
     inputs = jax.vmap(partial(prepare, cfg, norm))(batch.inputs)
     return Batch(inputs, jax.vmap(partial(standardise, norm.reading))(batch.target))
 
 
 def with_residual(params: Params, cfg: PaperConfig, norm: Normalisation, batch: Batch) -> Normalisation:
-    """Note in the normalisation the variance that all members leave unexplained on touches not trained on.
+    """Add to the normalisation the variance that the members leave unexplained on touches outside the training set.
 
-    It is the mean squared error of their mean less the variance they already show, so that `predict` has the right
-    standard deviation on these touches.
+    It is the mean squared error of the members' mean less their own variance, so that `predict` has the right standard
+    deviation on these touches.
 
     Args:
-        params: Members as axis 0.
-        cfg: Which network.
-        norm: Of the training set.
+        params: Parameters with members as axis 0.
+        cfg: Configuration of the network.
+        norm: Normalisation of the training set.
         batch: Prepared touches.
 
     Returns:
-        The normalisation with its residual.
+        Normalisation with its residual.
     """
     readings = jax.vmap(lambda member: jax.vmap(lambda x: apply(member, cfg, x).reading)(batch.inputs))(params)
     unexplained = jnp.mean((readings.mean(0) - batch.target) ** 2 - readings.var(0), axis=0)
@@ -312,20 +314,19 @@ def with_residual(params: Params, cfg: PaperConfig, norm: Normalisation, batch: 
 def predict(
     params: Params, cfg: PaperConfig, norm: Normalisation, inputs: Inputs
 ) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
-    """Reading of one touch from all members.
+    """Predict the reading of one touch from all members.
 
-    The members' mixture has the mean of their means and, for its variance, the mean of their variances plus the
-    variance of their means (Lakshminarayanan et al. 2017). Members without a variance of their own share the residual
-    one.
+    The mixture of the members has the mean of their means. Its variance is the mean of their variances plus the
+    variance of their means (Lakshminarayanan et al. 2017). Members that predict no variance share the residual one.
 
     Args:
-        params: Members as axis 0.
-        cfg: Which network.
-        norm: Of the training set, with the residual of the validation set.
-        inputs: In physical units.
+        params: Parameters with members as axis 0.
+        cfg: Configuration of the network.
+        norm: Normalisation of the training set, with the residual of the validation set.
+        inputs: Inputs in physical units.
 
     Returns:
-        Mean and standard deviation, uT.
+        `(c,)` mean and `(c,)` standard deviation of the reading (uT).
     """
     ready = prepare(cfg, norm, inputs)
     members = jax.vmap(lambda member: apply(member, cfg, ready))(params)

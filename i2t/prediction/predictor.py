@@ -1,10 +1,9 @@
-"""A trained model in the hands of a user: a depth patch, or a mesh and a pose, becomes a reading in uT with its
-standard deviation.
+"""A trained model for its user: a depth patch, or a mesh and a pose, becomes a reading in uT with its standard
+deviation.
 
-A predictor holds a model (`i2t.prediction.touch_model.TouchModel`), whichever method made it
-(`i2t.prediction.methods`), and asks it by `predict_batch`. Predictors are written by `save` and read by
-`load_predictor`; how a patch is turned into what the model sees is part of what is saved. A board has n chips and a
-reading 3 n values, whichever board the model was trained on.
+A predictor holds a model (`i2t.prediction.touch_model.TouchModel`) of any method (`i2t.prediction.methods`) and calls
+its `predict_batch`. `save` writes predictors and `load_predictor` reads them, including the conversion from a patch to
+the model's input. For a board with n chips a reading has 3 n values.
 
     predictor = i2t.load_predictor("runs/train")
     seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)                    # or i2t.render_patch of a mesh
@@ -43,7 +42,6 @@ from i2t.types import Board, Surface
 
 PREDICTOR_FORMAT = "i2t predictor"
 PREDICTOR_VERSION = 4
-MAX_DESCRIPTION_BYTES = 2**26
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
@@ -53,13 +51,13 @@ class Predictor:
     """Predicts readings; get one from `load_predictor`.
 
     Attributes:
-        model: What predicts.
-        window: m, edge of the square that a patch shows.
-        reach: m, depth of a patch behind its nearest point.
-        default_force: N, taken where a user gives no force: the median of the training touches.
-        default_depth: m, likewise.
+        model: The model that predicts.
+        window: Edge (m) of the square that a patch shows.
+        reach: Depth (m) of a patch behind its nearest point.
+        default_force: Force (N) if a user gives none: the median of the training touches.
+        default_depth: Travel (m) past first contact if a user gives none: the median of the training touches.
         std_scale: Factor on the model's standard deviations that gives the errors on validation touches unit variance.
-        metadata: Provenance: how, from what and with which seed it was made.
+        metadata: Provenance: method, data and seed of the training.
 
     Example:
         predictor = i2t.load_predictor("runs/train")
@@ -75,7 +73,7 @@ class Predictor:
     metadata: dict[str, Any] | None = None
 
     def __repr__(self) -> str:
-        """One line: the kind of model, the sensor's size and the patch."""
+        """Describe the kind of model, the board's size and the patch in one line."""
         source = (self.metadata or {}).get("source", "unknown source")
         return (
             f"Predictor({type(self.model).__name__}, {self.model.channels // 3} chips, "
@@ -84,30 +82,30 @@ class Predictor:
 
     @property
     def largest_force(self) -> float | None:
-        """Largest force (N) of the training touches, without its sign; None where it is not known."""
-        given = (self.metadata or {}).get("force_range")
-        forces = [abs(force) for force in given if isinstance(force, int | float)] if isinstance(given, list) else []
+        """Largest force (N) of the training touches, without its sign; None if it is unknown."""
+        limits = (self.metadata or {}).get("force_range")
+        forces = [abs(force) for force in limits if isinstance(force, int | float)] if isinstance(limits, list) else []
         return max(forces, default=None)
 
     @property
     def board(self) -> Board | None:
-        """The board whose readings it was trained on; None where that was not kept."""
+        """The board whose readings the model was trained on; None if it was not saved."""
         board = board_from_lists((self.metadata or {}).get("board"))
         return board if board and board.num_readings == self.model.channels else None
 
     @property
     def pressure(self) -> PressureModelConfig | None:
-        """Model of contact pressure; None for a model that sees patches themselves."""
+        """Configuration of the predicted contact pressure; None for a model on patches."""
         return self.model.pressure
 
     def with_pressure(self, **changes: Any) -> "Predictor":
-        """The same predictor with fields of its pressure model changed; a model on patches has none and stays.
+        """Change fields of the predictor's pressure model; a predictor without one stays the same.
 
         Args:
             changes: Fields of `PressureModelConfig` with their new values.
 
         Returns:
-            The changed predictor.
+            Changed copy of the predictor.
         """
         if self.pressure is None:
             return self
@@ -124,34 +122,32 @@ class Predictor:
         *,
         valid: Bool[Array, "*batch n n"] | np.ndarray | None = None,
     ) -> Reading:
-        """The reading of one touch, or of many on axis 0.
+        """Predict the reading of one touch, or of many on axis 0.
 
-        Give all that was seen: what `i2t.patch_from_depth`, `i2t.render_patch` or a wide view of either made. It says
-        how far the surface is from the skin, so that a patch of a surface elsewhere is refused, and which pixels were
-        seen. An array of depths says neither: it is taken for what the skin meets, seen as a whole.
+        Give the whole result of `i2t.patch_from_depth`, `i2t.render_patch` or a wide view of either. It contains the
+        distance of the surface from the skin, so that a patch of a distant surface is refused, and the mask of seen
+        pixels. An array of depths contains neither: it is taken for a fully seen surface in contact with the skin.
 
         Args:
             patch: A `Patch`, `DepthPatch`, `WideView` or `DepthView`, of one touch or of n on axis 0, or a list of
-                them; or (48, 48) or (n, 48, 48) m behind the nearest point.
-            force: N along tool z; left out, the median of the training touches is taken.
-            nearest: m, signed distance of the nearest point from the tool origin, in place of the patch's own. Beyond
-                10 mm nothing is touched, which is refused; beyond 1 mm in front there is a warning.
-            depth: m, travel past first contact; left out, the median of the training touches is taken.
-            wide: The same view with its surroundings, pixels of the same size, as `i2t.patches.views` makes it: m
-                behind the patch's nearest point, negative where something stands out before it. It makes the
-                prediction better at the rim of the skin, and what stands out on the skin is met first. A model on
-                patches alone does not look at it.
-            valid: (48, 48) or (n, 48, 48), pixels that were seen, in place of the patch's own. The others are
-                predicted as if nothing were there and as if the surface went on; the difference widens the standard
-                deviation.
+                them; or depths (48, 48) or (n, 48, 48) in m behind the nearest point.
+            force: Force (N) along tool z. The default is the median of the training touches.
+            nearest: Signed distance (m) of the nearest point from the tool origin, in place of the patch's own. Beyond
+                10 mm the skin touches nothing, which is refused; beyond 1 mm in front there is a warning.
+            depth: Travel (m) past first contact. The default is the median of the training touches.
+            wide: The same view with its surroundings and pixels of the same size, as from `i2t.patches.views`: m
+                behind the patch's nearest point, negative where something stands out in front of it. It improves the
+                prediction at the rim of the skin and shows what the skin meets first. A model on patches ignores it.
+            valid: Mask (48, 48) or (n, 48, 48) of seen pixels, in place of the patch's own. The others are predicted as
+                if they were empty and as if the surface continued; the difference widens the standard deviation.
 
         Returns:
             Mean and standard deviation, (3 chips,) or (n, 3 chips) uT.
 
         Raises:
-            ValueError: Shapes or values do not fit, or are none of a touch: a patch that is not in metres, shows no
-                surface, was hardly seen or lies far from the skin; a force that presses nothing, breaks the skin or is
-                far beyond the training touches.
+            ValueError: Shapes or values do not fit, or are not those of a touch: a patch that is not in metres, shows
+                no surface, was hardly seen or lies far from the skin; a force that presses nothing, breaks the skin or
+                is far beyond the training touches.
 
         Example:
             seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
@@ -176,7 +172,11 @@ class Predictor:
         if np.isfinite(touches.nearest).any():
             wide = None if seen.wide is None else touches.view
             rendered = isinstance(patch, TouchBatch)  # `render_touches` has warned already
-            user_input.check_met(touches.nearest, wide, pitch, remedy=user_input.VIEW_REMEDY, warn=not rendered)
+            remedy = (
+                "move the tool onto it (i2t.pose_at_pixel), or correct the unit of the depth image: give metres, by "
+                "its camera's scale, such as 1e-4 where it stores tenths of a millimetre"
+            )
+            user_input.check_met(touches.nearest, wide, pitch, remedy=remedy, warn=not rendered)
         seen_whole = mask is None or mask.all()
         reading = self._predict_classes(touches) if seen_whole else self._predict_unseen(touches, mask)
         return _first(reading) if np.ndim(seen.depth) == 2 else reading
@@ -188,24 +188,26 @@ class Predictor:
         force: Values | None = None,
         unit: str | None = None,
     ) -> Reading:
-        """The reading of the skin pressed on a mesh, at one pose or at many.
+        """Predict the reading of the skin pressed on a mesh, at one pose or at many.
 
-        The skin is 20 mm wide and meets first what stands out under it, though it lie beyond the 17 mm of the patch:
-        the reading predicted is that of a press on what is met first.
+        The skin is 20 mm wide and first meets whatever stands out under it, even outside the 17 mm of the patch. The
+        prediction is the reading of a press on what it meets first.
 
         Args:
-            mesh: In W: a file (then `unit` is required), which is read as `i2t.load_mesh` does, box centred in x and y
-                and lowest point on z = 0; an `i2t.objects.Object`; anything with `vertices` and `faces` (m), such as a
-                mesh of trimesh, or with `vertices` and `triangles`, such as one of Open3D; or a prepared `Surface`.
+            mesh: The object in W: a file (then `unit` is required), which is read as by `i2t.load_mesh`, with its box
+                centred in x and y and its lowest point on z = 0; an `i2t.objects.Object`; any mesh with `vertices` and
+                `faces` (m), such as one of trimesh, or with `vertices` and `triangles`, such as one of Open3D; or a
+                prepared `Surface`.
             T_o_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
-            force: N along tool z, one for all or one for each; left out, the median of the training touches is taken.
-            unit: Of a file's coordinates, such as "mm".
+            force: Force (N) along tool z, one for all touches or one for each. The default is the median of the
+                training touches.
+            unit: Unit of a file's coordinates, such as "mm".
 
         Returns:
             Mean and standard deviation, (3 chips,) or (n, 3 chips) uT.
 
         Raises:
-            ValueError: The pose is no rigid transform, or the skin does not lie on the surface there.
+            ValueError: A pose is not a rigid transform, or the skin does not lie on the surface there.
 
         Example:
             T_o_t = i2t.contact_pose(mesh, mesh.vertices[0])
@@ -221,21 +223,21 @@ class Predictor:
         """Render the views in front of the skin at poses on a mesh, as `predict_touch` does.
 
         Args:
-            mesh: As for `predict_touch`.
+            mesh: The object, as for `predict_touch`.
             T_o_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
-            unit: Of a file's coordinates, such as "mm".
+            unit: Unit of a file's coordinates, such as "mm".
 
         Returns:
-            Patches, views with their surroundings, and signed distances, n on axis 0; force and depth are unknown.
+            Patches, wide views and signed distances, n on axis 0, with unknown force and depth.
 
         Raises:
-            ValueError: The pose is no rigid transform, or the skin does not lie on the surface there.
+            ValueError: A pose is not a rigid transform, or the skin does not lie on the surface there.
         """
         surface, poses = _surface_of(mesh, unit), user_input.checked_poses(T_o_t)
         seen = [jax.device_get(_render(surface, jnp.asarray(pose), self.window, self.reach)) for pose in poses]
         for pose, view in zip(poses, seen, strict=True):
             user_input.check_in_front(surface, pose, view, self.window)
-        views = jax.tree.map(lambda *each: np.stack(each), *seen)
+        views = jax.tree.map(lambda *leaves: np.stack(leaves), *seen)
         unknown = np.full(len(poses), np.nan, np.float32)
         return TouchBatch(
             views.patch.depth, views.wide, self.window / PATCH_PIXELS,
@@ -243,14 +245,14 @@ class Predictor:
         )  # fmt: skip
 
     def _predict_classes(self, touches: TouchBatch) -> Reading:
-        """Readings of touches in batches of few sizes, so that a new number of touches compiles nothing."""
+        """Predict touches in batches of few sizes, so that a new number of touches compiles nothing."""
         n = len(touches.patch)
         parts = [self.predict_batch(touches.rows(rows)) for rows in size_classes(n)]
         return Reading(*(np.concatenate(column)[:n] for column in zip(*parts, strict=True)))
 
     def _predict_unseen(self, touches: TouchBatch, valid: Any) -> Reading:
-        """Readings of touches with unseen pixels: between those of nothing there and of the surface continued, and as
-        uncertain as these differ.
+        """Predict touches with unseen pixels: halfway between the readings for emptiness and for a continued surface,
+        with their difference in the uncertainty.
         """
         empty, continued = (
             self._predict_classes(touches._replace(patch=filled, view=user_input.in_middle(touches.view, filled)))
@@ -261,10 +263,10 @@ class Predictor:
         return Reading(continued.mean + half, np.sqrt(variance))
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """The model's readings of n touches, their standard deviations scaled.
+        """Predict the readings of n touches with scaled standard deviations.
 
         Args:
-            touches: What is known of them; a contact pressure that it holds is not predicted again.
+            touches: The touches; a contact pressure that they hold is not predicted again.
 
         Returns:
             Mean and standard deviation, (n, 3 chips) uT.
@@ -277,11 +279,11 @@ class Predictor:
 
 
 def save(directory: Path | str, predictor: Predictor) -> None:
-    """Write a predictor into a folder, which appears complete or not at all.
+    """Write a predictor into a folder, which appears completely or not at all.
 
     Args:
-        directory: Folder to make or to replace.
-        predictor: What to write.
+        directory: Folder to create or to replace.
+        predictor: The predictor to write.
     """
     arrays, model = to_disk(predictor.model)
     about = {
@@ -298,17 +300,17 @@ def save(directory: Path | str, predictor: Predictor) -> None:
 
 
 def load_predictor(directory: Path | str) -> Predictor:
-    """The predictor in a run's folder, or the ready one that comes with i2t.
+    """Load a predictor from a run's folder, or the ready one that comes with i2t.
 
     Args:
         directory: A folder that `python -m experiments.train` wrote, or the `checkpoint/predictor` in it; or the name
-            of a ready model, "nominal" (`i2t.models`), of one simulated pad.
+            of a ready model, "nominal" (`i2t.models`), trained on one simulated pad.
 
     Returns:
-        The predictor.
+        Predictor on the default device.
 
     Raises:
-        CheckpointError: There is none, or it cannot be read.
+        CheckpointError: The folder holds no predictor, or it cannot be read.
         TypeError: The directory is neither text nor a path.
 
     Example:
@@ -334,11 +336,11 @@ def load_predictor(directory: Path | str) -> Predictor:
 
 
 def std_scale(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
-    """The factor by which standard deviations must grow for errors to have unit variance.
+    """Compute the factor on the standard deviations that gives errors unit variance.
 
     Args:
-        readings: uT, of touches that the model was not trained on.
-        prediction: Of the same touches.
+        readings: Readings (uT) of touches outside the training set.
+        prediction: Predictions of the same touches.
 
     Returns:
         Root mean square of the errors in predicted standard deviations.
@@ -347,25 +349,26 @@ def std_scale(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
 
 
 def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
-    """The share of values in the predicted 90 % range.
+    """Compute the fraction of values in the predicted 90 % range.
 
     Args:
-        readings: uT, of touches that the model was not trained on.
-        prediction: Of the same touches.
+        readings: Readings (uT) of touches outside the training set.
+        prediction: Predictions of the same touches.
 
     Returns:
-        Between 0 and 1.
+        Fraction between 0 and 1.
     """
     return float(np.mean(np.abs(readings - prediction.mean) < STDS_WITHIN_90 * prediction.std))
 
 
-_FIELDS = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")  # numbers and text of a file
+# Numbers and texts of a predictor's file.
+_FIELDS = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")
 
 
 def _description(directory: Path, hint: str) -> dict[str, Any]:
-    """Description of a predictor on disk, and a hint where there is none."""
+    """Read the description of a predictor on disk; `hint` ends the message if there is none."""
     try:
-        about = read_json(directory / "_CHECKPOINT_METADATA", MAX_DESCRIPTION_BYTES)["custom_metadata"]
+        about = read_json(directory / "_CHECKPOINT_METADATA", 2**26)["custom_metadata"]
         if about["format"] != PREDICTOR_FORMAT:
             raise KeyError(about["format"])
         version = about["version"]
@@ -386,8 +389,8 @@ def _description(directory: Path, hint: str) -> dict[str, Any]:
 
 
 def _drop_conventions(directory: Path, about: dict[str, Any]) -> None:
-    """Drop the conventions of a recording that predictors were once saved with; refuse those that were not the usual
-    ones, as forces press and depths count from first contact.
+    """Drop the conventions of a recording with which predictors were once saved. Refuse any but the usual ones: forces
+    press, and depths count from first contact.
     """
     odd = about["default_force"] < 0
     for setting in about["model"]["settings"].values():
@@ -396,28 +399,28 @@ def _drop_conventions(directory: Path, about: dict[str, Any]) -> None:
     if odd:
         raise CheckpointError(
             f"the predictor in {directory} was trained on forces or depths as its recording counted them (a pressing "
-            "force negative, or a depth from another height than first contact), which this i2t corrects before it "
-            "trains; train again: python -m experiments.train --dataset DATA"
+            "force negative, or a depth from another height than first contact), which this i2t corrects before "
+            "training; train again: python -m experiments.train --dataset DATA"
         )
 
 
 def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
-    """The arrays of a predictor on disk, to the default device, under this version's names."""
+    """Load the arrays of a predictor from disk to the default device, by field."""
     here = jax.sharding.SingleDeviceSharding(jax.devices()[0])
 
-    def leaf(said: list[Any]) -> jax.ShapeDtypeStruct:
-        return jax.ShapeDtypeStruct(tuple(said[1:]), said[0], sharding=here)
+    def leaf(description: list[Any]) -> jax.ShapeDtypeStruct:
+        return jax.ShapeDtypeStruct(tuple(description[1:]), description[0], sharding=here)
 
     described = jax.tree.map(leaf, about["shapes"], is_leaf=lambda node: isinstance(node, list))
     abstract = _with_values(described)
     _check_size(directory, abstract)
     try:
         loaded = ocp.load_checkpointables(directory, abstract)
-    except Exception as error:  # orbax raises many kinds, down to bare ones of its storage library
+    except Exception as error:  # orbax raises many kinds of errors, also those of its storage library
         raise CheckpointError(f"the arrays in {directory} are damaged; train again, or restore a copy") from error
     return {
         name: jax.tree.map(
-            lambda each, value: value if each.size else jnp.zeros(each.shape, each.dtype),
+            lambda leaf, value: value if leaf.size else jnp.zeros(leaf.shape, leaf.dtype),
             tree,
             loaded.get(name, jax.tree.map(lambda _: None, tree)),
         )
@@ -426,18 +429,18 @@ def _load_arrays(directory: Path, about: dict[str, Any]) -> dict[str, Any]:
 
 
 def _check_size(folder: Path, shapes: PyTree) -> None:
-    """Refuse arrays that are said to be larger than a folder can hold: unwritten parts are read as zeros."""
-    said = 4 * sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
+    """Refuse arrays whose described size exceeds what the folder can hold, because missing parts are read as zeros."""
+    described = 4 * sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
     held = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    if said > may_grow_to(held):
+    if described > may_grow_to(held):
         raise CheckpointError(
-            f"{folder} says that it holds {said} bytes of numbers, more than its {held} bytes can; train again, or "
+            f"{folder} describes {described} bytes of numbers, more than its {held} bytes can hold; train again, or "
             "restore a copy."
         )
 
 
 def _with_values(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Leave out arrays that hold no value, which orbax refuses."""
+    """Leave out arrays without values, which orbax refuses."""
     kept = {name: jax.tree.map(lambda leaf: leaf if leaf.size else None, tree) for name, tree in arrays.items()}
     return {name: tree for name, tree in kept.items() if jax.tree.leaves(tree)}
 
@@ -452,7 +455,7 @@ def _render(surface: Surface, T_o_t: Array, window: float, reach: float) -> Wide
 
 
 def _surface_of(mesh: Any, unit: str | None) -> Surface:
-    """A surface to render, from any form of a mesh."""
+    """Prepare a surface for rendering from any form of a mesh."""
     if isinstance(mesh, Surface):
         return mesh
     if isinstance(mesh, str | Path):
@@ -462,7 +465,7 @@ def _surface_of(mesh: Any, unit: str | None) -> Surface:
             raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
         mesh = load_mesh(mesh, unit)
     elif unit is not None:
-        raise ValueError("unit is of a file's coordinates; vertices of a mesh are metres: scale them, and leave it out")
+        raise ValueError("unit is that of a file; vertices of a mesh are in metres: scale them, and omit unit")
     mesh = getattr(mesh, "mesh", mesh)
     user_input.check_size(mesh)
     return prepare_surface(mesh)

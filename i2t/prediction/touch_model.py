@@ -14,16 +14,16 @@
             return Reading(flat @ self.weights + self.mean, np.ones((len(flat), self.channels)))
 
 Fields are arrays, trees of arrays (dicts and named tuples), frozen dataclasses without arrays, texts, numbers, and
-tuples of these. Numbers of arrays have 32 bits on disk. A field `pressure` is a `PressureModelConfig`, and says that
-the model is one on predicted contact pressure.
-A model of another package is known once that package is imported: a file never says what is to be imported, but for
-modules of i2t itself.
+tuples of these. Arrays hold 32-bit numbers on disk. A field `pressure` is a `PressureModelConfig` and marks a model on
+predicted contact pressure.
+A model of another package can be loaded once that package is imported. A file never causes an import, except of modules
+of i2t itself.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import asdict, fields, is_dataclass, replace
-from importlib import import_module  # noqa: TID251  # of a user's class
+from importlib import import_module  # noqa: TID251  # for i2t's own models
 from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
 
 import jax.numpy as jnp
@@ -34,14 +34,12 @@ from i2t.errors import CheckpointError
 from i2t.runtime.batching import select_rows
 from i2t.types import Touches, in_one_line
 
-MAX_INTEGER = 2**31 - 1
-MAX_LIST = 100  # values of a list in a configuration, such as layers
 Config = TypeVar("Config")
 
 
 @in_one_line
 class Reading(NamedTuple):
-    """A predicted touch, in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0.
+    """A predicted reading in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0.
 
     Example:
         predictor = i2t.load_predictor("nominal")
@@ -49,58 +47,58 @@ class Reading(NamedTuple):
     """
 
     mean: np.ndarray  # (3 chips,) or (n, 3 chips) uT
-    std: np.ndarray  # as mean: standard deviation of the sensor's reading about the mean, its noise included
+    std: np.ndarray  # as mean: standard deviation of the sensor's reading about the mean, including noise
 
 
 @in_one_line
 class TouchBatch(NamedTuple):
-    """What is known of n touches beside their readings; NaN where a value is unknown."""
+    """Views and conditions of n touches, without their readings; NaN for unknown values."""
 
     patch: np.ndarray  # (n, p, p) m, behind the nearest surface point
-    view: np.ndarray  # (n, w, w) m, the patch, or the same view with its surroundings
+    view: np.ndarray  # (n, w, w) m, the patch, or a wide view around it
     pitch: float  # m, edge of a pixel of both
     force: np.ndarray  # (n,) N, along tool z
     nearest: np.ndarray  # (n,) m, signed distance of the nearest surface point from the tool origin
     depth: np.ndarray  # (n,) m, travel past first contact
-    pressure: ContactPressure | None = None  # where it was predicted before
-    pressure_model: PressureModelConfig | None = None  # by which it was
+    pressure: ContactPressure | None = None  # if it was predicted before
+    pressure_model: PressureModelConfig | None = None  # configuration of that prediction
 
     def rows(self, which: np.ndarray) -> "TouchBatch":
-        """Some of the touches.
+        """Select some of the touches.
 
         Args:
-            which: (n,) mask, or numbers of touches.
+            which: (n,) mask, or indices of touches.
 
         Returns:
-            Those.
+            Batch of the selected touches.
         """
         names = ("patch", "view", "force", "nearest", "depth", "pressure")
         return self._replace(**{name: select_rows(getattr(self, name), which) for name in names})
 
     def pressures(self, cfg: PressureModelConfig) -> ContactPressure:
-        """The contact pressures, predicted where they were not before, or otherwise.
+        """Return the contact pressures, predicting them if they are missing or have another configuration.
 
         Args:
-            cfg: How.
+            cfg: Configuration of the predicted contact pressure.
 
         Returns:
-            n of them.
+            Contact pressures of the n touches.
         """
         if self.pressure is not None and self.pressure_model == cfg:
             return self.pressure
         return predict_pressures(replace(cfg, pitch=self.pitch), self.view, self.force, self.depth)
 
     def conditions(self, names: Sequence[str]) -> np.ndarray:
-        """Values measured at contact, which must be known of every touch.
+        """Stack values measured at contact, which every touch must have.
 
         Args:
-            names: Of force, nearest and depth, those that are wanted.
+            names: Those of force, nearest and depth that are needed.
 
         Returns:
-            (n, k), in that order.
+            `(n, k)` values in that order (N, m, m).
 
         Raises:
-            ValueError: One is unknown of a touch.
+            ValueError: A touch lacks one of them.
         """
         missing = [name for name in names if not np.isfinite(getattr(self, name)).all()]
         if missing:
@@ -109,14 +107,14 @@ class TouchBatch(NamedTuple):
 
 
 def stacked(touches: Touches | TouchBatch, names: Sequence[str]) -> np.ndarray:
-    """Values measured at contact, side by side.
+    """Stack values measured at contact.
 
     Args:
         touches: n touches.
-        names: Of force, nearest and depth, those that are wanted.
+        names: Those of force, nearest and depth that are needed.
 
     Returns:
-        (n, k), in that order.
+        `(n, k)` values in that order (N, m, m).
     """
     values = [getattr(touches, name) for name in names]
     return np.stack(values, -1) if values else np.zeros((len(touches.patch), 0))
@@ -125,27 +123,27 @@ def stacked(touches: Touches | TouchBatch, names: Sequence[str]) -> np.ndarray:
 class TouchModel(ABC):
     """Model of the readings of touches. A subclass is a frozen dataclass."""
 
-    known: ClassVar[dict[str, type["TouchModel"]]] = {}  # by module and name
+    registered: ClassVar[dict[str, type["TouchModel"]]] = {}  # by module and name
     pressure: ClassVar[PressureModelConfig | None] = None  # a field of models on predicted contact pressure
 
     def __init_subclass__(cls) -> None:
-        """Make the class known to those who read it from disk."""
-        TouchModel.known[f"{cls.__module__}:{cls.__qualname__}"] = cls
+        """Register the class for loading from disk."""
+        TouchModel.registered[f"{cls.__module__}:{cls.__qualname__}"] = cls
 
     @property
     @abstractmethod
     def channels(self) -> int:
-        """Values of a reading."""
+        """Number of values in a reading."""
 
     @abstractmethod
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Readings of touches that are seen or simulated.
+        """Predict the readings of touches.
 
         Args:
             touches: n touches.
 
         Returns:
-            Mean and standard deviation (n, c) uT.
+            `(n, c)` means and standard deviations (uT).
 
         Raises:
             ValueError: Patches or conditions do not fit the model.
@@ -153,16 +151,16 @@ class TouchModel(ABC):
 
 
 def to_disk(model: TouchModel) -> tuple[dict[str, Any], dict[str, Any]]:
-    """A model as trees of arrays and as JSON values.
+    """Convert a model to trees of arrays and JSON values.
 
     Args:
-        model: What is to be kept.
+        model: The model to save.
 
     Returns:
-        Arrays by field (of 32 bits, or booleans), and the class with all other fields.
+        Arrays by field (32 bits, or booleans), and a dict of the class and all other fields.
 
     Raises:
-        ValueError: A field is neither.
+        ValueError: A field cannot be saved.
     """
     arrays, settings = {}, {}
     for field in fields(model):  # type: ignore[arg-type]
@@ -183,29 +181,29 @@ def to_disk(model: TouchModel) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def from_disk(arrays: dict[str, Any], about: dict[str, Any]) -> TouchModel:
-    """The model that `to_disk` was given.
+    """Restore the model that `to_disk` converted.
 
     Args:
-        arrays: By field.
-        about: Its class, and its other fields.
+        arrays: Arrays by field.
+        about: The class and all other fields.
 
     Returns:
-        The model.
+        Model equal to the converted one.
 
     Raises:
-        CheckpointError: Its class is not known here.
-        ValueError: Fields do not fit the class, as LookupError, TypeError and AttributeError do.
+        CheckpointError: The model's class is not registered.
+        ValueError: Fields do not fit the class. LookupError, TypeError and AttributeError mean the same.
     """
     name = about["class"]
-    if name not in TouchModel.known and name.startswith("i2t.prediction."):
+    if name not in TouchModel.registered and name.startswith("i2t.prediction."):
         import_module(name.partition(":")[0])
-    if name not in TouchModel.known:
+    if name not in TouchModel.registered:
         module = name.partition(":")[0]
         raise CheckpointError(
-            f'the predictor is a {name}, which is not known here; importlib.import_module("{module}") before it is '
-            "loaded makes it known"
+            f"the predictor is a {name}, which is not registered here; call "
+            f'importlib.import_module("{module}") before you load it'
         )
-    kind = TouchModel.known[name]
+    kind = TouchModel.registered[name]
     hints = get_type_hints(kind)
     given = {key: _array_tree(hints[key], value) for key, value in arrays.items()}
     given |= {key: _setting(hints[key], value) for key, value in about["settings"].items()}
@@ -213,14 +211,14 @@ def from_disk(arrays: dict[str, Any], about: dict[str, Any]) -> TouchModel:
 
 
 def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
-    """A configuration from its JSON form, in which tuples became lists.
+    """Restore a configuration from its JSON form, in which tuples became lists.
 
     Args:
-        kind: Its dataclass.
-        values: Fields by name; those left out keep their defaults.
+        kind: Dataclass of the configuration.
+        values: Fields by name; missing fields keep their defaults.
 
     Returns:
-        The configuration.
+        Configuration of this class.
 
     Raises:
         ValueError: A field is unknown, or a value is refused.
@@ -233,7 +231,7 @@ def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
     def convert(name: str) -> Any:
         if is_dataclass(hints[name]):
             return config_from(hints[name], values[name])
-        if isinstance(values[name], list) and len(values[name]) > MAX_LIST:
+        if isinstance(values[name], list) and len(values[name]) > 100:  # many more than layers of a network
             raise ValueError(f"{len(values[name])} values of {name}")
         return tuple(values[name]) if isinstance(values[name], list) else values[name]
 
@@ -241,20 +239,21 @@ def config_from(kind: type[Config], values: dict[str, Any]) -> Config:
 
 
 def _are_plain(values: Any) -> bool:
-    """Test for a few texts or numbers, and no arrays."""
+    """Test for a tuple of texts and numbers without arrays."""
     return type(values) is tuple and all(isinstance(value, str | int | float | bool) for value in values)
 
 
 def _plain(node: Any) -> Any:
-    """Named tuples as dicts, all the way down, so that files name their fields; numbers of 32 bits, as JAX has them."""
+    """Convert named tuples to dicts at all levels, so that files name their fields, and numbers to JAX's 32 bits."""
     if isinstance(node, tuple) and hasattr(node, "_asdict"):
         node = node._asdict()
     if isinstance(node, dict):
         return {name: _plain(value) for name, value in node.items()}
     values = np.asarray(node)
     if values.dtype.kind in "iu":
-        if values.size and not -MAX_INTEGER <= int(values.min()) <= int(values.max()) <= MAX_INTEGER:
-            raise OverflowError(f"whole numbers beyond {MAX_INTEGER}")
+        largest = np.iinfo(np.int32).max
+        if values.size and not -largest <= int(values.min()) <= int(values.max()) <= largest:
+            raise OverflowError(f"whole numbers beyond {largest}")
         return jnp.asarray(values, jnp.int32)
     if values.dtype.kind not in "fb":
         raise TypeError(f"values of type {values.dtype}")
@@ -262,24 +261,24 @@ def _plain(node: Any) -> Any:
 
 
 def _array_tree(kind: Any, value: Any) -> Any:
-    """Arrays as a field of this type has them: named tuples again, NumPy's own where they are asked for."""
+    """Restore the arrays of a field of this type: named tuples, and NumPy's arrays if the type asks for them."""
     if value is None:
         value = jnp.zeros(0)
     if hasattr(kind, "_fields"):
         hints = get_type_hints(kind)
-        return kind(**{name: _array_tree(hints[name], each) for name, each in value.items()})
+        return kind(**{name: _array_tree(hints[name], leaf) for name, leaf in value.items()})
     if isinstance(value, dict):
         return value
-    asked = [getattr(each, "array_type", each) for each in get_args(kind) or (kind,)]
-    return np.asarray(value) if np.ndarray in asked else value
+    types = [getattr(hint, "array_type", hint) for hint in get_args(kind) or (kind,)]
+    return np.asarray(value) if np.ndarray in types else value
 
 
 def _setting(kind: Any, value: Any) -> Any:
-    """A configuration of this class or of one that extends it, or a value."""
+    """Restore a value, or a configuration of this class or of a subclass."""
     if isinstance(value, dict):
-        name, allowed = value["config"], [each for each in (get_args(kind) or (kind,)) if isinstance(each, type)]
-        found = [each for one in allowed for each in (one, *one.__subclasses__()) if each.__name__ == name]
-        if not found:
-            raise ValueError(f"{name} is no {kind}")
-        return config_from(found[0], value["values"])
+        name, allowed = value["config"], [hint for hint in (get_args(kind) or (kind,)) if isinstance(hint, type)]
+        classes = [cls for base in allowed for cls in (base, *base.__subclasses__()) if cls.__name__ == name]
+        if not classes:
+            raise ValueError(f"{name} is not a {kind}")
+        return config_from(classes[0], value["values"])
     return tuple(value) if isinstance(value, list) else value

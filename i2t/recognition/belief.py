@@ -1,9 +1,8 @@
 """Belief over objects and their poses: a posterior from touches.
 
-Each possible object has a number of pose particles: poses drawn from what is known of its placement, the same through
-an episode. How far the placement may be off is taken as stated. Each touch is compared with the touch that was
-predicted for every particle (`i2t.recognition.outcomes`).
-Two measurements are evidence:
+Each possible object has a number of pose particles: poses drawn from the prior of its placement, the same throughout an
+episode. The uncertainty of the placement is taken as stated. Each touch is compared with the touch that was predicted
+for every particle (`i2t.recognition.outcomes`). Two measurements are evidence:
 
   the reading   given the force: Student's t about the predicted reading. Its scale matrix is the covariance of a
                 Gaussian process's errors, which includes sensor noise that all chips share, plus the GP's own variance
@@ -13,17 +12,17 @@ Two measurements are evidence:
                 of its remaining pose error and updates it with a Kalman filter (a Gaussian sum; Alspach and Sorenson,
                 IEEE Trans. Automatic Control 17, 1972). Without these normal distributions no particle of a few hundred
                 would survive contacts measured to 0.1 mm in a prior of 1 mm in six dimensions. Errors of positions have
-                heavy tails: they are a scale mixture of normals (Andrews and Mallows, J. R. Stat. Soc. B 36, 1974), and
-                each of its components makes a Kalman step of its own, weighted by how well it predicted the touch. The
-                deeper the skin is predicted to sink, the less well is it known how far.
+                heavy tails: they are a scale mixture of normals (Andrews and Mallows, J. R. Stat. Soc. B 36, 1974).
+                Each of its components gives a separate Kalman step, weighted by how well it predicted the touch. The
+                uncertainty of the indentation grows with its predicted value.
 
-Whether a touch met anything is evidence as well (presence), and counts by a weight of its own, as the two do. A small
-share of touches may be anything (outliers). "None of these" is the sum over surrogates of unknown objects
-(`i2t.objects.catalogue`), which are objects like any other here. The sensor's bias, where it drifts, is followed by a
-Kalman filter on the residual of the readings.
+Whether a touch met anything is evidence as well (presence). Reading, position and presence each have a weight. A small
+fraction of touches may be anything (outliers). "None of these" is the sum over surrogates of unknown objects
+(`i2t.objects.catalogue`), which are treated like all other objects. A Kalman filter on the residuals of the readings
+follows the drift of the sensor's bias.
 
-Pure functions on one episode: `init(...) -> Belief`, `update(belief, ...) -> Belief`, `posterior(belief)`. A reading
-has c = 3 * chips channels. Metres, newtons, microtesla.
+All functions are pure and work on one episode: `init(...) -> Belief`, `update(belief, ...) -> Belief`,
+`posterior(belief)`. A reading has c = 3 * chips channels. Units are metres, newtons and microtesla.
 """
 
 from functools import partial
@@ -41,9 +40,7 @@ from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.skin_models.likelihood import Likelihood, outlier_range
 from i2t.types import in_one_line
 
-MIN_PROBABILITY = 1e-30  # probabilities below are treated as equal
-MIN_OUTLIER_RATE = 1e-12
-PARTICLE_STD_RATIO = 0.5  # standard deviation of the pose about a particle, relative to that of the prior
+MIN_PROBABILITY = 1e-30  # smaller probabilities are treated as equal
 
 
 @in_one_line
@@ -52,8 +49,8 @@ class TouchObservation(NamedTuple):
 
     reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
-    advance: Float[Array, ""]  # m, from the site to where the press ended, along the approach
-    contact: Bool[Array, ""]  # whether anything was met
+    advance: Float[Array, ""]  # m, from the site to the end of the press, along the approach
+    contact: Bool[Array, ""]  # whether the touch met anything
 
 
 @in_one_line
@@ -61,7 +58,7 @@ class Particles(NamedTuple):
     """Pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
 
     twist: Float[Array, "k 6"]  # m
-    covariance: Float[Array, "k 6 6"]  # m^2, about each
+    covariance: Float[Array, "k 6 6"]  # m^2, about each particle
 
 
 @in_one_line
@@ -69,19 +66,19 @@ class Belief(NamedTuple):
     """Belief after some touches of an episode."""
 
     log_weight: Float[Array, "objects k"]  # log probability of object, particle and all touches so far
-    mean: Float[Array, "objects k 6"]  # m, of the twist about the particle
+    mean: Float[Array, "objects k 6"]  # m, mean twist about the particle
     covariance: Float[Array, "objects k 6 6"]  # m^2
-    bias: Float[Array, " c"]  # uT, of the sensor
+    bias: Float[Array, " c"]  # uT, bias of the sensor
     bias_variance: Float[Array, ""]  # uT^2
 
 
 class Evidence(NamedTuple):
-    """Log densities of one touch under each particle, and the particle's normal distribution after it."""
+    """Log densities of one touch under each particle, and the particle's normal distribution after the touch."""
 
-    tactile: Float[Array, "..."]  # of the reading
-    spatial: Float[Array, "..."]  # of the position
-    presence: Float[Array, "..."]  # of meeting something, or nothing
-    reading: Float[Array, "... c"]  # uT, predicted
+    tactile: Float[Array, "..."]  # log density of the reading
+    spatial: Float[Array, "..."]  # log density of the position
+    presence: Float[Array, "..."]  # log probability of meeting something, or nothing
+    reading: Float[Array, "... c"]  # uT, the predicted reading
     mean: Float[Array, "... 6"]
     covariance: Float[Array, "... 6 6"]
 
@@ -91,21 +88,21 @@ def sample_particles(
     count: int,
     seed: int = 0,
     *,
-    std_ratio: float = PARTICLE_STD_RATIO,
+    std_ratio: float = 0.5,
 ) -> Particles:
     """Draw pose particles from a normal prior; the first one is the believed pose itself.
 
-    Quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998), on the host. Particles and the normal
-    distributions about them together have the prior's variance.
+    The draws are quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998) and made on the host. Particles
+    and the normal distributions about them together have the prior's variance.
 
     Args:
         prior: Covariance (m^2) of the twist, which may be singular, or the standard deviations (m) of its six parts.
         count: Number of particles.
-        seed: Of the sequence.
+        seed: Seed of the sequence.
         std_ratio: Standard deviation about each particle, relative to the prior's.
 
     Returns:
-        The particles, all as probable, with the covariance about each.
+        Equally probable particles, with the covariance about each.
     """
     uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     uniform = np.clip(uniform, 1e-6, 1 - 1e-6)
@@ -124,16 +121,16 @@ def sample_particles(
 def init(
     particles: Particles, objects: int, *, channels: int, prior: Float[np.ndarray, " objects"] | None = None
 ) -> Belief:
-    """The belief before the first touch.
+    """Return the belief before the first touch.
 
     Args:
-        particles: Poses of each object.
-        objects: How many objects there may be.
-        channels: Values of a reading, three for each chip.
-        prior: Probabilities of the objects; all equal by default.
+        particles: Pose particles of each object.
+        objects: Number of possible objects.
+        channels: Number of values in a reading, three for each chip.
+        prior: Probabilities of the objects; equal by default.
 
     Returns:
-        The belief, with all particles of an object as probable.
+        Belief in which all particles of an object are equally probable.
     """
     shape = (objects, len(particles.twist))
     prior = np.full(objects, 1 / objects) if prior is None else prior
@@ -147,44 +144,44 @@ def init(
 
 
 def update(belief: Belief, observation: TouchObservation, predicted: PredictedTouch, likelihood: Likelihood) -> Belief:
-    """The belief after one more touch.
+    """Update the belief with one more touch.
 
     Args:
-        belief: Before the touch.
-        observation: What was measured.
-        predicted: What the touch was predicted to be for each object and particle, (objects, k).
-        likelihood: How far measurements may be from predictions.
+        belief: The belief before the touch.
+        observation: The measurements of the touch.
+        predicted: The predicted touch for each object and particle, (objects, k).
+        likelihood: The distribution of measurements about predictions.
 
     Returns:
-        The belief with that touch.
+        Belief after the touch.
     """
     unbiased = observation._replace(reading=observation.reading - belief.bias)
-    found = jax.vmap(jax.vmap(partial(evidence, unbiased, likelihood=likelihood)))(
+    compared = jax.vmap(jax.vmap(partial(evidence, unbiased, likelihood=likelihood)))(
         predicted, belief.mean, belief.covariance
     )
-    log_weight = belief.log_weight + log_likelihood(found, likelihood)
-    bias, variance = _update_bias(belief, unbiased, found.reading, log_weight, likelihood)
-    return Belief(log_weight, found.mean, found.covariance, bias, variance)
+    log_weight = belief.log_weight + log_likelihood(compared, likelihood)
+    bias, variance = _update_bias(belief, unbiased, compared.reading, log_weight, likelihood)
+    return Belief(log_weight, compared.mean, compared.covariance, bias, variance)
 
 
-def log_likelihood(found: Evidence, likelihood: Likelihood) -> Float[Array, "..."]:
-    """Log density of a touch from the kinds of evidence that have weight.
+def log_likelihood(evidence: Evidence, likelihood: Likelihood) -> Float[Array, "..."]:
+    """Compute the log density of a touch from the kinds of evidence that have weight.
 
     Args:
-        found: Evidence of the touch under any number of particles.
-        likelihood: Whose weights say what counts: the reading, the position, and whether anything was met.
+        evidence: Evidence of the touch under any number of particles.
+        likelihood: The weights of the reading, of the position, and of whether the touch met anything.
 
     Returns:
-        One log density for each particle.
+        `(...)` log densities, one for each particle.
     """
 
     def weighted(weight: Array, density: Array) -> Array:
-        return jnp.where(weight > 0, weight * density, 0.0)  # what is left out may be NaN
+        return jnp.where(weight > 0, weight * density, 0.0)  # evidence without weight may be NaN
 
     return (
-        weighted(likelihood.tactile_weight, found.tactile)
-        + weighted(likelihood.spatial_weight, found.spatial)
-        + weighted(likelihood.presence_weight, found.presence)
+        weighted(likelihood.tactile_weight, evidence.tactile)
+        + weighted(likelihood.spatial_weight, evidence.spatial)
+        + weighted(likelihood.presence_weight, evidence.presence)
     )
 
 
@@ -198,22 +195,22 @@ def evidence(
     """Compare one touch with its prediction for one particle.
 
     Args:
-        observation: The touch; its reading is free of the sensor's bias.
+        observation: The touch, whose reading is corrected for the sensor's bias.
         predicted: The touch as predicted for the particle.
         mean: Mean (m) of the object's twist about the particle.
-        covariance: Its covariance (m^2).
-        likelihood: How far measurements may be from predictions.
+        covariance: Covariance (m^2) of that twist.
+        likelihood: The distribution of measurements about predictions.
 
     Returns:
         Log densities of the reading, of the position and of contact, and the twist's normal distribution given the
         position.
     """
-    # A noisy wrench sensor may say less than the least load with which anything is pressed.
+    # A noisy wrench sensor may report less than the smallest possible load of a press.
     force = jnp.maximum(observation.force, MIN_LOAD_N)
     indentation, reading, variance = interpolate_load(predicted, likelihood.loads, force)
     tactile = reading_log_density(observation.reading - reading, variance, likelihood)
 
-    # Where the press should have ended, and with which variances.
+    # The expected end of the press, and its variances.
     distance = predicted.approach_distance + jnp.dot(predicted.jacobian, mean)
     cross_covariance = jnp.matmul(covariance, predicted.jacobian, precision="highest")
     unsure = jnp.dot(predicted.jacobian, cross_covariance) + (likelihood.indentation_error * indentation) ** 2
@@ -224,7 +221,7 @@ def evidence(
     spatial = jnp.logaddexp(logsumexp(inliers), outlier)
     presence = _presence_log_probability(observation.contact, predicted, distance, end_variance, likelihood)
 
-    # The pose is updated only with the probability that the position is no outlier.
+    # The pose is updated only with the probability that the position is not an outlier.
     informative = observation.contact & (likelihood.spatial_weight > 0)
     new_mean, new_covariance = _kalman_mixture(
         mean, covariance, error=error, cross_covariance=cross_covariance, variance=end_variance,
@@ -243,7 +240,7 @@ def evidence(
 def reading_log_density(
     error: Float[Array, " c"], variance: Float[Array, ""], likelihood: Likelihood
 ) -> Float[Array, ""]:
-    """Log density of an error of the reading: a multivariate Student's t in whitened coordinates.
+    """Compute the log density of an error of the reading: a multivariate Student's t in whitened coordinates.
 
     Args:
         error: Measured minus predicted reading (uT).
@@ -251,7 +248,7 @@ def reading_log_density(
         likelihood: Whitening, inflation and degrees of freedom.
 
     Returns:
-        The log density, up to the whitening's volume, which is the same for all that are compared.
+        Scalar log density, up to the whitening's volume, which is the same for all particles.
     """
     channels = error.shape[-1]
     whitened = jnp.matmul(likelihood.whiten, error, precision="highest")
@@ -263,13 +260,13 @@ def reading_log_density(
 
 
 def posterior(belief: Belief) -> Float[Array, " objects"]:
-    """Probabilities of the objects, particles summed out.
+    """Compute the probabilities of the objects, summed over their particles.
 
     Args:
-        belief: After some touches.
+        belief: The belief after some touches.
 
     Returns:
-        Probabilities that sum to 1.
+        `(objects,)` probabilities that sum to 1.
     """
     return jax.nn.softmax(logsumexp(belief.log_weight, axis=1))
 
@@ -277,11 +274,11 @@ def posterior(belief: Belief) -> Float[Array, " objects"]:
 def twist_estimate(
     belief: Belief, particles: Particles
 ) -> tuple[Float[Array, "objects 6"], Float[Array, "objects 6 6"]]:
-    """Pose of each object, if it is the one that is there.
+    """Estimate the pose of each object, given that it is the true one.
 
     Args:
-        belief: After some touches.
-        particles: The pose particles it began with.
+        belief: The belief after some touches.
+        particles: The pose particles of its `init`.
 
     Returns:
         Mean (m) and covariance (m^2) of each object's twist from its believed pose.
@@ -297,11 +294,11 @@ def twist_estimate(
 def _end_log_densities(
     error: Float[Array, ""], variance: Float[Array, " s"], predicted: PredictedTouch, likelihood: Likelihood
 ) -> tuple[Float[Array, " s"], Float[Array, ""]]:
-    """Log densities of the end of a press: as predicted, with each component's variance (m^2), and as an outlier
-    (uniform over its range); shares included.
+    """Compute log densities of the end of a press: as predicted, with each component's variance (m^2), and as an
+    outlier, uniform over its range. They include the probabilities of the components and of an outlier.
     """
     normal = -0.5 * (error**2 / variance + jnp.log(2 * jnp.pi * variance))
-    rate = jnp.maximum(likelihood.outlier_rate, MIN_OUTLIER_RATE)
+    rate = _outlier_rate(likelihood)
     inliers = jnp.where(predicted.hit, jnp.log1p(-rate) + jnp.log(likelihood.position_share) + normal, -jnp.inf)
     return inliers, jnp.log(rate / outlier_range(likelihood.overtravel))
 
@@ -313,13 +310,17 @@ def _presence_log_probability(
     variance: Float[Array, " s"],
     likelihood: Likelihood,
 ) -> Float[Array, ""]:
-    """Log probability of contact (or of none) before the press gives up; either may be an outlier."""
+    """Compute the log probability of contact, or of none, before the press gives up; either may be an outlier."""
     margin = (likelihood.overtravel - distance) / jnp.sqrt(variance)
     share = jnp.log(likelihood.position_share)
     met = jnp.where(predicted.hit, logsumexp(share + log_ndtr(margin)), -jnp.inf)
     missed = jnp.where(predicted.hit, logsumexp(share + log_ndtr(-margin)), 0.0)
-    rate = jnp.maximum(likelihood.outlier_rate, MIN_OUTLIER_RATE)
+    rate = _outlier_rate(likelihood)
     return jnp.logaddexp(jnp.where(contact, met, missed), jnp.log(rate))
+
+
+def _outlier_rate(likelihood: Likelihood) -> Array:
+    return jnp.maximum(likelihood.outlier_rate, 1e-12)  # above zero for its logarithm
 
 
 def _kalman_mixture(
@@ -331,8 +332,9 @@ def _kalman_mixture(
     variance: Float[Array, " s"],
     probability: Float[Array, " s"],
 ) -> tuple[Float[Array, "6"], Float[Array, "6 6"]]:
-    """Kalman steps that hold with probabilities, one for each component of the error: mean and covariance of the
-    mixture of having made each, or none. All steps go along the same direction.
+    """Mix Kalman steps by their probabilities, one step for each component of the error, and no step otherwise.
+
+    Return mean and covariance of the mixture. All steps go along the same direction.
     """
     none = jnp.clip(1 - jnp.sum(probability), 0.0, 1.0)
     gain = 1 / variance  # along the cross-covariance
@@ -347,7 +349,7 @@ def _kalman_mixture(
 def _update_bias(
     belief: Belief, observation: TouchObservation, predicted: Array, log_weight: Array, likelihood: Likelihood
 ) -> tuple[Array, Array]:
-    """The sensor's bias (uT) and its variance after a touch, from the posterior mean of the `predicted` readings
+    """Update the sensor's bias (uT) and its variance after a touch, from the posterior mean of the predicted readings
     (objects, k, c).
     """
     weight = jax.nn.softmax(log_weight.reshape(-1)).reshape(log_weight.shape)

@@ -1,12 +1,12 @@
 """Calibrated beliefs: temperature scaling, and Platt calibration of the unknown class.
 
 Errors of a pad model or of an object's pose are shared by all touches of an episode, but a belief treats touches as
-independent, and grows more confident than it is right. Both calibrations therefore soften a belief the more, the more
-touches it has seen; their parameters are fitted on validation episodes. Shapes are those of `i2t.recognition.metrics`.
+independent and becomes overconfident. Both calibrations therefore soften a belief the more touches it contains. Their
+parameters are fitted on validation episodes. Shapes are those of `i2t.recognition.metrics`.
 
 Sources: temperature scaling, Guo et al. (ICML 2017); logit calibration, Platt (Advances in Large Margin Classifiers,
-1999). The probability of an unknown object has to be large or small by what is felt, and not by how often such objects
-come: `with_unknown_prior` moves a belief from one prior to another.
+1999). The probability of an unknown object should depend on the touches and not on how often such objects occur:
+`with_unknown_prior` moves a belief from one prior to another.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,8 +21,6 @@ from i2t.recognition.belief import MIN_PROBABILITY
 from i2t.recognition.metrics import PROBABILITY_FLOOR
 from i2t.types import Array
 
-NO_EPISODES = "there is no episode to calibrate beliefs on; give validation episodes"
-
 # --- temperature scaling of the objects ---
 
 
@@ -33,45 +31,45 @@ class TemperatureScaling(NamedTuple):
     growth: float = 0.0
 
     def temperature(self, touches: Array | float) -> Any:
-        """What log probabilities are divided by.
+        """Compute the divisor of log probabilities.
 
         Args:
-            touches: Of the episode so far, 1 or more.
+            touches: Number of touches of the episode so far, at least 1.
 
         Returns:
-            The temperature after as many touches.
+            Temperature after this number of touches.
         """
         return self.initial * (1 + self.growth * (touches - 1))
 
     def apply(self, p: Float[Array, "*shape c"], touches: Array | float) -> Float[np.ndarray, "*shape c"]:
-        """Calibrated probabilities; the order of the classes stays.
+        """Calibrate probabilities without changing the order of the classes.
 
         Args:
-            p: Of the classes.
-            touches: How many each belief has seen, broadcast against all but the last axis.
+            p: Probabilities of the classes.
+            touches: Number of touches in each belief, broadcast against all but the last axis.
 
         Returns:
-            Probabilities of the same shape.
+            Calibrated probabilities of the same shape.
         """
         divisor = np.asarray(self.temperature(touches), np.float64)[..., None]
         return softmax(_logs(p) / divisor, axis=-1)
 
 
-# Fitted to 1020 episodes with validation objects that stood twice as far off as stated (six pads, simulated;
-# `experiments.studies stopping`): up to that far off an episode that stops then errs about as seldom as asked.
+# Fitted to 1020 episodes whose validation objects stood twice as far off as stated (six pads, simulated;
+# `experiments.studies stopping`): up to that distance an episode that stops errs about as rarely as requested.
 TEMPERATURE_SCALING = TemperatureScaling(1.88, 0.22)
 
 
 def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, smoothing: float = 0.0) -> TemperatureScaling:
-    """Temperature of the least log loss of these beliefs over all touches.
+    """Fit the temperature with the smallest log loss of these beliefs over all touches.
 
     Args:
         p: Beliefs of validation episodes.
-        truth: Classes that were there.
-        smoothing: As of `fit_temperature_to_sets`.
+        truth: The true classes.
+        smoothing: Fraction of the episodes as in `fit_temperature_to_sets`.
 
     Returns:
-        The temperature as a function of the number of touches.
+        Temperature as a function of the number of touches.
 
     Raises:
         ValueError: There is no episode, or a belief is not finite.
@@ -82,24 +80,22 @@ def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, smooth
 def fit_temperature_to_sets(
     sets: Sequence[tuple[Float[Array, "_ _ _"], Int[Array, " _"]]], *, smoothing: float = 0.0
 ) -> TemperatureScaling:
-    """The same for sets of episodes that differ in the number of touches or classes.
+    """Fit one temperature to sets of episodes that differ in the number of touches or classes.
 
     Args:
-        sets: Beliefs of validation episodes, and the classes that were there.
-        smoothing: Share of the episodes that are counted as if any class had been there, so that a few episodes that
-            are all right claim no certainty (Platt's targets).
+        sets: Beliefs of validation episodes, and their true classes.
+        smoothing: Fraction of the episodes that count as if every class had been true equally often, so that a few
+            episodes that are all right claim no certainty (Platt's targets).
 
     Returns:
-        The one temperature with the least mean log loss over all episodes and touches.
+        Temperature with the smallest mean log loss over all episodes and touches.
 
     Raises:
         ValueError: There is no episode, or a belief is not finite.
     """
     ready = [(_logs(p), np.asarray(truth)[:, None, None]) for p, truth in sets]
     count = sum(logs.shape[0] * logs.shape[1] for logs, _ in ready)
-
-    if count == 0:
-        raise ValueError(NO_EPISODES)
+    _check_episodes(count)
 
     def loss(x: np.ndarray) -> float:
         scaling, total = TemperatureScaling(np.exp(x[0]), np.exp(x[1])), 0.0
@@ -110,23 +106,23 @@ def fit_temperature_to_sets(
         return float(total / count)
 
     bounds = ((-4.0, 4.0), (-12.0, 1.0))
-    # Touches that share few errors, and most of them.
+    # One start for touches that share few errors, and one for touches that share most of them.
     starts = [np.array([0.0, np.log(growth)]) for growth in (0.05, 0.5)]
-    initial, growth = np.exp(_least(loss, starts, bounds))
+    initial, growth = np.exp(_minimise(loss, starts, bounds))
     return TemperatureScaling(float(initial), float(growth))
 
 
 def calibrated_beliefs(
     p: Float[Array, "e t c"], temperature: TemperatureScaling = TEMPERATURE_SCALING
 ) -> Float[Array, "e t c"]:
-    """Beliefs of whole episodes after temperature scaling; the order of the classes stays.
+    """Calibrate beliefs of whole episodes by temperature scaling, without changing the order of the classes.
 
     Args:
-        p: Beliefs.
-        temperature: As fitted.
+        p: Beliefs after each touch.
+        temperature: The fitted temperature.
 
     Returns:
-        Beliefs of the same shape.
+        Calibrated beliefs of the same shape.
     """
     return temperature.apply(p, np.arange(1, p.shape[1] + 1.0))
 
@@ -141,16 +137,16 @@ def _logs(p: Float[Array, "*shape"]) -> Float[np.ndarray, "*shape"]:
 def with_unknown_prior(
     p: Float[Array, "*shape objects"], p_unknown: Float[Array, "*shape"], old: float, new: float
 ) -> tuple[Float[Array, "*shape objects"], Float[Array, "*shape"]]:
-    """The same beliefs under another prior probability of unknown objects, by Bayes' rule.
+    """Move beliefs to another prior probability of unknown objects, by Bayes' rule.
 
     Args:
         p: Probabilities of the known objects.
         p_unknown: Probability of the unknown class.
-        old: Prior probability of unknown objects from which these beliefs come, in (0, 1).
-        new: The prior probability they get, in [0, 1).
+        old: Prior probability of unknown objects in these beliefs, in (0, 1).
+        new: New prior probability, in [0, 1).
 
     Returns:
-        Both under the new prior.
+        Probabilities of the known objects and of the unknown class under the new prior.
 
     Raises:
         ValueError: A prior lies outside its range.
@@ -160,15 +156,15 @@ def with_unknown_prior(
     odds = new / (1 - new) * (1 - old) / old
     joined = np.concatenate([np.asarray(p, np.float64), odds * np.asarray(p_unknown, np.float64)[..., None]], axis=-1)
     total = joined.sum(-1, keepdims=True)
-    # A belief that had ruled out all known objects and may no longer hold them unknown becomes uniform.
+    # A belief that excludes all known objects becomes uniform if the new prior excludes unknown ones.
     uniform = np.append(np.full(np.shape(p)[-1], 1 / np.shape(p)[-1]), 0)
     joined = np.where(total > 0, joined / np.where(total > 0, total, 1), uniform)
     return joined[..., :-1], joined[..., -1]
 
 
 class PlattScaling(NamedTuple):
-    """Logit calibration of the unknown class: its log odds after t touches become `offset` plus themselves times
-    `slope` / (1 + `growth` (t - 1)).
+    """Logit calibration of the unknown class. Its log odds L after t touches become
+    `offset` + `slope` / (1 + `growth` (t - 1)) L.
     """
 
     offset: float
@@ -176,33 +172,32 @@ class PlattScaling(NamedTuple):
     growth: float = 0.0
 
     def apply(self, p_unknown: Float[Array, "*shape"], touches: Array | float) -> Float[Array, "*shape"]:
-        """Calibrated probabilities.
+        """Calibrate probabilities of the unknown class.
 
         Args:
             p_unknown: Probability of the unknown class.
-            touches: How many each belief has seen, broadcast against it.
+            touches: Number of touches in each belief, broadcast against it.
 
         Returns:
-            Probabilities of the same shape.
+            Calibrated probabilities of the same shape.
         """
         return expit(self.offset + self.slope / (1 + self.growth * (touches - 1)) * _log_odds(p_unknown))
 
 
 def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> PlattScaling:
-    """The calibration of the unknown class with the least log loss over all touches.
+    """Fit the calibration of the unknown class with the smallest log loss over all touches.
 
     Args:
         p_unknown: Probability of the unknown class in validation episodes.
         unknown: Whether the object was unknown.
 
     Returns:
-        Its parameters.
+        Offset, slope and growth of the fitted calibration.
 
     Raises:
         ValueError: There is no episode, or a probability is not finite.
     """
-    if np.size(p_unknown) == 0:
-        raise ValueError(NO_EPISODES)
+    _check_episodes(np.size(p_unknown))
     log_odds, touches = _log_odds(p_unknown), np.arange(1, np.shape(p_unknown)[1] + 1)
     sign = np.where(np.asarray(unknown, bool), 1.0, -1.0)[:, None]
 
@@ -210,15 +205,20 @@ def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> Pla
         return float(np.mean(np.logaddexp(0, -sign * (x[0] + x[1] / (1 + x[2] * (touches - 1)) * log_odds))))
 
     bounds = (-20.0, 20.0), (0.01, 10.0), (0.0, 10.0)
-    return PlattScaling(*_least(loss, [np.array([0.0, 1.0, 0.0])], bounds).tolist())
+    return PlattScaling(*_minimise(loss, [np.array([0.0, 1.0, 0.0])], bounds).tolist())
 
 
-def _least(loss: Callable[[np.ndarray], float], starts: Sequence[np.ndarray], bounds: Sequence[tuple]) -> np.ndarray:
-    """Where a loss is least, from the best of some starts; raises ValueError where it is not finite there."""
+def _check_episodes(count: int) -> None:
+    if count == 0:
+        raise ValueError("there is no episode to calibrate beliefs on; give validation episodes")
+
+
+def _minimise(loss: Callable[[np.ndarray], float], starts: Sequence[np.ndarray], bounds: Sequence[tuple]) -> np.ndarray:
+    """Minimise a loss from the best of some starts. Raise ValueError if it is not finite there."""
     with np.errstate(invalid="ignore"):
         finite = all(np.isfinite(loss(start)) for start in starts)
     if not finite:
-        raise ValueError("the log loss of these beliefs is not finite; look for probabilities that are not")
+        raise ValueError("the log loss of these beliefs is not finite; look for probabilities that are not finite")
     best: np.ndarray = optimize.minimize(loss, min(starts, key=loss), method="Nelder-Mead", bounds=bounds).x
     return best
 
@@ -226,23 +226,23 @@ def _least(loss: Callable[[np.ndarray], float], starts: Sequence[np.ndarray], bo
 def apply_platt(
     p: Float[Array, "e t objects"], p_unknown: Float[Array, "e t"], scaling: PlattScaling
 ) -> tuple[Float[Array, "e t objects"], Float[Array, "e t"]]:
-    """Beliefs whose unknown class is calibrated; the objects keep their shares of the rest.
+    """Calibrate the unknown class of beliefs; the objects share the rest in the same proportions.
 
     Args:
         p: Probabilities of the known objects.
         p_unknown: Probability of the unknown class.
-        scaling: As fitted.
+        scaling: The fitted calibration.
 
     Returns:
-        Both, calibrated.
+        Calibrated probabilities of the known objects and of the unknown class.
     """
-    read = scaling.apply(p_unknown, np.arange(1, np.shape(p_unknown)[1] + 1))
+    unknown = scaling.apply(p_unknown, np.arange(1, np.shape(p_unknown)[1] + 1))
     p = np.asarray(p, np.float64)
     total = p.sum(-1, keepdims=True)
     share = np.where(total > 0, p / np.where(total > 0, total, 1), 1 / p.shape[-1])
-    return share * (1 - read)[..., None], read
+    return share * (1 - unknown)[..., None], unknown
 
 
 def _log_odds(p: Array) -> np.ndarray:
-    """Log odds, clipped to the range of single precision."""
+    """Compute log odds, clipped to the range of single precision."""
     return logit(np.clip(np.asarray(p, np.float64), PROBABILITY_FLOOR, 1 - PROBABILITY_FLOOR))

@@ -1,20 +1,21 @@
 """A recognition episode as pure functions: `reset(key, params) -> (obs, state)`, `step(key, state, action, params) ->
 (obs, state, reward, done, info)`.
 
-The signature is that of gymnax (Lange, 2022), on which nothing here depends: lift `step` with `jax.vmap` over many
+The signature is that of gymnax (Lange, 2022), which this module does not need: lift `step` with `jax.vmap` over many
 environments, and run it with `jax.lax.scan`. In each episode an object, its placement and a pad are drawn. An action
-chooses a site of a pool and says which object is believed to be there. The reward is the negative cross entropy (nats)
-of that belief, less the cost of a touch that was refused. `i2t.recognition.rollout` runs many episodes under a policy.
+chooses a site of a pool and predicts the object. The reward is the negative cross entropy (nats) of that prediction,
+minus the cost of a refused touch. `i2t.recognition.rollout` runs many episodes under a policy.
 
 A step composes three functions: `touch` presses the skin at a site (`i2t.simulation.touches.simulate_touch`) or looks
-the press up in a table, `record` writes the press into the episode, and `measure` reads all presses of the episode by a
-sensor that errs and remembers.
+up the press in a table, `record` writes the press into the episode, and `measure` reads all presses of the episode with
+a sensor that has errors and memory.
 
-A site is touched only where that is safe on every object that may be there, at its believed placement, so that a
-refusal says nothing about the object. A refused touch does not move the arm: it costs a step and is reported in
-`info["refused"]`, and nothing else is touched in its place.
+A site is touched only if that is safe on every possible object at its believed placement, so that a refusal contains no
+information about the object. A refused touch does not move the arm: it costs a step, is reported in `info["refused"]`,
+and is not replaced by another touch.
 
-Metres, newtons, microtesla; objects are believed at the world's origin. Everything here is simulated.
+Units are metres, newtons and microtesla; the believed pose of objects is the world's origin. Everything here is
+simulated.
 """
 
 from dataclasses import dataclass, field, replace
@@ -45,7 +46,6 @@ from i2t.skin.pad import press as press_pad
 from i2t.skin_models.likelihood import Likelihood
 from i2t.types import Pad, ReturnCode, Surface
 
-HOME_HEIGHT_M = 0.15  # of the tool above the world's origin before the first touch
 Poses = TypeVar("Poses", Array, np.ndarray)
 PadTree = TypeVar("PadTree", Pad, PadResponse)
 
@@ -57,48 +57,48 @@ class EnvironmentConfig:
 
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=PressLimits)
-    touches: int = 16  # of an episode
-    law: PressLaw | None = press_pad  # what a press of the pad reads; None: see `simulate_touch`
-    presses_before: int = 1000  # of the pad, before an episode: a skin that was trained with is no longer new
+    touches: int = 16  # number of touches in an episode
+    law: PressLaw | None = press_pad  # the reading of a press of the pad; None: see `simulate_touch`
+    presses_before: int = 1000  # presses of the pad before an episode, because the skin has been used in training
     safety: SiteLimits = RECOGNITION_LIMITS
     refusal_cost: float = 0.1
 
     @property
     def press_errors(self) -> SimulationErrors:
-        """Errors of a press, without those of the sensor: environments that differ in these alone share what is
-        compiled, even where whole numbers differ.
+        """Errors of a press, without those of the sensor. Environments that differ in the latter alone share compiled
+        programs, even if whole numbers differ.
         """
         none = SimulationErrors.none()
         return replace(self.errors, noise=none.noise, faults=none.faults)
 
 
 class TouchOutcome(NamedTuple):
-    """The end of a touch, as an ideal skin would read it."""
+    """The end of a touch, as read by an ideal skin."""
 
     reading: Float[Array, "*batch c"]  # uT
     force: Float[Array, "*batch"]  # N, measured
-    T_w_t: Float[Array, "*batch 4 4"]  # where the press ended, as the arm reports
-    contact: Bool[Array, "*batch"]  # whether anything was met
+    T_w_t: Float[Array, "*batch 4 4"]  # pose of the tool at the end of the press, as the arm reports it
+    contact: Bool[Array, "*batch"]  # whether the touch met anything
 
 
 class TabulatedTouches(NamedTuple):
-    """Touches of every pad on every object in every placement at every site, as an ideal skin would read them."""
+    """Touches of every pad on every object in every placement at every site, as read by an ideal skin."""
 
     reading: Float[Array, "pads objects placements sites c"]  # uT
     force: Float[Array, "pads objects placements sites"]  # N
     advance: Float[Array, "pads objects placements sites"]  # m, from the site to the press's end, along the approach
-    contact: Bool[Array, "pads objects placements sites"]  # whether anything was met
+    contact: Bool[Array, "pads objects placements sites"]  # whether the touch met anything
 
 
 class OutcomeTable(NamedTuple):
-    """Touches that were made once, to be looked up."""
+    """Touches that were simulated once, to be looked up."""
 
     touches: TabulatedTouches
-    T_w_o: Float[Array, "placements 4 4"]  # where objects really stand
+    T_w_o: Float[Array, "placements 4 4"]  # true poses of the objects
 
 
 class TouchBeliefs(NamedTuple):
-    """Predictions by which an environment judges how probable each object is (`i2t.recognition.known_pads`)."""
+    """Predictions from which an environment computes its posterior (`i2t.recognition.known_pads`)."""
 
     predicted: PredictedTouch  # (pads, sites, objects, k)
     likelihood: Likelihood
@@ -106,7 +106,7 @@ class TouchBeliefs(NamedTuple):
 
 
 class EnvironmentParams(NamedTuple):
-    """Objects that may be there, and pads that touch them."""
+    """The possible objects, the pads, and the sites of their touches."""
 
     surfaces: Surface  # of the objects, stacked
     pads: Pad  # stacked
@@ -133,13 +133,13 @@ class EnvironmentParams(NamedTuple):
         return self.pads.gains.shape[-1]
 
     def with_pads(self, rows: Int[np.ndarray, " kept"] | slice) -> "EnvironmentParams":
-        """The same environment with some of its pads, for instance those held out.
+        """Keep some of the environment's pads, for instance those held out.
 
         Args:
-            rows: Numbers of the pads that stay.
+            rows: Indices of the pads to keep.
 
         Returns:
-            The parameters.
+            Parameters with these pads only.
         """
         some = partial(jax.tree.map, lambda x: x[rows])
         table, believed = self.table, self.beliefs
@@ -151,10 +151,10 @@ class EnvironmentParams(NamedTuple):
 
 
 class TouchAction(NamedTuple):
-    """Place of the next touch, and what is believed."""
+    """Site of the next touch, and the predicted object."""
 
-    touch: Int[Array, ""]  # number of a site
-    prediction: Float[Array, " o"] | None = None  # logits of the objects; None: the environment's own posterior
+    touch: Int[Array, ""]  # index of a site
+    prediction: Float[Array, " o"] | None = None  # logits of the objects; None for the environment's own posterior
 
 
 class EnvironmentObservation(NamedTuple):
@@ -162,26 +162,27 @@ class EnvironmentObservation(NamedTuple):
 
     reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
-    advance: Float[Array, ""]  # m, from the site to where the press ended, along the approach
-    T_w_t: Float[Array, "4 4"]  # where the press ended, as the arm reports
-    contact: Bool[Array, ""]  # whether anything was met
+    advance: Float[Array, ""]  # m, from the site to the end of the press, along the approach
+    T_w_t: Float[Array, "4 4"]  # pose of the tool at the end of the press, as the arm reports it
+    contact: Bool[Array, ""]  # whether the touch met anything
     refused: Bool[Array, ""]  # whether the touch was unsafe and not made
-    left: Float[Array, ""]  # share of the touches that are left
+    left: Float[Array, ""]  # fraction of the touches that are left
     posterior: Float[Array, " o"]  # of the objects; empty without `EnvironmentParams.beliefs`
 
 
 class EpisodeState(NamedTuple):
-    """An episode of t touches, as far as it went; rows of touches to come are zero."""
+    """An episode of t touches. Rows of future touches are zero."""
 
     object: Int[Array, "*e"]
     pad: Int[Array, "*e"]
     placement: Int[Array, "*e"]  # row of the table
-    session: SessionErrors  # what stays wrong during the episode
-    sensor_key: UInt32[Array, "*e 2"]  # of the sensor's errors; bits, as episodes are selected and kept on the host
+    session: SessionErrors  # errors that stay the same during the episode
+    # key of the sensor's errors, as bits, which can be selected and moved to the host
+    sensor_key: UInt32[Array, "*e 2"]
     site: Int[Array, "*e t"]
     made: TouchOutcome  # (*e, t)
-    num_made: Int[Array, "*e"]  # touches made
-    num_refused: Int[Array, "*e"]  # touches refused
+    num_made: Int[Array, "*e"]  # number of touches made
+    num_refused: Int[Array, "*e"]  # number of refused touches
     belief: Belief | None
 
 
@@ -199,14 +200,14 @@ class TouchEnvironment:
     config: EnvironmentConfig = field(default_factory=EnvironmentConfig)
 
     def reset(self, key: Key[Array, ""], params: EnvironmentParams) -> tuple[EnvironmentObservation, EpisodeState]:
-        """Begin an episode with an object and a pad drawn at random.
+        """Begin an episode with a random object and pad.
 
         Args:
             key: Random key.
-            params: What may be there.
+            params: The objects and pads of the environment.
 
         Returns:
-            The observation before the first touch, and the episode.
+            Observation before the first touch, and the episode.
         """
         key_object, key_pad, key_session, key_sensor = jax.random.split(key, 4)
         which = jax.random.randint(key_object, (), 0, params.objects)
@@ -223,17 +224,17 @@ class TouchEnvironment:
         pad: Int[Array, ""] | int,
         params: EnvironmentParams,
     ) -> EpisodeState:
-        """Put an object down for a pad.
+        """Begin an episode with a given object and pad.
 
         Args:
             key_session: Random key of the errors of placement and camera.
             key_sensor: Random key of the sensor's errors.
-            which: Number of the object.
-            pad: Number of the pad.
-            params: What may be there.
+            which: Index of the object.
+            pad: Index of the pad.
+            params: The objects and pads of the environment.
 
         Returns:
-            The episode before its first touch.
+            Episode before its first touch.
         """
         row, t = jnp.zeros((), jnp.int32), self.config.touches
         if params.table is None:
@@ -260,13 +261,13 @@ class TouchEnvironment:
     def step(
         self, key: Key[Array, ""], state: EpisodeState, action: TouchAction, params: EnvironmentParams
     ) -> tuple[EnvironmentObservation, EpisodeState, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """One touch, as `step_env`, after whose last the next episode begins, as gymnax does.
+        """Make one touch as `step_env` does. After the last touch the next episode begins, as in gymnax.
 
         Args:
             key: Random key.
             state: The episode.
-            action: Where to touch, and what is believed before the touch.
-            params: What may be there.
+            action: The site of the touch, and the object predicted before it.
+            params: The objects and pads of the environment.
 
         Returns:
             Observation, episode, reward, whether the episode ended, and `info`, which holds the last observation of an
@@ -281,15 +282,15 @@ class TouchEnvironment:
     def step_env(
         self, key: Key[Array, ""], state: EpisodeState, action: TouchAction, params: EnvironmentParams
     ) -> tuple[EnvironmentObservation, EpisodeState, Float[Array, ""], Bool[Array, ""], dict[str, Any]]:
-        """One touch of an episode, which is not followed by another.
+        """Make one touch of an episode, without beginning another one after the last touch.
 
-        The prediction is judged before the touch that comes with it: it is what is believed on what was seen so far.
+        The prediction is scored before the touch of the same action, because it follows from the earlier observations.
 
         Args:
             key: Random key.
             state: The episode.
-            action: Where to touch, and what is believed before the touch.
-            params: What may be there.
+            action: The site of the touch, and the object predicted before it.
+            params: The objects and pads of the environment.
 
         Returns:
             Observation, episode, reward, whether the episode ended, and `info`: whether the touch was refused, the
@@ -312,16 +313,16 @@ class TouchEnvironment:
     def touch(
         self, key: Key[Array, ""], state: EpisodeState, site: Int[Array, ""], params: EnvironmentParams
     ) -> TouchOutcome:
-        """Press at a site, or look the press up.
+        """Press at a site, or look up the press.
 
         Args:
             key: Random key of the arm's errors.
             state: The episode.
-            site: Number of the site.
-            params: What may be there.
+            site: Index of the site.
+            params: The objects and pads of the environment.
 
         Returns:
-            The end of the press.
+            End of the press, as read by an ideal skin.
         """
         T_w_site = params.T_w_site[site]
         if params.table is not None:
@@ -331,49 +332,49 @@ class TouchEnvironment:
             return TouchOutcome(touched.reading, touched.force, end, touched.contact)
         pressed = simulate_touch(
             key, element(params.surfaces, state.object), jnp.eye(4), T_w_site,
-            session=state.session, pad=worn(params.pads, state.pad), errors=self.config.errors,
-            limits=self.config.limits, law=self.config.law, response=worn(params.response, state.pad),
+            session=state.session, pad=select_pad(params.pads, state.pad), errors=self.config.errors,
+            limits=self.config.limits, law=self.config.law, response=select_pad(params.response, state.pad),
         )  # fmt: skip
         return TouchOutcome(pressed.reading, pressed.force, pressed.T_w_t, pressed.code != ReturnCode.AIR)
 
     def read(self, state: EpisodeState, pads: Pad) -> Float[Array, "t c"]:
-        """Readings of all touches of an episode, by a sensor that errs and remembers.
+        """Read all touches of an episode with a sensor that has errors and memory.
 
         Args:
             state: The episode.
-            pads: Those of the environment.
+            pads: The pads of the environment.
 
         Returns:
-            Readings (uT); those of touches to come mean nothing, and change none of those before.
+            `(t, c)` readings (uT). Those of future touches are meaningless and do not affect the others.
         """
         return read_session(
             jax.random.wrap_key_data(state.sensor_key), state.made.reading, state.made.T_w_t,
-            worn(pads, state.pad), self.config.errors, presses_before=self.config.presses_before,
+            select_pad(pads, state.pad), self.config.errors, presses_before=self.config.presses_before,
         )  # fmt: skip
 
     def measure(self, state: EpisodeState, params: EnvironmentParams) -> TouchObservation:
-        """Measurements of all touches of an episode, as of `read`.
+        """Measure all touches of an episode, with readings from `read`.
 
         Args:
             state: The episode.
-            params: What may be there.
+            params: The objects and pads of the environment.
 
         Returns:
-            Measurements (t,).
+            Measurements of the t touches.
         """
         advance = advance_from(params.T_w_site[state.site], state.made.T_w_t)
         return TouchObservation(self.read(state, params.pads), state.made.force, advance, state.made.contact)
 
     def believe(self, state: EpisodeState, measured: TouchObservation, params: EnvironmentParams) -> EpisodeState:
-        """The belief after the last touch, where the environment has one.
+        """Update the belief with the last touch, if the environment has one.
 
         Args:
-            state: The episode, its last touch recorded.
-            measured: That touch.
-            params: What may be there.
+            state: The episode, in which the last touch is recorded.
+            measured: The measurements of that touch.
+            params: The objects and pads of the environment.
 
         Returns:
-            The episode with the belief after the touch.
+            Episode with the belief after the touch.
         """
         if params.beliefs is None or state.belief is None:
             return state
@@ -381,7 +382,7 @@ class TouchEnvironment:
         return state._replace(belief=beliefs.update(state.belief, measured, predicted, params.beliefs.likelihood))
 
     def _prediction(self, state: EpisodeState, action: TouchAction) -> Array:
-        """Prediction of an action."""
+        """Return the logits that an action predicts."""
         if action.prediction is not None:
             return action.prediction
         if state.belief is None:
@@ -389,7 +390,7 @@ class TouchEnvironment:
         return jnp.log(jnp.maximum(beliefs.posterior(state.belief), beliefs.MIN_PROBABILITY))
 
     def _observe(self, state: EpisodeState, measured: TouchObservation, refused: Array) -> EnvironmentObservation:
-        """Observation that an agent is shown."""
+        """Make the observation for an agent."""
         posterior = jnp.zeros(0) if state.belief is None else beliefs.posterior(state.belief)
         last = state.made.T_w_t[jnp.maximum(state.num_made - 1, 0)]
         return EnvironmentObservation(
@@ -404,15 +405,16 @@ class TouchEnvironment:
         )
 
 
-def worn(stacked: PadTree, number: Int[Array, ""]) -> PadTree:
-    """One pad, or its response, of several.
+def select_pad(stacked: PadTree, number: Int[Array, ""]) -> PadTree:
+    """Select one pad, or its response, from several.
 
     Args:
-        stacked: Of the pads, on axis 0.
-        number: Of the pad.
+        stacked: Pads or responses, on axis 0.
+        number: Index of the pad.
 
     Returns:
-        The pad. Of a single pad nothing is selected, so that episodes side by side share what depends on it alone.
+        Pad or response. A single pad is returned without selection, so that parallel episodes share what depends on it
+        alone.
     """
     pads = jax.tree.leaves(stacked)[0].shape[0]
     return element(stacked, number if pads > 1 else 0)
@@ -423,45 +425,45 @@ def record(state: EpisodeState, site: Int[Array, ""], outcome: TouchOutcome) -> 
 
     Args:
         state: The episode before the touch.
-        site: Number of the site.
+        site: Index of the site.
         outcome: The end of the touch.
 
     Returns:
-        The episode with one touch more.
+        Episode with one more touch.
     """
-    made = jax.tree.map(lambda rows, row: rows.at[state.num_made].set(row), state.made, outcome)
-    return state._replace(site=state.site.at[state.num_made].set(site), made=made, num_made=state.num_made + 1)
+    outcomes = jax.tree.map(lambda rows, row: rows.at[state.num_made].set(row), state.made, outcome)
+    return state._replace(site=state.site.at[state.num_made].set(site), made=outcomes, num_made=state.num_made + 1)
 
 
 def advance_from(T_w_site: Poses, T_w_t: Poses) -> Poses:
-    """Distances from sites to where presses ended, along the approach.
+    """Compute distances from sites to the ends of presses, along the approach.
 
     Args:
         T_w_site: Poses of the sites, `(..., 4, 4)`.
         T_w_t: Poses of the tool at the ends, `(..., 4, 4)`.
 
     Returns:
-        Distances `(...)` in metres.
+        `(...)` distances (m).
     """
     return ((T_w_t[..., :3, 3] - T_w_site[..., :3, 3]) * T_w_site[..., :3, 2]).sum(-1)
 
 
 def cross_entropy(prediction: Float[Array, " o"], which: Int[Array, ""]) -> Float[Array, ""]:
-    """Loss of a prediction; rewards are its negative.
+    """Compute the loss of a prediction; rewards are its negative.
 
     Args:
         prediction: Logits of the objects.
-        which: Number of the object that is there.
+        which: Index of the true object.
 
     Returns:
-        The loss (nats).
+        Scalar loss (nats).
     """
     return -jnp.sum(jax.nn.one_hot(which, prediction.shape[-1]) * jax.nn.log_softmax(prediction))
 
 
 def _home() -> Float[Array, "4 4"]:
-    """The tool above the origin, looking down."""
-    return jnp.diag(jnp.array([1.0, -1.0, -1.0, 1.0])).at[2, 3].set(HOME_HEIGHT_M)
+    """Return the pose of the tool before the first touch: 0.15 m above the origin, pointing down."""
+    return jnp.diag(jnp.array([1.0, -1.0, -1.0, 1.0])).at[2, 3].set(0.15)
 
 
 def _prior(params: EnvironmentParams) -> Belief:

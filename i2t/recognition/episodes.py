@@ -1,8 +1,9 @@
-"""Episodes of recognition: an object is put down near where it is believed, and touched a number of times.
+"""Episodes of recognition: an object stands near its believed pose and is touched a number of times.
 
 Episodes are simulated (`i2t.recognition.rollout`) or taken from a data set (`episodes_from_dataset`). `believe`
-predicts what was touched and gives the posteriors along episodes, a few of them at a time; `run_belief` does so where
-touches were predicted before. Sites are those of a pool (`i2t.recognition.site_pool`). Metres, newtons, microtesla.
+predicts the touches and computes the posteriors along episodes, a few of them at a time. `run_belief` computes them
+from touches that were predicted before. Sites are those of a pool (`i2t.recognition.site_pool`). Units are metres,
+newtons and microtesla.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,11 +30,9 @@ from i2t.skin_models.likelihood import Likelihood
 from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import ReturnCode, Surface, Touches
 
-BELIEVED_TOUCHES = 320  # predicted at a time on every object in every pose
-BELIEVED_EPISODES = 8  # whose posteriors are formed at a time
+EPISODES_PER_BATCH = 8  # episodes whose posteriors are computed together
 
-
-# Weights of readings, of positions at which presses ended, and of whether anything was met.
+# Weights of each kind of evidence: of readings, of positions of the ends of presses, and of presence.
 EVIDENCE = {
     "readings": (1.0, 0.0, 0.0),
     "presence": (0.0, 0.0, 1.0),
@@ -48,16 +47,16 @@ EVIDENCE = {
 class Episodes(NamedTuple):
     """Record of e episodes of t touches each."""
 
-    truth: Int[np.ndarray, " e"]  # the object that was there
-    site: Int[np.ndarray, "e t"]  # of the pool
+    truth: Int[np.ndarray, " e"]  # index of the true object
+    site: Int[np.ndarray, "e t"]  # index in the pool
     observations: TouchObservation  # (e, t)
-    T_w_t: Float[np.ndarray, "e t 4 4"]  # where the presses ended
+    T_w_t: Float[np.ndarray, "e t 4 4"]  # poses of the tool at the ends of the presses
 
 
 class MeasuredTouches(NamedTuple):
     """Measurements and poses of n touches."""
 
-    T_w_t: Float[np.ndarray, "n 4 4"]  # where the presses ended, as the arm reports
+    T_w_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at the ends of the presses, as the arm reports them
     reading: Float[np.ndarray, "n c"]  # uT
     force: Float[np.ndarray, " n"]  # N
 
@@ -67,42 +66,42 @@ def episodes_from_dataset(
 ) -> tuple[SitePool, Episodes]:
     """Take each session of a recorded data set as an episode of its first touches.
 
-    A recording says where presses ended, so sites are where presses that met something ended, with an advance of
-    nothing. One that met air ended `overtravel` beyond a site: its site lies that far back, so that the belief learns
-    that nothing was met on the way and not that nothing lies further on.
+    A recording contains the ends of presses, so the site of a press with contact is its end, and its advance is zero. A
+    press without contact ended `overtravel` beyond its site. Its site is placed that far back, so that the belief
+    learns that the way was free, and not that nothing lies farther on.
 
     Args:
         recorded: Touches with measured forces.
-        names: Of the objects that there are meshes of.
-        touches: Of each episode.
+        names: Names of the objects with meshes.
+        touches: Number of touches of each episode.
         overtravel: Distance (m) beyond its site after which a recorded press gave up.
 
     Returns:
-        The sites, T_o_site of the believed object, and the episodes.
+        Sites as T_o_site of the believed object, and the episodes.
 
     Raises:
-        DataError: A session's object is not among `names`, or too few touches can be used.
+        DataError: The object of a session is not among `names`, or there are too few usable touches.
     """
-    made = recorded.touches
-    episodes = [rows[:touches] for rows in usable_touches(made).values() if len(rows) >= touches]
+    recording = recorded.touches
+    episodes = [rows[:touches] for rows in usable_touches(recording).values() if len(rows) >= touches]
     if not episodes:
         raise DataError(f"no session has {touches} touches with a measured force; record longer ones")
     rows = np.stack(episodes)
-    kinds = [recorded.objects[i] for i in made.object[rows[:, 0]]]
+    kinds = [recorded.objects[i] for i in recording.object[rows[:, 0]]]
     unknown = sorted(set(kinds) - set(names))
     if unknown:
         raise DataError(
-            f"the data set has touches of {', '.join(unknown)}, and no object to tell apart is called so; pass a mesh "
+            f"the data set has touches of {', '.join(unknown)}, but no object to recognise has this name; pass a mesh "
             f"of that name among --objects, such as {unknown[0]}.stl"
         )
-    T_o_t = inverse(made.T_w_o[rows]) @ made.T_w_t[rows]
-    contact = made.code[rows] != ReturnCode.AIR
+    T_o_t = inverse(recording.T_w_o[rows]) @ recording.T_w_t[rows]
+    contact = recording.code[rows] != ReturnCode.AIR
     advance = np.where(contact, 0.0, overtravel).astype(np.float32)
     T_o_site = T_o_t.copy()
     T_o_site[..., :3, 3] -= advance[..., None] * T_o_t[..., :3, 2]
     observations = TouchObservation(
-        reading=jnp.asarray(made.reading[rows]),
-        force=jnp.asarray(made.force[rows]),
+        reading=jnp.asarray(recording.reading[rows]),
+        force=jnp.asarray(recording.force[rows]),
         advance=jnp.asarray(advance),
         contact=jnp.asarray(contact),
     )
@@ -111,17 +110,18 @@ def episodes_from_dataset(
     return sites, Episodes(truth, np.arange(rows.size).reshape(rows.shape), observations, T_o_t.astype(np.float32))
 
 
-def usable_touches(made: Touches) -> dict[int, Int[np.ndarray, " t"]]:
-    """Touches that tell something: those that did not fail and have a measured force.
+def usable_touches(touches: Touches) -> dict[int, Int[np.ndarray, " t"]]:
+    """Find the touches that are evidence: those that did not fail and have a measured force.
 
     Args:
-        made: Touches of any number of sessions.
+        touches: Touches of any number of sessions.
 
     Returns:
-        Rows, by number of the session.
+        Rows of these touches by index of the session.
     """
-    usable = (made.code != ReturnCode.FAILED) & np.isfinite(made.force)
-    return {int(session): np.flatnonzero(usable & (made.session == session)) for session in np.unique(made.session)}
+    usable = (touches.code != ReturnCode.FAILED) & np.isfinite(touches.force)
+    sessions = np.unique(touches.session)
+    return {int(session): np.flatnonzero(usable & (touches.session == session)) for session in sessions}
 
 
 @jit_quickly
@@ -132,17 +132,17 @@ def posteriors(
     likelihood: Likelihood,
     particles: Particles,
 ) -> Float[Array, "e t objects"]:
-    """Posteriors over the objects after each touch of each episode.
+    """Compute posteriors over the objects after each touch of each episode.
 
     Args:
         site: Row of the table for each touch.
-        observations: What was measured, (e, t).
+        observations: Measurements, (e, t).
         table: Predicted touches, (sites, objects, k).
-        likelihood: How far measurements may be from predictions.
-        particles: Poses of each object.
+        likelihood: The distribution of measurements about predictions.
+        particles: Pose particles of each object.
 
     Returns:
-        Probabilities of the objects.
+        `(e, t, objects)` probabilities of the objects.
     """
 
     def episode(at: tuple[Array, TouchObservation]) -> Array:
@@ -152,7 +152,7 @@ def posteriors(
 
         return jax.lax.scan(step, belief.init(particles, table.hit.shape[1], channels=table.reading.shape[-1]), at)[1]
 
-    return map_batches(episode, (site, observations), batch_size=BELIEVED_EPISODES)
+    return map_batches(episode, (site, observations), batch_size=EPISODES_PER_BATCH)
 
 
 def run_belief(
@@ -162,43 +162,43 @@ def run_belief(
     particles: Particles,
     kinds: Sequence[str] = tuple(EVIDENCE),
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Posteriors over the objects along episodes, from each kind of evidence.
+    """Compute posteriors over the objects along episodes, from each kind of evidence.
 
     Args:
         table: Predicted touches, (sites, objects, k).
-        episodes: As they went.
-        likelihood: How far measurements may be from predictions.
-        particles: Poses of each object.
-        kinds: Of evidence, names of `EVIDENCE`.
+        episodes: Record of the episodes.
+        likelihood: The distribution of measurements about predictions.
+        particles: Pose particles of each object.
+        kinds: Kinds of evidence, keys of `EVIDENCE`.
 
     Returns:
-        Probabilities of the objects, by kind of evidence.
+        `(e, t, objects)` probabilities by kind of evidence.
     """
     table, particles = everywhere((table, particles))
     rows = (jnp.asarray(episodes.site), episodes.observations)
-    found = {}
+    beliefs = {}
     for kind in kinds:
         shared = (table, weigh_evidence(likelihood, kind), particles)
-        found[kind] = np.asarray(spread_rows(posteriors, rows, shared=shared, multiple=BELIEVED_EPISODES))
-    return found
+        beliefs[kind] = np.asarray(spread_rows(posteriors, rows, shared=shared, multiple=EPISODES_PER_BATCH))
+    return beliefs
 
 
 def weigh_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
-    """A likelihood in which one kind of evidence counts.
+    """Set the weights of a likelihood to one kind of evidence.
 
     Args:
-        likelihood: How far measurements may be from predictions.
-        kind: Of evidence, a name of `EVIDENCE`.
+        likelihood: The distribution of measurements about predictions.
+        kind: Kind of evidence, a key of `EVIDENCE`.
 
     Returns:
-        The likelihood with these weights.
+        Likelihood with these weights.
     """
     tactile, spatial, presence = (jnp.float32(weight) for weight in EVIDENCE[kind])
     return likelihood._replace(tactile_weight=tactile, spatial_weight=spatial, presence_weight=presence)
 
 
 class BeliefModel(NamedTuple):
-    """A belief's model of a pad, and the kinds of evidence that form it."""
+    """A belief's model of a pad, and the kinds of evidence that it uses."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood
@@ -214,46 +214,49 @@ def believe(
     *,
     overtravel: float,
     label: str,
+    touches_at_a_time: int = 320,
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Posteriors over the objects along episodes whose sites are their own, with a progress bar.
+    """Compute posteriors over the objects along episodes with their own sites, with a progress bar.
 
-    Touches are predicted for a few episodes at a time, once at each site that was touched, so that memory does not grow
-    with the number of episodes.
+    Touches are predicted for a few episodes at a time, once at each touched site, so that memory does not grow with the
+    number of episodes.
 
     Args:
-        surfaces: Of the objects.
-        sites: Which were touched.
-        episodes: As they went.
-        particles: Poses of each object.
-        models: Of some pads, at the same loads, by a suffix of the results' names.
+        surfaces: Surfaces of the objects.
+        sites: Pool of the touched sites.
+        episodes: Record of the episodes.
+        particles: Pose particles of each object.
+        models: Models of some pads for the same loads, by a suffix of the results' names.
         overtravel: Distance (m) beyond a site after which a press gives up.
-        label: What the bar says the touches are for.
+        label: Purpose of the touches, for the bar.
+        touches_at_a_time: Maximum number of touches that are predicted together, on every object in every pose.
 
     Returns:
-        Probabilities of the objects, by kind of evidence and suffix.
+        `(e, t, objects)` probabilities by kind of evidence and suffix.
     """
     count, touches = episodes.site.shape
-    each = max(min(BELIEVED_TOUCHES // touches, count), 1)
-    share = -(-count * touches // len(np.unique(episodes.site)))  # episodes that follow each other on the same sites
-    each -= each % share if share < each else 0  # are believed together, so that no site is imagined twice
+    per_batch = max(min(touches_at_a_time // touches, count), 1)
+    share = -(-count * touches // len(np.unique(episodes.site)))  # consecutive episodes on the same sites
+    # These episodes stay together, so that each site is predicted once.
+    per_batch -= per_batch % share if share < per_batch else 0
     reading_models = [model.reading_model for model in models.values()]
     T, twist = np.asarray(sites.T_w_t), particles.twist
-    chunks = filled_batches(np.arange(count), each)
+    chunks = filled_batches(np.arange(count), per_batch)
     touched = [np.unique(episodes.site[rows], return_inverse=True) for rows in chunks]  # episodes may share sites
-    most = max(len(where) for where, _ in touched)
+    largest = max(len(where) for where, _ in touched)
     parts: list[dict[str, np.ndarray]] = []
-    total = len(surfaces) * len(twist) * most * len(chunks)
-    with progress(total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True) as bar:
+    total = len(surfaces) * len(twist) * largest * len(chunks)
+    with progress(total=total, desc=f"{label}: predicting", unit="touch", unit_scale=True) as bar:
         for rows, (where, of_touch) in zip(chunks, touched, strict=True):
             some: Episodes = select_rows(episodes, rows)
             tables = predict_outcomes(
-                surfaces, twist, T[np.resize(where, most)], reading_models,
+                surfaces, twist, T[np.resize(where, largest)], reading_models,
                 overtravel=overtravel, label=label, bar=bar,
             )  # fmt: skip
-            some = some._replace(site=of_touch.reshape(each, touches))
-            found: dict[str, np.ndarray] = {}
+            some = some._replace(site=of_touch.reshape(per_batch, touches))
+            beliefs: dict[str, np.ndarray] = {}
             for (suffix, model), table in zip(models.items(), tables, strict=True):
-                believed = run_belief(table, some, model.likelihood, particles, model.kinds)
-                found |= {f"{kind}{suffix}": p[: len(np.unique(rows))] for kind, p in believed.items()}
-            parts.append(found)
+                posterior = run_belief(table, some, model.likelihood, particles, model.kinds)
+                beliefs |= {f"{kind}{suffix}": p[: len(np.unique(rows))] for kind, p in posterior.items()}
+            parts.append(beliefs)
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}

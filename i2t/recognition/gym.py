@@ -1,7 +1,7 @@
-"""The environment for Gymnasium, compiled; many at once are `jax.vmap` of `i2t.recognition.environment`.
+"""The environment for Gymnasium, compiled. To run many at once, `jax.vmap` those of `i2t.recognition.environment`.
 
-Actions are dictionaries of "action", the number of a site, and "prediction", a logit of each object; observations are
-dictionaries of arrays. Gymnasium is the extra `environments`, and needed by this file only.
+Actions are dictionaries of "action", the index of a site, and "prediction", a logit of each object. Observations are
+dictionaries of arrays. Gymnasium is the extra `environments`, which only this module needs.
 """
 
 from functools import partial
@@ -26,10 +26,6 @@ try:
 except ImportError as error:
     raise ImportError("i2t.recognition.gym needs Gymnasium; run pip install 'imagine2touch[environments]'") from error
 
-DEFAULT_OBJECTS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
-ENVIRONMENT_ID = "i2t/WhichObject-v0"
-INFOS = ("refused", "loss", "object")
-
 
 class SingleTouchEnv(gymnasium.Env):
     """One episode at a time."""
@@ -39,15 +35,16 @@ class SingleTouchEnv(gymnasium.Env):
     def __init__(
         self, environment: TouchEnvironment | None = None, params: EnvironmentParams | None = None, **making: Any
     ) -> None:
-        """Wrap an environment, which is compiled at its first reset and step, once for all of the same rules.
+        """Wrap an environment. It is compiled at its first reset and step, once for all environments of the same rules.
 
         Args:
-            environment: its rules; by default it is made.
-            params: what may be there.
-            making: of `i2t.recognition.touch_table.make_environment`, where it is made.
+            environment: The rules; made by `make_environment` if they or `params` are not given.
+            params: The objects and pads of the environment.
+            making: Arguments of `i2t.recognition.touch_table.make_environment`.
         """
         if environment is None or params is None:
-            environment, params = make_environment(**({"objects": DEFAULT_OBJECTS} | making))
+            objects = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
+            environment, params = make_environment(**({"objects": objects} | making))
         self.environment, self.params = environment, params
         self.observation_space, self.action_space = observation_space(params), action_space(params)
         self._state: EpisodeState | None = None
@@ -59,11 +56,11 @@ class SingleTouchEnv(gymnasium.Env):
         """Begin an episode.
 
         Args:
-            seed: the same seed gives the same episode.
-            options: none are known.
+            seed: Seed of the episode; the same seed gives the same episode.
+            options: Ignored.
 
         Returns:
-            The observation, and nothing else.
+            Observation before the first touch, and an empty info.
         """
         super().reset(seed=seed)
         self._key, key = jax.random.split(jax.random.key(int(self.np_random.integers(2**31))))
@@ -71,31 +68,32 @@ class SingleTouchEnv(gymnasium.Env):
         return _as_dict(obs), {}
 
     def step(self, action: dict[str, Any]) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """One touch.
+        """Make one touch.
 
         Args:
-            action: of the action space.
+            action: An element of the action space.
 
         Returns:
-            Observation, reward, whether the episode ended, whether it was cut short (never), and info.
+            Observation, reward, whether the episode ended, whether it was truncated (never), and info.
         """
         if self._state is None:
             raise gymnasium.error.ResetNeeded("step before reset; call reset first")
         self._key, key = jax.random.split(self._key)
         touch, prediction = jnp.asarray(action["action"], jnp.int32), jnp.asarray(action["prediction"], jnp.float32)
-        made = _step(self.environment, key, self._state, TouchAction(touch, prediction), self.params)
-        obs, self._state, reward, done, info = made
-        return _as_dict(obs), float(reward), bool(done), False, {name: np.asarray(info[name]) for name in INFOS}
+        action_arrays = TouchAction(touch, prediction)
+        obs, self._state, reward, done, info = _step(self.environment, key, self._state, action_arrays, self.params)
+        infos = {name: np.asarray(info[name]) for name in ("refused", "loss", "object")}
+        return _as_dict(obs), float(reward), bool(done), False, infos
 
 
 def observation_space(params: EnvironmentParams) -> gymnasium.Space:
-    """Space of observations.
+    """Describe the observations.
 
     Args:
-        params: what may be there.
+        params: The objects and pads of the environment.
 
     Returns:
-        The space.
+        Space of dictionaries as `SingleTouchEnv` returns them.
     """
 
     def box(*shape: int, low: float = -np.inf, high: float = np.inf) -> gymnasium.Space:
@@ -117,26 +115,27 @@ def observation_space(params: EnvironmentParams) -> gymnasium.Space:
 
 
 def action_space(params: EnvironmentParams) -> Any:
-    """Space of actions.
+    """Describe the actions.
 
     Args:
-        params: what may be there.
+        params: The objects and pads of the environment.
 
     Returns:
-        The space.
+        Space of dictionaries with "action" and "prediction".
     """
     logits = spaces.Box(-np.inf, np.inf, (params.objects,), np.float32)
     return spaces.Dict({"action": spaces.Discrete(params.sites), "prediction": logits})
 
 
 def register_environments() -> str:
-    """Make the environment known to Gymnasium.
+    """Register the environment with Gymnasium.
 
     Returns:
-        Its name, for `gymnasium.make`.
+        Name of the environment for `gymnasium.make`.
     """
-    gymnasium.register(ENVIRONMENT_ID, entry_point=SingleTouchEnv)
-    return ENVIRONMENT_ID
+    name = "i2t/WhichObject-v0"
+    gymnasium.register(name, entry_point=SingleTouchEnv)
+    return name
 
 
 _reset = jax.jit(TouchEnvironment.reset, static_argnums=0)

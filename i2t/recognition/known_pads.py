@@ -1,9 +1,9 @@
-"""Beliefs of an environment whose pads were calibrated: touches predicted for every pad, object and pose.
+"""Beliefs of an environment whose pads are calibrated: touches predicted for every pad, object and pose.
 
-What a calibrated pad would read is predicted with its own linear response (`i2t.skin.dipoles.linear_response`) on
-contacts of the nominal layer, as `i2t.recognition` does. How far such predictions are off is measured on touches of the
-same pads, made for that alone. An agent that is shown the posterior therefore knows its pad. One that is not sees
-only readings, of pads that it may never have met.
+The reading of a calibrated pad is predicted with its own linear response (`i2t.skin.dipoles.linear_response`) on
+contacts of the nominal layer, as in the rest of `i2t.recognition`. The errors of such predictions are measured on
+separate touches of the same pads. An agent that observes the posterior therefore has a calibrated pad, whereas any
+other agent has only readings of pads that may be new to it.
 """
 
 import jax
@@ -37,29 +37,29 @@ from i2t.skin_models.likelihood import (
 from i2t.skin_models.reading_model import LOADS_N, LinearReadingModel
 from i2t.types import Pad
 
-CALIBRATION_PLACEMENTS = 3  # of every object, on which errors of predictions are measured
-
 
 def with_beliefs(
     key: Key[Array, ""],
     environment: TouchEnvironment,
     params: EnvironmentParams,
     particles: int = 64,
+    calibration_placements: int = 3,
 ) -> EnvironmentParams:
     """Give an environment a posterior over its objects.
 
     Args:
         key: Random key of the touches on which errors of predictions are measured.
-        environment: Whose errors, limits and law hold.
-        params: What may be there.
-        particles: Number of poses in which each object may stand.
+        environment: The rules, with their errors, limits and press law.
+        params: The objects and pads of the environment.
+        particles: Number of poses of each object.
+        calibration_placements: Number of placements of every object on which errors of predictions are measured.
 
     Returns:
-        The parameters with `beliefs`.
+        Parameters with `beliefs`.
     """
     config = environment.config
     key_touch, key_sensor = jax.random.split(key)
-    table = tabulate(key_touch, environment, params, CALIBRATION_PLACEMENTS).table
+    table = tabulate(key_touch, environment, params, calibration_placements).table
     assert table is not None
     models = [_reading_model(response) for response in np.asarray(_linear_responses(params.pads))]
     there = _predict(params, to_twist(table.T_w_o), models, config.limits.overtravel)
@@ -85,7 +85,7 @@ def _linear_responses(pads: Pad) -> Array:
 
 
 def _reading_model(response: Float[np.ndarray, "c n n"]) -> LinearReadingModel:
-    """A pad's response at every load, without an uncertainty of its own."""
+    """Make the reading model of a pad: its response at every load, without uncertainty."""
     loads, cells = len(LOADS_N), CELL_GRID.cells**2
     newton = response.reshape(len(response), cells).T / CELL_GRID.spacing**2
     return LinearReadingModel(
@@ -100,17 +100,19 @@ def _reading_model(response: Float[np.ndarray, "c n n"]) -> LinearReadingModel:
 def _predict(
     params: EnvironmentParams, twist: Float[Array, "k 6"], models: list[LinearReadingModel], overtravel: float
 ) -> PredictedTouch:
-    """Predicted touches, (pads, sites, objects, k)."""
+    """Predict touches, (pads, sites, objects, k)."""
     surfaces = [element(params.surfaces, i) for i in range(params.objects)]
-    made = predict_outcomes(surfaces, twist, params.T_w_site, models, overtravel=overtravel, label="pads")
-    return jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *made)
+    touches = predict_outcomes(surfaces, twist, params.T_w_site, models, overtravel=overtravel, label="pads")
+    return jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *touches)
 
 
 def _errors(
     key: Array, config: EnvironmentConfig, params: EnvironmentParams, table: OutcomeTable, there: PredictedTouch
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Errors of the readings (uT) of touches whose object and placement are known; how far their presses went past the
-    predicted contact, less the compliance of the arm (m), and the predicted indentations (m).
+    """Compute errors of touches whose object and placement are known.
+
+    Return the errors of the readings (uT), the distances (m) from the predicted contact to the ends of the presses
+    without the compliance of the arm, and the predicted indentations (m).
     """
     read = _read_sessions(key, table, params, config)
     actual = jax.tree.map(
@@ -127,7 +129,7 @@ def _errors(
 
 @jit_quickly
 def _read_sessions(key: Array, table: OutcomeTable, params: EnvironmentParams, config: EnvironmentConfig) -> Array:
-    """Readings of the table by the sensor, in each placement one site after the other."""
+    """Read the touches of the table by the sensor, one site after the other in each placement."""
     touches = table.touches
     pads, objects, placements = touches.force.shape[:3]
     end = jnp.broadcast_to(params.T_w_site, (*touches.advance.shape, 4, 4))

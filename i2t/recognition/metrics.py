@@ -1,10 +1,9 @@
 """Scores of recognition: accuracy, calibration error, proper scoring rules, and stopping.
 
-An array of beliefs p (episodes, touches, classes) holds the probabilities of the classes after each touch, `truth`
-(episodes,) the class that was there. Where an object may be unknown, the unknown class is the last one. The touches of
-an episode are not independent, and neither are episodes that share a pad, a pool of sites or an object: `clusters`
-names these factors, and intervals (95 %) are over them (`i2t.intervals`). How beliefs are calibrated is in
-`i2t.recognition.calibrated`.
+An array of beliefs p (episodes, touches, classes) holds the probabilities of the classes after each touch, and `truth`
+(episodes,) the true classes. If an object may be unknown, the unknown class is the last one. The touches of an episode
+are not independent, and neither are episodes that share a pad, a pool of sites or an object: `clusters` names these
+factors, and intervals (95 %) are over them (`i2t.intervals`). `i2t.recognition.calibrated` calibrates beliefs.
 """
 
 from typing import Any, NamedTuple
@@ -24,13 +23,11 @@ from i2t.intervals import (
 )
 from i2t.types import Array
 
-TIE_TOLERANCE = 1e-6  # probabilities that differ by less are equal: sums of votes in float32
-PROBABILITY_FLOOR = 1e-6  # no logarithm of a smaller one is taken
-BINS = 15
+PROBABILITY_FLOOR = 1e-6  # smaller probabilities are raised to it before logarithms
 
 
 def to_json(values: Any) -> Any:
-    """Scores as JSON has them: fields by name, arrays as lists.
+    """Convert scores to JSON values: fields by name, arrays as lists.
 
     Args:
         values: A named tuple or a dict of scores, an array or a number.
@@ -49,73 +46,74 @@ def to_json(values: Any) -> Any:
 
 
 def decision_shares(p: Float[Array, "*shape c"]) -> Float[Array, "*shape c"]:
-    """Share of the decision that each class has.
+    """Compute the share of the decision that each class has.
 
     Args:
         p: Beliefs.
 
     Returns:
-        1 for the most probable class, equal parts where several are, so that no order of the classes is favoured.
+        `(*shape, c)` shares: 1 for the most probable class, equal parts for ties, so that the order of the classes does
+        not matter.
     """
     p = np.asarray(p, np.float64)
-    best = p >= p.max(-1, keepdims=True) - TIE_TOLERANCE
+    best = p >= p.max(-1, keepdims=True) - 1e-6  # smaller differences are rounding of sums of votes in float32
     return best / best.sum(-1, keepdims=True)
 
 
 def hits(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Correctness of each decision.
+    """Score the correctness of each decision.
 
     Args:
         p: Beliefs.
-        truth: Classes that were there.
+        truth: The true classes.
 
     Returns:
-        1 or 0, and 1/n where the truth ties with n - 1 others.
+        `(e, t)` scores: 1 or 0, and 1/n if the truth ties with n - 1 others.
 
     Raises:
-        ValueError: Shapes do not fit, or `truth` names a class that is none.
+        ValueError: Shapes do not fit, or `truth` contains an invalid class.
     """
     return of_truth(decision_shares(p), truth)
 
 
 def accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()) -> Estimate:
-    """Share of right decisions after each touch.
+    """Estimate the fraction of right decisions after each touch.
 
     Args:
         p: Beliefs.
-        truth: Classes that were there.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+        truth: The true classes.
+        clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        Estimates (t,).
+        `(t,)` accuracies with intervals.
     """
     return rate_interval(hits(p, truth), clusters)
 
 
 def mean_accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()) -> Estimate:
-    """Share of right decisions, mean over touches 1 to t.
+    """Estimate the fraction of right decisions, averaged over touches 1 to t.
 
     Args:
         p: Beliefs.
-        truth: Classes that were there.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+        truth: The true classes.
+        clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        One estimate.
+        Scalar accuracy with its interval.
     """
     hit = hits(p, truth).mean(1)
     return rate_interval(hit, clusters) if clusters else mean_interval(hit)
 
 
 def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "c c"]:
-    """Confusion matrix of the decisions.
+    """Count the decisions for each true class.
 
     Args:
         p: Beliefs at the decision.
-        truth: Classes that were there.
+        truth: The true classes.
 
     Returns:
-        Counts: rows are what was there, columns what was decided.
+        `(c, c)` counts: rows are the true classes, columns the decisions.
     """
     counts = np.zeros((np.shape(p)[-1],) * 2)
     np.add.at(counts, np.asarray(truth), decision_shares(p))
@@ -123,7 +121,7 @@ def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "
 
 
 class PairedComparison(NamedTuple):
-    """One method less another on the same episodes."""
+    """Differences between two methods on the same episodes."""
 
     last: Estimate  # difference in accuracy after the last touch
     mean: Estimate  # difference in mean accuracy over touches
@@ -135,15 +133,15 @@ def compare_paired(
     """Compare two methods on the same episodes.
 
     Args:
-        hit: `hits` of the one method.
-        other: `hits` of the other.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+        hit: `hits` of the first method.
+        other: `hits` of the second method.
+        clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        The differences.
+        Accuracies of the first method minus those of the second.
 
     Raises:
-        ValueError: They are not of the same episodes, or of fewer than two.
+        ValueError: The methods have different episodes, or fewer than two.
     """
     hit, other = np.asarray(hit, np.float64), np.asarray(other, np.float64)
     if hit.shape != other.shape or len(hit) < 2:
@@ -156,47 +154,47 @@ def compare_paired(
 
 
 def confidence(p: Float[Array, "*shape c"]) -> Float[Array, "*shape"]:
-    """Probability of the class decided for.
+    """Return the probability of the decided class.
 
     Args:
         p: Beliefs.
 
     Returns:
-        Greatest probability of each belief.
+        `(*shape,)` largest probability of each belief.
     """
     return np.asarray(p, np.float64).max(-1)
 
 
 class CalibrationError(NamedTuple):
-    """Expected calibration error, next to that of the same confidences by chance if they are calibrated."""
+    """Expected calibration error, and its distribution for calibrated decisions of the same confidences."""
 
     error: float
-    chance: float  # mean
-    chance_high: float  # 95 % of its draws are below
+    chance: float  # mean of that distribution
+    chance_high: float  # 95 % quantile of that distribution
 
 
 def calibration_error(
     confidences: Float[Array, "*n"],
     hit: Shaped[Array, "*n"],
-    bins: int = BINS,
+    bins: int = 15,
     *,
     cluster: Shaped[Array, "*n"] | None = None,
 ) -> CalibrationError:
-    """Expected calibration error of the top class: mean over decisions of |frequency - confidence| of their bin (Guo et
-    al., ICML 2017).
+    """Compute the expected calibration error of the top class: the mean over decisions of |frequency - confidence| of
+    their bin (Guo et al., ICML 2017).
 
-    A few decisions to a bin make it positive for any forecaster, so it comes with its distribution for decisions that
-    are right as often as predicted (consistency resampling; Bröcker and Smith, Weather and Forecasting 22, 2007),
-    independent of each other: give one touch of each episode; or fully alike within a cluster.
+    Few decisions in a bin make it positive for any forecaster, so it comes with its distribution for decisions that are
+    right as often as predicted (consistency resampling; Bröcker and Smith, Weather and Forecasting 22, 2007). These are
+    either independent, which requires one touch of each episode, or fully alike within a cluster.
 
     Args:
-        confidences: Of the decisions, in [0, 1].
-        hit: Whether each is right, as `hits`.
-        bins: How many.
-        cluster: Label of each decision's cluster, whose decisions are right or wrong together at one confidence.
+        confidences: Confidences of the decisions, in [0, 1].
+        hit: Whether each decision is right, as from `hits`.
+        bins: Number of bins.
+        cluster: Label of each decision's cluster, whose decisions at one confidence are right or wrong together.
 
     Returns:
-        The error, and mean and 95 % quantile of what chance gives.
+        Error, and mean and 95 % quantile of its distribution by chance.
     """
     confidences, hit = np.ravel(np.asarray(confidences, np.float64)), np.ravel(hit)
     which = np.clip((confidences * bins).astype(int), 0, bins - 1)
@@ -208,14 +206,14 @@ def calibration_error(
 
 
 def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Minus the natural logarithm of the probability of the truth, which counts as `PROBABILITY_FLOOR` at least.
+    """Compute minus the natural logarithm of the probability of the truth, which is at least `PROBABILITY_FLOOR`.
 
     Args:
         p: Beliefs.
-        truth: Classes that were there.
+        truth: The true classes.
 
     Returns:
-        The loss (nats) after each touch.
+        `(e, t)` losses (nats) after each touch.
     """
     return -np.log(np.clip(of_truth(p, truth), PROBABILITY_FLOOR, 1))
 
@@ -224,28 +222,28 @@ def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, 
 
 
 class Stopping(NamedTuple):
-    """Decisions at the first touch after which the belief is as confident as requested, else after the last one."""
+    """Decisions at the first touch after which the belief is as confident as requested, or else after the last one."""
 
     requested_error: float
-    error: Estimate  # share of wrong decisions
-    predicted_error: float  # mean of 1 - the probability decided on, which `error` equals where beliefs are calibrated
-    stopped: Estimate  # share that became as confident as requested
-    stopped_error: Estimate  # share of wrong decisions, of those
+    error: Estimate  # fraction of wrong decisions
+    predicted_error: float  # mean of 1 - the decided class's probability, which equals `error` for calibrated beliefs
+    stopped: Estimate  # fraction of episodes that became as confident as requested
+    stopped_error: Estimate  # fraction of wrong decisions among these
     stopped_predicted_error: float
     touches: Estimate
 
 
 def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *, clusters: Clusters = ()) -> Stopping:
-    """Stop as soon as the most probable class has at least 1 - `error`.
+    """Stop as soon as the probability of the most probable class is at least 1 - `error`.
 
     Args:
         p: Beliefs.
-        truth: Classes that were there.
+        truth: The true classes.
         error: Requested probability of a wrong decision.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+        clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        How often it stopped, and how often it was wrong.
+        Fractions of stopped and of wrong episodes, and numbers of touches.
     """
     confidences, hit = confidence(p), hits(p, truth)
     confident = confidences >= 1 - error
@@ -267,19 +265,21 @@ def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *,
 
 
 def auroc(p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], *, clusters: Clusters = ()) -> Estimate:
-    """Area under the receiver operating characteristic of detecting unknown objects: the probability that an episode
-    with an unknown object has more in the unknown class than one without, equal ones counted half.
+    """Estimate the area under the receiver operating characteristic of detecting unknown objects.
+
+    It is the probability that an episode with an unknown object has a larger probability of the unknown class than an
+    episode without one; equal probabilities count half.
 
     Args:
         p_unknown: Probability of the unknown class.
         unknown: Whether the object was unknown.
-        clusters: Factors in which episodes are alike, as of `cluster_interval`; none if they are independent.
+        clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        Estimates (t,).
+        `(t,)` areas with intervals.
 
     Raises:
-        ValueError: Episodes of one kind are missing.
+        ValueError: Episodes with or without an unknown object are missing.
     """
     p_unknown, unknown = np.asarray(p_unknown, np.float64), np.asarray(unknown, bool)
     if unknown.all() or not unknown.any():
@@ -288,13 +288,13 @@ def auroc(p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], *, cluste
     def areas(weight: np.ndarray) -> np.ndarray:
         return np.array([_area(x[unknown], x[~unknown], weight[unknown], weight[~unknown]) for x in p_unknown.T])
 
-    found = bootstrap_clusters(areas, clusters, len(unknown))
-    # Few clusters make intervals of Student's t wider than what an area can be.
-    return found._replace(low=np.maximum(found.low, 0.0), high=np.minimum(found.high, 1.0))
+    area = bootstrap_clusters(areas, clusters, len(unknown))
+    # For few clusters, intervals of Student's t may exceed the range of an area.
+    return area._replace(low=np.maximum(area.low, 0.0), high=np.minimum(area.high, 1.0))
 
 
 def _area(above: np.ndarray, below: np.ndarray, w_above: np.ndarray, w_below: np.ndarray) -> float:
-    """Mann and Whitney's statistic of weighted values, as a share of all pairs; NaN where a side has no weight."""
+    """Compute Mann and Whitney's statistic of weighted values as a fraction of pairs; NaN for a side of weight 0."""
     values, place = np.unique(np.concatenate([above, below]), return_inverse=True)
     up = np.bincount(place[: len(above)], w_above, len(values))
     down = np.bincount(place[len(above) :], w_below, len(values))
@@ -306,17 +306,17 @@ def _area(above: np.ndarray, below: np.ndarray, w_above: np.ndarray, w_below: np
 
 
 def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Array, "e t"]:
-    """Values of the true classes.
+    """Select the values of the true classes.
 
     Args:
         values: (episodes, touches, classes).
-        truth: (episodes,) classes that were there.
+        truth: (episodes,) true classes.
 
     Returns:
-        One value for each episode and touch.
+        `(e, t)` values of the true classes.
 
     Raises:
-        ValueError: Shapes do not fit, or `truth` names a class that is none.
+        ValueError: Shapes do not fit, or `truth` contains an invalid class.
     """
     values, truth = np.asarray(values, np.float64), np.asarray(truth)
     if values.ndim != 3 or truth.shape != values.shape[:1]:

@@ -1,21 +1,21 @@
 """Predicted outcome of a touch on a possible object: the contact, the indentation and the reading.
 
-An object that may lie anywhere near its believed pose is met by the flat skin at some distance along the approach
-(`i2t.contact.approach`); there a layer of the pad's kind is pressed onto it with a few loads (`i2t.contact.pressure`),
-and the pad's reading model (`i2t.skin_models.reading_model`) turns pressures into readings. For one load F it is linear
-in the pressure p,
+An object somewhere near its believed pose is met by the flat skin at some distance along the approach
+(`i2t.contact.approach`). There a layer like the pad's is pressed onto it with a few loads (`i2t.contact.pressure`), and
+the pad's reading model (`i2t.skin_models.reading_model`) turns pressures into readings. For one load F it is linear in
+the pressure p,
 
     mean = p . M_F,    variance = p' V_F p   (in units of each channel's signal),
 
-so that a reading costs a product. Between loads, readings per newton are interpolated in the logarithm of the load.
+so that a reading costs one product. Between loads, readings per newton are interpolated in the logarithm of the load.
 
-`predict_contact` is geometry and mechanics of a layer, `predict_reading` one pad. Neither depends on what is measured,
-so touches can be predicted for sites, objects and pose particles once and used for any number of episodes. The approach
+`predict_contact` covers geometry and mechanics of a layer, `predict_reading` one pad. Neither depends on measurements,
+so touches are predicted once for sites, objects and pose particles and used in any number of episodes. The approach
 distance comes with its Jacobian along the six coordinates of the object's pose, so that poses between the particles are
-distinguished too (`i2t.recognition.belief`).
+distinguished as well (`i2t.recognition.belief`).
 
-Pure functions on one example; metres, newtons, microtesla; frames as in `i2t.types`. A reading has c = 3 * chips
-channels.
+All functions are pure and work on one example. Units are metres, newtons and microtesla; frames as in `i2t.types`. A
+reading has c = 3 * chips channels.
 """
 
 from typing import NamedTuple
@@ -38,17 +38,17 @@ from i2t.types import Surface
 
 
 class PredictedContact(NamedTuple):
-    """Predicted contact of a layer with an object; the same for every pad of that layer."""
+    """Predicted contact of a layer with an object, the same for every pad with that layer."""
 
-    hit: Bool[Array, ""]  # whether the skin meets anything before it gives up
-    approach_distance: Float[Array, ""]  # m, from the site to first contact; where nothing is met, the overtravel
-    jacobian: Float[Array, "6"]  # of that distance along the twist of the object's pose
+    hit: Bool[Array, ""]  # whether the skin meets the object before the press gives up
+    approach_distance: Float[Array, ""]  # m, from the site to first contact; the overtravel without contact
+    jacobian: Float[Array, "6"]  # derivative of that distance by the twist of the object's pose
     indentation: Float[Array, " l"]  # m past first contact at each load, on the layer
-    newtons: Float[Array, "l cells"]  # on each cell of 1 mm
+    newtons: Float[Array, "l cells"]  # N on each cell of 1 mm
 
 
 class PredictedTouch(NamedTuple):
-    """A predicted touch; loads (l) are those of the `LinearReadingModel`."""
+    """A predicted touch at the l loads of the `LinearReadingModel`."""
 
     hit: Bool[Array, ""]  # as in `PredictedContact`
     approach_distance: Float[Array, ""]  # m
@@ -68,19 +68,19 @@ def predict_contact(
     overtravel: float | Float[Array, ""],
     layer: Layer = NOMINAL_LAYER,
 ) -> PredictedContact:
-    """Predict the contact of the skin with an object and the distribution of a few loads over it.
+    """Predict the contact of the skin with an object, and the distribution of a few loads over it.
 
     Args:
-        surface: Of the object, in its own frame.
+        surface: Surface of the object, in its own frame.
         T_w_o: The object's believed pose.
         twist: Displacement (m) of the object from there (`i2t.geometry.from_twist`).
-        T_w_site: The skin's pose where it would just lie on the surface; it moves along its z axis.
-        loads: With which it is pressed (N).
+        T_w_site: Pose of the skin at which it just touches the believed surface; it moves along its z axis.
+        loads: Loads (N) of the press.
         overtravel: Distance (m) beyond the site after which the press gives up.
-        layer: That is pressed.
+        layer: The pressed layer.
 
     Returns:
-        Contact, distance to it and its Jacobian, indentations and newtons; zeros where nothing is met.
+        Contact, distance to it and its Jacobian, indentations and newtons; zeros without contact.
     """
     (T_o_t, distance, hit), jacobian = approach(surface, T_w_o, twist, T_w_site, overtravel)
     pressed, indentation = surface_pressure(layer_pad(layer), surface, T_o_t, loads)
@@ -98,11 +98,11 @@ def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> Pre
     """Predict the reading of a pad at a contact.
 
     Args:
-        contact: Pressed with the loads of the model.
-        model: Of the pad.
+        contact: Contact pressed with the loads of the model.
+        model: Reading model of the pad.
 
     Returns:
-        The touch with reading and variance at each load.
+        Touch with reading and variance at each load.
     """
     reading, variance = readings_at_loads(model, contact.newtons)
     return PredictedTouch(
@@ -118,21 +118,21 @@ def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> Pre
 def interpolate_load(
     predicted: PredictedTouch, loads: Float[Array, " l"], force: Float[Array, ""]
 ) -> tuple[Float[Array, ""], Float[Array, " c"], Float[Array, ""]]:
-    """A predicted touch at any load: between those predicted, or beyond them.
+    """Interpolate a predicted touch at any load, also beyond the predicted ones.
 
-    Indentation is a power of the load between two loads and down to none; for readings see
+    The indentation is a power of the load between two loads and down to zero; for readings see
     `i2t.skin_models.reading_model.interpolate_reading`.
 
     Args:
         predicted: The touch at `loads`.
-        loads: Ascending (N).
-        force: The load asked for (N); none and less is no touch.
+        loads: Ascending loads (N).
+        force: Load (N) at which to interpolate; zero or less means no touch.
 
     Returns:
         Indentation (m), reading (uT) and its relative variance; all zero without load.
     """
     i, step, _ = load_step(loads, force)
-    # A contact sinks as a power of its load; a reading grows about in proportion to it.
+    # The indentation of a contact is a power of its load; a reading grows about in proportion to the load.
     log_indentation = jnp.log(jnp.maximum(predicted.indentation, 1e-7))
     indentation = jnp.exp(interpolate(i, jnp.minimum(step, 2.0), log_indentation))
     reading, variance = interpolate_reading(predicted.reading, predicted.variance, loads, force)
@@ -140,13 +140,13 @@ def interpolate_load(
 
 
 def placement_std(distance: float, angle: float) -> Float[np.ndarray, "6"]:
-    """The prior of an object's pose that is uncertain alike about each axis.
+    """Build the prior of an object's pose with equal uncertainty about each axis.
 
     Args:
         distance: Standard deviation along each axis (m).
         angle: Standard deviation about each axis (rad).
 
     Returns:
-        Standard deviations (m) of the six parts of a twist.
+        `(6,)` standard deviations (m) of the parts of a twist.
     """
     return np.repeat([distance, TWIST_LEVER_M * angle], 3).astype(np.float32)

@@ -1,15 +1,16 @@
 """The paper's recognition (`i2t.paper`) on this package's episodes, pools of sites and predictors.
 
-At each touch every possible object, taken to stand at the world's origin, is rendered where the press ended; a
-predictor says what the skin would read there, pressed with the measured force. The distance of that from the measured
-reading, in standard deviations of the training readings, is the object's. Proprioception, the paper's baseline, takes
-the distance of the contact from the object's surface, in millimetres.
+At each touch every possible object, standing at the world's origin, is rendered at the end of the press, and a
+predictor computes the reading of the skin there, pressed with the measured force. The object's distance is that of this
+reading from the measured one, in standard deviations of the training readings. Proprioception, the paper's baseline,
+takes the distance of the contact from the object's surface, in millimetres.
 
-`paper_rules` applies the rules to episodes as they went. `run_loop` is the paper's whole procedure (`i2t.paper.loop`),
-in which every method is scored by its own distances. A method is called Imagine2touch only if its predictor is the
-paper's network.
+`paper_rules` applies the rules to recorded episodes. `run_loop` is the paper's whole procedure (`i2t.paper.loop`), in
+which every method is scored by its own distances. A method is called Imagine2touch only if its predictor is the paper's
+network.
 
-Source: Ayad et al., "Imagine2touch", section II. Metres, newtons, microtesla; a reading has c = 3 * chips channels.
+Source: Ayad et al., "Imagine2touch", section II. Units are metres, newtons and microtesla; a reading has c = 3 * chips
+channels.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -39,22 +40,21 @@ from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.types import Surface
 
-BASELINE_LENGTH_M = 1e-3  # by which distances of contacts are divided before exp(-d)
 PROPRIOCEPTION = "proprioception"
-VIEWS = 64  # rendered and predicted at a time: one compilation serves all
+VIEW_BATCH = 64  # views rendered and predicted together, so that they compile once
 
 
 Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects
 
 
 def constant_predictor(reading: Float[np.ndarray, " c"]) -> Predictor:
-    """Predicts one reading for every touch: the paper's rules then judge by contact or none alone.
+    """Make a predictor of one constant reading. With it the paper's rules judge by contact alone.
 
     Args:
-        reading: uT, say the mean of the training readings.
+        reading: Reading (uT), such as the mean of the training readings.
 
     Returns:
-        The predictor; its standard deviations say nothing.
+        Predictor of this reading, with meaningless standard deviations.
     """
     mean = np.asarray(reading, np.float32)
     model = MeanReading(mean, np.ones_like(mean))
@@ -62,7 +62,7 @@ def constant_predictor(reading: Float[np.ndarray, " c"]) -> Predictor:
 
 
 class _AtMedianForce(Predictor):
-    """Predictor that is told the median force of its training touches, whatever was measured."""
+    """Predictor that uses the median force of its training touches instead of the measured one."""
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `Predictor.predict_batch`."""
@@ -70,13 +70,13 @@ class _AtMedianForce(Predictor):
 
 
 def at_median_force(predictor: Predictor) -> Predictor:
-    """The same predictor without the measured force of each touch, which the paper's network does not know either.
+    """Remove the measured force from a predictor's input, because the paper's network does not use it either.
 
     Args:
-        predictor: Of readings.
+        predictor: A predictor of readings.
 
     Returns:
-        One that takes the median force of its training touches instead.
+        Predictor that uses the median force of its training touches instead.
     """
     return _AtMedianForce(**{field.name: getattr(predictor, field.name) for field in fields(predictor)})
 
@@ -87,15 +87,15 @@ def at_median_force(predictor: Predictor) -> Predictor:
 def reading_scorers(
     predictors: Mapping[str, Predictor], surfaces: Sequence[Surface], reading_std: Float[np.ndarray, " c"]
 ) -> dict[str, Scorer]:
-    """Scorers by readings, one for each predictor.
+    """Make a scorer by readings for each predictor.
 
     Args:
-        predictors: Of readings, by name.
-        surfaces: Of the objects.
+        predictors: Predictors of readings, by name.
+        surfaces: Surfaces of the objects.
         reading_std: Standard deviation (uT) of each channel in the training data.
 
     Returns:
-        The scorers by the same names.
+        Scorers by the same names.
     """
 
     def score(name: str, touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
@@ -110,28 +110,30 @@ def reading_distances(
     touches: MeasuredTouches,
     reading_std: Float[np.ndarray, " c"],
 ) -> dict[str, Float[np.ndarray, "n objects"]]:
-    """Distances of readings from those predicted on each object; where nothing is seen, zero is predicted.
+    """Compute distances of readings from those predicted on each object. An empty view predicts a reading of zero.
 
     Args:
-        predictors: Of readings, by name; views are rendered once for all.
-        surfaces: Of the objects.
-        touches: That were made.
+        predictors: Predictors of readings, by name, which share the rendered views.
+        surfaces: Surfaces of the objects.
+        touches: The measured touches.
         reading_std: Standard deviation (uT) of each channel in the training data.
 
     Returns:
-        Distances in standard deviations, by the predictors' names.
+        `(n, objects)` distances in standard deviations, by the predictors' names.
     """
-    # Rendered views have no noise to be smoothed away.
-    ready = {name: each.with_pressure(smooth=False, cell=CELL_GRID.spacing) for name, each in predictors.items()}
+    # Rendered views have no noise to smooth away.
+    ready = {
+        name: predictor.with_pressure(smooth=False, cell=CELL_GRID.spacing) for name, predictor in predictors.items()
+    }
     n, force = len(touches.force), np.maximum(touches.force, MIN_LOAD_N)
     predicted = {name: np.zeros((n, len(surfaces), touches.reading.shape[-1]), np.float32) for name in predictors}
-    for start in range(0, n, VIEWS):
-        rows = np.arange(start, min(start + VIEWS, n))
-        full = np.resize(rows, VIEWS)
+    for start in range(0, n, VIEW_BATCH):
+        rows = np.arange(start, min(start + VIEW_BATCH, n))
+        full = np.resize(rows, VIEW_BATCH)
         for i, surface in enumerate(surfaces):
             wide, seen = jax.device_get(_views(surface, touches.T_w_t[full].astype(np.float32)))
             for name, predictor in ready.items():
-                pitch, depth = predictor.window / PATCH_PIXELS, np.full(VIEWS, predictor.default_depth, np.float32)
+                pitch, depth = predictor.window / PATCH_PIXELS, np.full(VIEW_BATCH, predictor.default_depth, np.float32)
                 pressed = TouchBatch(centre(wide, PATCH_PIXELS), wide, pitch, force[full], 0 * depth, depth)
                 reading = predictor.predict_batch(pressed).mean
                 predicted[name][rows, i] = np.where(seen[:, None], reading, 0.0)[: len(rows)]
@@ -140,32 +142,33 @@ def reading_distances(
 
 
 def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
-    """Distances of contacts from each object's surface: proprioception.
+    """Compute distances of contacts from each object's surface: proprioception.
 
     Args:
-        surfaces: Of the objects.
-        touches: That were made.
+        surfaces: Surfaces of the objects.
+        touches: The measured touches.
 
     Returns:
-        Distances in millimetres.
+        `(n, objects)` distances in millimetres.
     """
     point = np.asarray(touches.T_w_t[:, :3, 3], np.float32)
-    calls = ((point[rows], surface) for surface in surfaces for rows in filled_batches(np.arange(len(point)), VIEWS))
+    batches = filled_batches(np.arange(len(point)), VIEW_BATCH)
+    calls = ((point[rows], surface) for surface in surfaces for rows in batches)
     distance = np.concatenate(list(spread(_nearest_distances, calls))).reshape(len(surfaces), -1)
-    return distance[:, : len(point)].T / BASELINE_LENGTH_M
+    return distance[:, : len(point)].T / 1e-3  # mm
 
 
 # --- rules ---
 
 
 def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Beliefs by each of the paper's rules from distances.
+    """Compute beliefs by each of the paper's rules from distances.
 
     Args:
-        distance: Of each touch from each object.
+        distance: Distance of each touch from each object.
 
     Returns:
-        Beliefs after each touch, by rule.
+        `(e, t, objects)` beliefs after each touch, by rule.
     """
     return {rule: loop.beliefs(distance, rule) for rule in rules.RULES}
 
@@ -176,29 +179,29 @@ def paper_rules(
     surfaces: Sequence[Surface],
     episodes: Episodes,
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Beliefs by the paper's rules along episodes as they went, from readings and from contact positions.
+    """Compute beliefs by the paper's rules along recorded episodes, from readings and from contact positions.
 
     Args:
-        predictors: Of readings, by name.
+        predictors: Predictors of readings, by name.
         reading_std: Standard deviation (uT) of each channel in the training data.
-        surfaces: Of the objects.
-        episodes: As they went.
+        surfaces: Surfaces of the objects.
+        episodes: Record of the episodes.
 
     Returns:
-        Beliefs after each touch, by source (the predictors' names and "proprioception") and rule, such as
-        "proprioception, votes".
+        `(e, t, objects)` beliefs after each touch, by source (the predictors' names and "proprioception") and rule,
+        such as "proprioception, votes".
     """
     touches = MeasuredTouches(
         np.asarray(episodes.T_w_t).reshape(-1, 4, 4),
         np.asarray(episodes.observations.reading).reshape(episodes.site.size, -1),
         np.asarray(episodes.observations.force).reshape(-1),
     )
-    found = reading_distances(predictors, surfaces, touches, reading_std)
-    found[PROPRIOCEPTION] = contact_distances(surfaces, touches)
+    distances = reading_distances(predictors, surfaces, touches, reading_std)
+    distances[PROPRIOCEPTION] = contact_distances(surfaces, touches)
     shape = (*episodes.site.shape, len(surfaces))
     return {
         f"{source}, {rule}": p
-        for source, distance in found.items()
+        for source, distance in distances.items()
         for rule, p in beliefs_by_rule(distance.reshape(shape)).items()
     }
 
@@ -217,27 +220,26 @@ def run_loop(
     shared: dict[TouchNumber, TouchOutcome] | None = None,
     progress: Callable[[int], object] = lambda touches: None,
 ) -> LoopResult:
-    """The paper's loop on pools of sites, in episodes of an environment.
+    """Run the paper's loop on pools of sites, in episodes of an environment.
 
     Args:
-        key: Of hypotheses and sites.
-        score: Distances of touches from the objects: the method.
-        episodes: The episodes before their first touch, in an environment whose sites are the pools joined.
-        pools: Of sites.
-        pool: Number of each episode's pool.
-        rule: Which of the paper's rules makes the belief that hypotheses are sampled from.
-        shared: Touches that other methods made in the same episodes, which are not made again; those that are made here
-            are added.
-        progress: Called with how many touches were made.
+        key: Random key of hypotheses and sites.
+        score: The method: it computes the distances of touches from the objects.
+        episodes: The episodes before their first touch, in an environment whose sites are the joined pools.
+        pools: Pools of sites.
+        pool: Index of each episode's pool.
+        rule: The paper's rule for the belief from which hypotheses are sampled.
+        shared: Touches that other methods made in the same episodes. They are reused, and new ones are added.
+        progress: Function that is called with the number of touches made.
 
     Returns:
-        What happened; sites are those of the pools that were joined.
+        Record of the loop, whose sites are indices into the joined pools.
     """
-    objects, each = pools.T_w_t.shape[1:3]
+    objects, per_object = pools.T_w_t.shape[1:3]
     shared = {} if shared is None else shared
 
     def row(hypothesis: np.ndarray, site: np.ndarray) -> np.ndarray:
-        return (pool * objects + hypothesis) * each + site
+        return (pool * objects + hypothesis) * per_object + site
 
     def touch(
         episodes: RunningEpisodes, hypothesis: np.ndarray, site: np.ndarray
@@ -246,12 +248,12 @@ def run_loop(
         shared.update(after.new)
         return after, last_touches(after)
 
-    made = loop.run(
+    result = loop.run(
         key, episodes, touch, score, pool_informativeness(pools)[pool],
         count=episodes.environment.config.touches, rule=rule, progress=progress,
     )  # fmt: skip
-    rows = [row(*one) for one in zip(made.hypothesis.T, made.site.T, strict=True)]
-    return made._replace(site=np.stack(rows, axis=1))
+    rows = [row(hypothesis, site) for hypothesis, site in zip(result.hypothesis.T, result.site.T, strict=True)]
+    return result._replace(site=np.stack(rows, axis=1))
 
 
 # --- views ---
@@ -264,6 +266,6 @@ def _nearest_distances(points: Array, surface: Surface) -> Array:
 
 @jax.jit
 def _views(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
-    """Wide views, and whether their patches show anything."""
+    """Render wide views, and test whether their patches show a surface."""
     seen = jax.vmap(partial(render_view, surface))(T_w_t)
     return seen.wide, jnp.isfinite(seen.patch.nearest)

@@ -1,19 +1,19 @@
 """Choice of the next touch.
 
-A touch is worth what it is expected to tell: the mutual information between its outcome and the object (Lindley, Annals
-of Mathematical Statistics 27, 1956), and, for a part, between its outcome and where the object lies. It is estimated
-for every site by imagining: an object and a pose are drawn from the belief, the press ends where the skin's change or
-the force crosses its limit, errors are drawn from the likelihood (heavy tails of readings and of positions, outliers of
-positions, and whether anything is met), and the outcome is compared with every other object and pose, as in
-`i2t.recognition.belief`. All sites see the same draws (common random numbers), so that differences
-between sites are less noisy than the values.
+The value of a touch is its expected information: the mutual information between its outcome and the object (Lindley,
+Annals of Mathematical Statistics 27, 1956), and, with a smaller weight, between its outcome and the pose of the object.
+It is estimated for every site by simulated outcomes. An object and a pose are drawn from the belief, and the press ends
+where the skin's change or the force crosses its limit. Errors are drawn from the likelihood (heavy tails of readings
+and of positions, outliers of positions, and presence). The outcome is compared with every other object and pose, as in
+`i2t.recognition.belief`. All sites share the same draws (common random numbers), so that differences between sites are
+less noisy than the values.
 
-Only allowed sites are chosen among: within reach, not touched yet, and safe on the objects that are still possible
-(`safe_sites_mask`). Where no site is allowed none is chosen (`NO_SITE`), and the caller draws other sites or stops. The
-paper's heuristic (`i2t.paper.loop.site_informativeness`), which is for simulated comparisons, asks that a site be safe
-on the one object that it takes as the hypothesis.
+Only allowed sites are candidates: within reach, not yet touched, and safe on the objects that are still possible
+(`safe_sites_mask`). If no site is allowed, none is chosen (`NO_SITE`), and the caller draws other sites or stops. The
+paper's heuristic (`i2t.paper.loop.site_informativeness`), which serves simulated comparisons, only requires that a site
+is safe on the hypothesised object.
 
-Pure functions on one episode; information in nats.
+All functions are pure and work on one episode; information is in nats.
 """
 
 from functools import partial
@@ -31,22 +31,19 @@ from i2t.rendering.ops import element
 from i2t.runtime.batching import map_batches
 from i2t.skin_models.likelihood import Likelihood, outlier_range
 
-NUM_CANDIDATES = 48  # sites that the next touch is chosen among, drawn anew for each
-NUM_DRAWS = 24  # imagined outcomes of a site
-NUM_COMPARED_PARTICLES = 16  # of each object, with which they are compared
-MAX_UNSAFE_PROBABILITY = 0.05  # of the objects on which a site is not safe
-NO_SITE = -1  # what is chosen where no site is allowed
+NUM_CANDIDATES = 48  # candidate sites, drawn anew for each touch
+NO_SITE = -1  # index of the chosen site if no site is allowed
 
 
 class InformationGain(NamedTuple):
     """Expected information of a touch (nats)."""
 
-    object: Float[Array, "..."]  # which object it is
-    both: Float[Array, "..."]  # which object and where it lies, as far as the compared particles differ
+    object: Float[Array, "..."]  # about the object
+    both: Float[Array, "..."]  # about the object and its pose, as far as the compared particles differ
 
 
 class _Compared(NamedTuple):
-    """The particles of each object with which imagined touches are compared, all of equal weight."""
+    """The particles of each object with which simulated touches are compared, all with equal weights."""
 
     particle: Int[Array, "objects p"]
     mean: Float[Array, "objects p 6"]
@@ -57,7 +54,7 @@ class _Draws(NamedTuple):
     """Hypotheses and errors, the same for all sites."""
 
     object: Int[Array, " n"]
-    particle: Int[Array, " n"]  # among the compared ones
+    particle: Int[Array, " n"]  # index among the compared particles
     twist: Float[Array, "n 6"]  # m, about the particle
     noise: Float[Array, "n noise"]  # c whitened errors of the reading, then those of position (m) and indentation
 
@@ -69,22 +66,22 @@ def expected_information_gain(
     likelihood: Likelihood,
     *,
     skin_change: float | Float[Array, ""] = 25.0,
-    num_draws: int = NUM_DRAWS,
-    num_particles: int = NUM_COMPARED_PARTICLES,
+    num_draws: int = 24,
+    num_particles: int = 16,
 ) -> InformationGain:
     """Estimate the expected information of a touch at each site.
 
     Args:
-        key: Of the imagined outcomes.
-        belief: After the touches so far.
+        key: Random key of the simulated outcomes.
+        belief: The belief after the touches so far.
         table: Predicted touches, (sites, objects, k).
-        likelihood: How far measurements may be from predictions.
+        likelihood: The distribution of measurements about predictions.
         skin_change: Change of the reading (uT) at which a press ends.
-        num_draws: Imagined outcomes of each site; static.
-        num_particles: Particles of each object they are compared with; static.
+        num_draws: Number of simulated outcomes of each site; static.
+        num_particles: Number of particles of each object with which they are compared; static.
 
     Returns:
-        Information about the object, and about object and pose, (sites,) each.
+        `(sites,)` information about the object, and `(sites,)` information about object and pose (nats).
     """
     key_place, key_draw, key_which, key_noise, key_twist = jax.random.split(key, 5)
     log_weight = logsumexp(belief.log_weight, axis=1)
@@ -97,18 +94,18 @@ def expected_information_gain(
     twist = compared.mean[objects, particle] + jnp.einsum("nij,nj->ni", root[objects, particle], normal)
     noise = _draw_noise(key_noise, likelihood, (num_draws, table.reading.shape[-1] + 2))
     draws = _Draws(objects, particle, twist, noise)
-    imagine = partial(imagine_observation, likelihood=likelihood, skin_change=skin_change, force=PressLimits.force)
+    simulate = partial(simulate_observation, likelihood=likelihood, skin_change=skin_change, force=PressLimits.force)
 
     def site_gain(row: PredictedTouch) -> InformationGain:
         some = jax.tree.map(lambda x: jax.vmap(lambda x, i: x[i])(x, compared.particle), row)  # (objects, particles)
         true = jax.tree.map(lambda x: x[draws.object, draws.particle], some)
-        density = _compare(jax.vmap(imagine)(true, draws.twist, draws.noise), some, compared, likelihood)
+        density = _compare(jax.vmap(simulate)(true, draws.twist, draws.noise), some, compared, likelihood)
         return _mutual_information(density, log_prior, draws)
 
     return map_batches(site_gain, table, batch_size=16)
 
 
-def imagine_observation(
+def simulate_observation(
     predicted: PredictedTouch,
     twist: Float[Array, "6"],
     noise: Float[Array, " noise"],
@@ -117,19 +114,19 @@ def imagine_observation(
     skin_change: float | Float[Array, ""],
     force: float | Float[Array, ""],
 ) -> TouchObservation:
-    """Imagined measurement at a touch.
+    """Simulate the measurement of a touch.
 
     Args:
         predicted: The touch as predicted for a particle.
         twist: Displacement (m) of the object from the particle.
         noise: c + 2 numbers: whitened errors of the reading (Student's t with the likelihood's degrees of freedom), the
             error of the position (m), and the standard normal error of the indentation.
-        likelihood: By whose errors of the reading and of the indentation the numbers are multiplied.
+        likelihood: Likelihood that scales the errors of the reading and of the indentation.
         skin_change: Change of the reading (uT) at which the press ends.
-        force: Force (N) at which it ends at the latest.
+        force: Force (N) at which the press ends in any case.
 
     Returns:
-        The imagined measurement.
+        Simulated reading, force, advance and contact.
     """
     load = stop_load(predicted.reading, likelihood.loads, skin_change=skin_change, force=force)
     indentation, reading, variance = interpolate_load(predicted, likelihood.loads, load)
@@ -143,29 +140,29 @@ def imagine_observation(
 
 
 def safe_sites_mask(
-    belief: Belief, safe: Bool[Array, "sites objects"], max_unsafe_probability: float = MAX_UNSAFE_PROBABILITY
+    belief: Belief, safe: Bool[Array, "sites objects"], max_unsafe_probability: float = 0.05
 ) -> Bool[Array, " sites"]:
-    """Mask of sites safe on the possible objects.
+    """Find the sites that are safe on the possible objects.
 
     Args:
-        belief: After the touches so far.
-        safe: Whether a touch of each site would be safe on each object.
-        max_unsafe_probability: Largest probability, together, of the objects on which a safe site is not safe.
+        belief: The belief after the touches so far.
+        safe: Whether a touch of each site is safe on each object.
+        max_unsafe_probability: Largest total probability of the objects on which an accepted site is not safe.
 
     Returns:
-        Whether each site is safe.
+        `(sites,)` mask of the safe sites.
     """
     probability = posterior(belief)
     return jnp.sum(jnp.where(safe, 0.0, probability[None]), axis=1) <= max_unsafe_probability
 
 
 def choose_site(gain: InformationGain, allowed: Bool[Array, " sites"], pose_weight: float = 0.1) -> Int[Array, ""]:
-    """The allowed site of most expected information; `NO_SITE` (-1) where none is allowed.
+    """Choose the allowed site with the largest expected information, or `NO_SITE` (-1) if none is allowed.
 
     Args:
-        gain: What a touch at each site is expected to tell.
-        allowed: Which sites may be touched.
-        pose_weight: Of the information about the pose; that about the object counts 1.
+        gain: Expected information of a touch at each site.
+        allowed: Mask of the sites that may be touched.
+        pose_weight: Weight of the information about the pose, relative to that about the object.
 
     Returns:
         Index of the site, or -1.
@@ -176,15 +173,15 @@ def choose_site(gain: InformationGain, allowed: Bool[Array, " sites"], pose_weig
 
 
 def draw_site(key: Key[Array, ""], weight: Float[Array, " sites"], allowed: Bool[Array, " sites"]) -> Int[Array, ""]:
-    """Draw an allowed site by its weight, or any other allowed one where none of them has weight.
+    """Draw an allowed site by its weight, or any allowed site if all their weights are zero.
 
     Args:
-        key: Of the draw.
-        weight: Of each site, 0 or more.
-        allowed: Which sites may be touched.
+        key: Random key of the draw.
+        weight: Weight of each site, at least 0.
+        allowed: Mask of the sites that may be touched.
 
     Returns:
-        Index of the site, or -1 where none is allowed.
+        Index of the site, or -1 if none is allowed.
     """
     some = jnp.where(allowed, weight, 0.0)
     some = jnp.where(jnp.sum(some) > 0, some, allowed.astype(some.dtype))
@@ -202,19 +199,19 @@ def choose_informative_site(
     safe: Bool[Array, "sites objects"],
     skin_change: float | Float[Array, ""],
 ) -> Int[Array, ""]:
-    """Site of most expected information, of candidates drawn anew.
+    """Choose the site with the largest expected information among newly drawn candidates.
 
     Args:
-        key: Of the candidates and of their imagined outcomes.
-        belief: After the touches so far.
+        key: Random key of the candidates and of their simulated outcomes.
+        belief: The belief after the touches so far.
         table: Predicted touches, (sites, objects, k).
-        likelihood: How far measurements may be from predictions.
-        touched: Sites that are not to be chosen again.
-        safe: Whether a touch of each site would be safe on each object.
+        likelihood: The distribution of measurements about predictions.
+        touched: Mask of the sites that must not be chosen again.
+        safe: Whether a touch of each site is safe on each object.
         skin_change: Change of the reading (uT) at which a press ends.
 
     Returns:
-        Index of the site; -1 where no candidate is allowed.
+        Index of the site, or -1 if no candidate is allowed.
     """
     sites = len(touched)
     key_some, key_gain = jax.random.split(key)
@@ -224,11 +221,11 @@ def choose_informative_site(
     return jnp.where(best >= 0, some[best], NO_SITE)
 
 
-# --- imagining ---
+# --- simulated outcomes ---
 
 
 def _resample_particles(key: Array, belief: Belief, count: int) -> _Compared:
-    """Systematic resampling of each object's particles."""
+    """Resample each object's particles systematically."""
     share = jnp.cumsum(jax.nn.softmax(belief.log_weight, axis=1), axis=1)
     comb = (jnp.arange(count) + jax.random.uniform(key)) / count
     index = jax.vmap(lambda total: jnp.searchsorted(total, comb * total[-1]))(share)
@@ -239,15 +236,17 @@ def _resample_particles(key: Array, belief: Belief, count: int) -> _Compared:
 
 
 def _systematic_draw(key: Array, probability: Array, count: int) -> Array:
-    """Draws of a category, each in proportion to its probability, to within one."""
+    """Draw categories in proportion to their probabilities, within one draw of each."""
     comb = (jnp.arange(count) + jax.random.uniform(key)) / count
     return jnp.minimum(jnp.searchsorted(jnp.cumsum(probability), comb), len(probability) - 1)
 
 
 def _draw_noise(key: Key[Array, ""], likelihood: Likelihood, shape: tuple[int, int]) -> Float[Array, "n noise"]:
-    """Whitened errors of readings, rows of a multivariate Student's t, errors of positions (m), and standard normal
-    ones of indentations: a t vector is a normal one over the root of one chi-square variable per degree of freedom; a
-    position's error is normal with the standard deviation of its component, or an outlier's.
+    """Draw whitened errors of readings, errors of positions (m), and standard normal errors of indentations.
+
+    Errors of readings are rows of a multivariate Student's t: a normal vector over the square root of one chi-square
+    variable per degree of freedom. The error of a position is normal with the standard deviation of its component, or
+    that of an outlier.
     """
     key_normal, key_scale, key_component, key_outlier = jax.random.split(key, 4)
     normal = jax.random.normal(key_normal, shape)
@@ -262,21 +261,21 @@ def _draw_noise(key: Key[Array, ""], likelihood: Likelihood, shape: tuple[int, i
 
 
 def _compare(
-    imagined: TouchObservation, predicted: PredictedTouch, compared: _Compared, likelihood: Likelihood
+    simulated: TouchObservation, predicted: PredictedTouch, compared: _Compared, likelihood: Likelihood
 ) -> Float[Array, "n objects p"]:
-    """Log likelihood of each imagined touch under each compared particle."""
+    """Compute the log likelihood of each simulated touch under each compared particle."""
 
-    def one(observation: TouchObservation) -> Array:
+    def compare(observation: TouchObservation) -> Array:
         under = jax.vmap(jax.vmap(partial(evidence, observation, likelihood=likelihood)))
         return log_likelihood(under(predicted, compared.mean, compared.covariance), likelihood)
 
-    return jax.vmap(one)(imagined)
+    return jax.vmap(compare)(simulated)
 
 
 def _mutual_information(
     density: Float[Array, "n objects p"], log_prior: Float[Array, " objects"], draws: _Draws
 ) -> InformationGain:
-    """Entropy of the object before minus that after; and the log likelihood ratio of the truth to all hypotheses."""
+    """Compute the decrease of the object's entropy, and the log likelihood ratio of the truth to all hypotheses."""
     of_object = logsumexp(density, axis=2) - jnp.log(density.shape[2])
     total = logsumexp(of_object + log_prior[None], axis=1)
     after = jnp.exp(of_object + log_prior[None] - total[:, None])

@@ -1,4 +1,4 @@
-"""Recognise an object by touches that the belief itself chooses; for any one robot.
+"""Recognition of an object by touches that the belief itself chooses, for any single robot.
 
     recognizer = ObjectRecognizer(jax.random.key(0), pad_model, meshes)
     state = recognizer.init()
@@ -8,11 +8,11 @@
         state, info = recognizer.update(state, observation)
     print(info.name, info.confidence)
 
-A state is a NamedTuple and never changed: `choose_touch` and `update` are pure. What takes long, predicting touches of
-every object at every candidate site, is done once when a recogniser is made. The object may be none of those known:
-with `prior_unknown` surrogates, objects like those known, take part, and "unknown" is what they have together.
+A state is a NamedTuple and never changes: `choose_touch` and `update` are pure. The slow part, predicting touches of
+every object at every candidate site, is done once when a recogniser is created. The object may be an unknown one: with
+`prior_unknown`, surrogates that resemble the known objects take part, and "unknown" has their total probability.
 
-Metres, newtons, microtesla; W world, O object, T tool.
+Units are metres, newtons and microtesla; W world, O object, T tool.
 """
 
 from collections.abc import Mapping
@@ -47,13 +47,10 @@ from i2t.skin_models.likelihood import Likelihood
 from i2t.skin_models.pad_model import PadModel
 from i2t.types import in_one_line
 
-MAX_EMPTY_DRAWS = 10  # of candidates among which no site is allowed, after which no touch is chosen
-# Calibration of the unknown class, fitted on validation objects and others where half of all were unknown
-# (`experiments.studies open_set`).
-CALIBRATION_PRIOR_UNKNOWN = 0.5
+MAX_EMPTY_DRAWS = 10  # number of draws of candidates without an allowed site, after which no touch is chosen
+# Calibration of the unknown class for a prior of 0.5, fitted on validation objects and others of which half were
+# unknown (`experiments.studies open_set`).
 UNKNOWN_SCALING = calibrated.PlattScaling(0.40, 0.65, 0.18)
-MAX_OFF_SITE_M = 0.1  # m from a site to where a press of it ended; collections go no further past one
-POSE_STD_M, POSE_STD_RAD = 1e-3, float(np.radians(1.0))  # of an object's pose unless it is given
 
 
 @dataclass(frozen=True)
@@ -61,23 +58,23 @@ class RecognizerConfig:
     """Settings of a recogniser's choices and stopping.
 
     Raises:
-        ValueError: The unknown object's probability is no probability, or no surrogates stand for it.
+        ValueError: The prior of an unknown object is not a probability, or it has no surrogates.
 
     Example:
-        config = i2t.RecognizerConfig(max_touches=20, max_error_probability=0.01)  # surer, for more touches
+        config = i2t.RecognizerConfig(max_touches=20, max_error_probability=0.01)  # more certain, with more touches
         recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, meshes, config=config)
     """
 
-    num_sites: int = 24  # of each object, to choose among
+    num_sites: int = 24  # candidate sites of each object
     num_particles: int = 64  # poses of each object
     max_touches: int = 10
-    min_touches: int = 1  # before it may stop because it is sure, up to max_touches
-    max_excluded: int = 30  # sites that could not be touched, after which none is asked for
+    min_touches: int = 1  # before it may stop because it is certain, up to max_touches
+    max_excluded: int = 30  # number of sites that could not be touched, after which none is chosen
     max_error_probability: float = 0.05  # it stops when the most probable object is wrong with at most this probability
-    prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
-    num_surrogates: int = 16  # objects like those known, where it may be none of them
+    prior_unknown: float = 0.0  # prior probability that the object is an unknown one
+    num_surrogates: int = 16  # objects that represent an unknown one
     skin_change: float = PressLimits.skin_change  # uT at which presses end
-    overtravel: float = PressLimits.overtravel  # m beyond a site after which a press has met air
+    overtravel: float = PressLimits.overtravel  # m beyond a site at which a press without contact ends
     site_limits: touch_sites.SiteLimits = field(default=touch_sites.RECOGNITION_LIMITS)
     seed: int = 0  # of pose particles and choices
 
@@ -85,33 +82,33 @@ class RecognizerConfig:
         if not 0 <= self.prior_unknown < 1:
             raise ValueError(f"prior_unknown is {self.prior_unknown:g}; give a probability, from 0 to below 1")
         if self.prior_unknown > 0 and self.num_surrogates < 1:
-            raise ValueError(f"num_surrogates is {self.num_surrogates}; an unknown object needs some, 16 say")
+            raise ValueError(f"num_surrogates is {self.num_surrogates}; an unknown object needs some, such as 16")
 
 
 @in_one_line
 class ChosenSite(NamedTuple):
     """A site to be touched."""
 
-    number: int  # of the site
-    T_w_t: Float[np.ndarray, "4 4"]  # the tool's pose where the skin would just lie on the believed surface
+    number: int  # index of the site
+    T_w_t: Float[np.ndarray, "4 4"]  # pose of the tool at which the skin just touches the believed surface
 
 
 @in_one_line
 class SiteObservation(NamedTuple):
-    """Measurement at a touch of a site."""
+    """Measurements at a touch of a site."""
 
-    number: int  # of the site
-    touch: TouchObservation  # what was measured there
+    number: int  # index of the site
+    touch: TouchObservation
 
 
 @in_one_line
 class RecognizerState(NamedTuple):
-    """Belief, and the sites that were touched."""
+    """Belief, and the sites touched so far."""
 
     belief: Belief  # over objects and their poses
-    touched: Bool[np.ndarray, " sites"]  # or excluded
-    touches: int  # that updated the belief
-    probability: Float[np.ndarray, " objects"]  # calibrated, of the known objects; what lacks to 1 is unknown
+    touched: Bool[np.ndarray, " sites"]  # touched or excluded sites
+    touches: int  # number of touches in the belief
+    probability: Float[np.ndarray, " objects"]  # calibrated, of the known objects; an unknown one has the rest
 
 
 @in_one_line
@@ -119,13 +116,13 @@ class RecognitionInfo(NamedTuple):
     """Calibrated belief after a touch."""
 
     probability: Float[np.ndarray, " objects"]  # of the known objects, in the order of `ObjectRecognizer.names`
-    unknown: float  # probability that it is none of them
+    unknown: float  # probability of an unknown object
     name: str | None  # the most probable object; None for an unknown one
-    confidence: float  # probability of that
+    confidence: float  # its probability
 
 
 class ObjectRecognizer:
-    """Recognises one of some objects, touch by touch.
+    """Recognises one of several objects, touch by touch.
 
     Example:
         recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, {"mug": mug, "bowl": bowl})
@@ -147,23 +144,23 @@ class ObjectRecognizer:
         sites: SitePool | None = None,
         config: RecognizerConfig = RecognizerConfig(),
     ) -> None:
-        """Predict touches of every object at every candidate site; a bar shows progress.
+        """Predict touches of every object at every candidate site, with a progress bar.
 
         Args:
-            key: Of the sites.
-            pad_model: Fitted to touches of the skin that will touch (`i2t.skin_models.pad_fit.ContactModel`).
-            meshes: Of the known objects, by name.
-            T_w_o: Where the object is believed to stand; the world's origin by default. Sites are drawn and checked on
-                the objects there, over the table of `config.site_limits`.
+            key: Random key of the sites.
+            pad_model: Model fitted to touches of the same skin (`i2t.skin_models.pad_fit.ContactModel`).
+            meshes: Meshes of the known objects, by name.
+            T_w_o: Believed pose of the object; the world's origin by default. Sites are drawn and checked on the
+                objects there, over the table of `config.site_limits`.
             pose_prior: Covariance (m^2), or standard deviations (m), of its twist from there; 1 mm and 1 degree about
                 each axis by default.
-            sites: Candidates, with poses in the object's frame; safe random sites of every object by default. One that
-                is not safe where the object is believed to stand is never chosen.
-            config: How it chooses and when it stops.
+            sites: Candidates, with poses in the object's frame; safe random sites of every object by default. A site
+                that is not safe at the believed pose is never chosen.
+            config: Options of choices and stopping.
 
         Raises:
-            ValueError: Fewer than two objects, an object has too few safe sites, or `T_w_o` is not rigid.
-            TypeError: The key is none, or `meshes` no mapping.
+            ValueError: There are fewer than two objects, an object has too few safe sites, or `T_w_o` is not rigid.
+            TypeError: `key` is not a random key, `pad_model` is not a pad model, or `meshes` is not a mapping.
         """
         validation.random_key("key", key)
         if not isinstance(pad_model, PadModel):
@@ -172,19 +169,19 @@ class ObjectRecognizer:
         if not isinstance(meshes, Mapping):
             raise TypeError(f"meshes: is a {type(meshes).__name__}; give a mapping of names to meshes")
         if len(meshes) < 2:
-            raise ValueError("a recogniser needs at least two objects to tell apart")
+            raise ValueError("a recogniser needs at least two objects")
         self.names, self.config, self.likelihood = tuple(meshes), config, pad_model.likelihood
         self.T_w_o = np.eye(4) if T_w_o is None else validation.pose("T_w_o", T_w_o)
-        known = list(meshes.values())
+        objects = list(meshes.values())
         surrogates = range(config.num_surrogates if config.prior_unknown > 0 else 0)
-        unknown = [catalogue.surrogate_unknown(known, i).mesh for i in surrogates]
-        surfaces = prepare_surfaces(known + unknown)
+        unknown = [catalogue.surrogate_unknown(objects, i).mesh for i in surrogates]
+        surfaces = prepare_surfaces(objects + unknown)
         placed = place_surfaces(surfaces, self.T_w_o)
         if sites is None:
-            drawn = sample_sites(key, placed[: len(known)], self.names, config.num_sites, config.site_limits)
+            drawn = sample_sites(key, placed[: len(objects)], self.names, config.num_sites, config.site_limits)
             sites = drawn.moved(inverse(self.T_w_o))
         self.sites = sites  # in the object's frame, as the predicted touches are
-        pose_prior = outcomes.placement_std(POSE_STD_M, POSE_STD_RAD) if pose_prior is None else pose_prior
+        pose_prior = outcomes.placement_std(1e-3, float(np.radians(1.0))) if pose_prior is None else pose_prior
         self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed)
         (table,) = predict_outcomes(
             surfaces, self.particles.twist, sites.T_w_t, [pad_model.reading_model],
@@ -195,27 +192,27 @@ class ObjectRecognizer:
         self._objects = len(surfaces)
 
     def __repr__(self) -> str:
-        """One line with the objects."""
+        """Describe the objects in one line."""
         return (
             f"ObjectRecognizer({len(self.names)} objects: {', '.join(self.names[:5])}{', ...' * (len(self.names) > 5)})"
         )
 
     @property
     def channels(self) -> int:
-        """Values of a reading."""
+        """Number of values in a reading."""
         return self.table.reading.shape[-1]
 
     def init(self, prior: Float[Array | np.ndarray, " objects"] | None = None) -> RecognizerState:
-        """The state before the first touch.
+        """Return the state before the first touch.
 
         Args:
-            prior: Probabilities of the known objects if it is one of them; all equal by default.
+            prior: Probabilities of the known objects given that it is one of them; equal by default.
 
         Returns:
-            The state.
+            State without touches.
         """
-        known, unknown = len(self.names), self._objects - len(self.names)
-        prior = np.full(known, 1 / known) if prior is None else np.asarray(prior, float) / np.sum(prior)
+        count, unknown = len(self.names), self._objects - len(self.names)
+        prior = np.full(count, 1 / count) if prior is None else np.asarray(prior, float) / np.sum(prior)
         share = np.full(unknown, self.config.prior_unknown / max(1, unknown))
         probability = (1 - self.config.prior_unknown) * prior
         begun = belief.init(
@@ -224,15 +221,15 @@ class ObjectRecognizer:
         return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability)
 
     def choose_touch(self, state: RecognizerState, *, key: Key[Array, ""] | None = None) -> ChosenSite | None:
-        """The site of most expected information, among those that are safe on the possible objects.
+        """Choose the site with the largest expected information among those that are safe on the possible objects.
 
         Args:
-            state: After the touches so far.
-            key: Of the candidates; by default a function of the seed and of the sites touched.
+            state: The state after the touches so far.
+            key: Random key of the candidates; by default it follows from the seed and the touched sites.
 
         Returns:
-            The site, or None where no more touch is wanted (`stop_reason` says why) or allowed: `MAX_EMPTY_DRAWS` draws
-            of candidates had no site that is safe and untouched.
+            Site, or None if no more touch is needed (`stop_reason` gives the reason) or possible: ten draws of
+            candidates had no safe untouched site.
         """
         if self.stop_reason(state) is not None:
             return None
@@ -246,13 +243,13 @@ class ObjectRecognizer:
         return None
 
     def stop_reason(self, state: RecognizerState) -> str | None:
-        """Reason to stop touching.
+        """Give the reason to stop touching.
 
         Args:
-            state: After the touches so far.
+            state: The state after the touches so far.
 
         Returns:
-            A phrase, or None while touches are wanted.
+            Phrase, or None as long as touches are needed.
         """
         config = self.config
         enough = state.touches >= max(1, min(config.min_touches, config.max_touches))
@@ -260,7 +257,7 @@ class ObjectRecognizer:
             return f"an object is {1 - config.max_error_probability:.0%} probable"
         if state.touches >= config.max_touches:
             return f"{state.touches} sites were touched"
-        # Touches may be repeated, and a touch that is under way is neither of both yet.
+        # Touches may be repeated, and a touch in progress is neither counted nor excluded yet.
         excluded = max(0, int(state.touched.sum()) - state.touches)
         if state.touched.all():
             return f"every site was touched, or excluded ({excluded})" if excluded else "every site was touched"
@@ -277,22 +274,22 @@ class ObjectRecognizer:
         T_w_t: Float[Array | np.ndarray, "4 4"],
         contact: bool,
     ) -> SiteObservation:
-        """Bring a robot's measurements into the form of `update`.
+        """Convert a robot's measurements to the form that `update` takes.
 
         Args:
-            site: That was touched.
-            reading: Of the skin in contact, ambient subtracted (uT), in the board's order.
-            force: Along the tool's z axis (N), as it was measured.
-            T_w_t: The tool's pose at the end of the press.
-            contact: Whether anything was met.
+            site: The touched site.
+            reading: Reading (uT) of the skin in contact, ambient subtracted, in the board's order.
+            force: Measured force (N) along the tool's z axis.
+            T_w_t: Pose of the tool at the end of the press.
+            contact: Whether the touch met anything.
 
         Returns:
-            The observation.
+            Observation of this site.
 
         Raises:
-            ValueError: The force is not finite or more than a skin bears, the pose is no rigid motion or its origin is
-                further than `MAX_OFF_SITE_M` from the site, or the reading has another number of values.
-            TypeError: One of them holds no real numbers.
+            ValueError: The force is not finite or is larger than a skin withstands, the pose is not a rigid motion or
+                its origin is more than 0.1 m from the site, or the reading has a wrong number of values.
+            TypeError: One of them does not consist of real numbers.
         """
         validation.number("force", validation.forces("force", force, measured=True), "newtons along tool z")
         T = validation.pose("T_w_t", T_w_t)
@@ -300,7 +297,7 @@ class ObjectRecognizer:
         if values.shape != (self.channels,):
             raise ValueError(f"reading: has the shape {values.shape}; give the board's {self.channels} values (uT)")
         moved = T[:3, 3] - site.T_w_t[:3, 3]
-        if np.linalg.norm(moved) > MAX_OFF_SITE_M:
+        if np.linalg.norm(moved) > 0.1:  # collections go less far past a site
             raise ValueError(
                 f"T_w_t: is {1e3 * np.linalg.norm(moved):.3g} mm from the site that was asked for; give the tool's "
                 "pose at the end of the press, in metres and in W"
@@ -312,17 +309,17 @@ class ObjectRecognizer:
         return SiteObservation(site.number, touch)
 
     def update(self, state: RecognizerState, observation: SiteObservation) -> tuple[RecognizerState, RecognitionInfo]:
-        """Learn from a touch.
+        """Update the state with a touch.
 
         Args:
-            state: Before the touch.
-            observation: What it measured.
+            state: The state before the touch.
+            observation: The measurements of the touch.
 
         Returns:
-            The state after it, and what is believed.
+            State after the touch, and its calibrated belief.
 
         Raises:
-            ValueError: A chip of the skin did not answer in this touch.
+            ValueError: A chip of the skin did not respond in this touch.
         """
         if not np.isfinite(np.asarray(observation.touch.reading)).all():
             raise ValueError(
@@ -336,24 +333,24 @@ class ObjectRecognizer:
         return state, self.info(state)
 
     def exclude(self, state: RecognizerState, number: int) -> RecognizerState:
-        """The state in which a site is not chosen again, for instance because it could not be reached.
+        """Exclude a site from further choices, for instance because the robot cannot reach it.
 
         Args:
-            state: So far.
-            number: Of the site.
+            state: The state so far.
+            number: Index of the site.
 
         Returns:
-            The new state.
+            State with the site excluded.
         """
         touched = state.touched.copy()
         touched[number] = True
         return state._replace(touched=touched)
 
     def info(self, state: RecognizerState) -> RecognitionInfo:
-        """Current belief.
+        """Summarise the current belief.
 
         Args:
-            state: After the touches so far.
+            state: The state after the touches so far.
 
         Returns:
             Calibrated probabilities, and the most probable object.
@@ -365,38 +362,38 @@ class ObjectRecognizer:
         return RecognitionInfo(p, unknown, self.names[best], float(p[best]))
 
     def object_pose(self, state: RecognizerState, name: str) -> Float[np.ndarray, "4 4"]:
-        """Pose of an object, if it is the one that is there.
+        """Estimate the pose of an object, given that it is the true one.
 
         Args:
-            state: After the touches so far.
-            name: Of the object.
+            state: The state after the touches so far.
+            name: Name of the object.
 
         Returns:
-            T_w_o of its mean pose.
+            `(4, 4)` T_w_o of its mean pose.
         """
         mean, _ = belief.twist_estimate(state.belief, self.particles)
         return np.asarray(self.T_w_o @ np.asarray(from_twist(mean[self.names.index(name)]), np.float64))
 
     def site_pose(self, number: int) -> Float[np.ndarray, "4 4"]:
-        """The tool's pose at a site.
+        """Return the tool's pose at a site.
 
         Args:
-            number: Of the site.
+            number: Index of the site.
 
         Returns:
-            T_w_t in float64, its rotation orthonormal to the last digit.
+            `(4, 4)` T_w_t in float64, whose rotation is orthonormal to the last digit.
         """
         return nearest_rigid(self.T_w_o @ np.asarray(self.sites.T_w_t[number], float))
 
     def contact_probability(self, state: RecognizerState, number: int) -> Float[np.ndarray, " objects"]:
-        """Probability that a touch of a site meets each of the known objects, if it is the one that is there.
+        """Compute for each known object the probability that a touch of a site meets it, given that it is the true one.
 
         Args:
-            state: Before the touch.
-            number: Of the site.
+            state: The state before the touch.
+            number: Index of the site.
 
         Returns:
-            The share of an object's poses, weighted by what is believed of them, in which the skin meets it.
+            `(objects,)` fractions of the objects' poses, weighted by the belief, in which the skin meets them.
         """
         weight = np.asarray(state.belief.log_weight, np.float64)
         weight = np.exp(weight - weight.max(1, keepdims=True))
@@ -404,7 +401,7 @@ class ObjectRecognizer:
         return met[: len(self.names)]
 
     def warm_up(self) -> None:
-        """Choose and update once in advance, so that nothing is compiled while an arm waits."""
+        """Choose and update once in advance, so that no compilation delays an arm."""
         state = self.init()
         blank = TouchObservation(jnp.zeros(self.channels), jnp.float32(1.0), jnp.float32(0.0), jnp.asarray(False))
         for step in range(2):  # after a first touch the belief has other types
@@ -412,27 +409,27 @@ class ObjectRecognizer:
             state, _ = self.update(state, SiteObservation(0, blank))
 
     def _choose(self, state: RecognizerState, key: Array) -> int:
-        """The number of a site among candidates drawn with a key; -1 where none of them is allowed."""
+        """Choose the index of a site among candidates drawn with a key; -1 if none of them is allowed."""
         (key_site,) = jax.random.split(key, 1)
-        found = choose_informative_site(
+        number = choose_informative_site(
             key_site, state.belief, self.table, self.likelihood,
             touched=jnp.asarray(state.touched), safe=self.safe, skin_change=self.config.skin_change,
         )  # fmt: skip
-        return int(found)
+        return int(number)
 
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
-        """Calibrated probabilities of the known objects from those of all, surrogates included."""
-        known = len(self.names)
-        named = calibrated.TEMPERATURE_SCALING.apply(p[:known], touches)
-        if self._objects == known:
+        """Calibrate probabilities of the known objects, given those of all objects including surrogates."""
+        count = len(self.names)
+        named = calibrated.TEMPERATURE_SCALING.apply(p[:count], touches)
+        if self._objects == count:
             return named
         everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown
-        raw = everything[:, :known], everything[:, known:].sum(-1)
-        # The scaling was fitted at another prior: there, and back.
-        _, unknown = calibrated.with_unknown_prior(*raw, prior, CALIBRATION_PRIOR_UNKNOWN)
-        read = UNKNOWN_SCALING.apply(unknown, touches)
-        shares = named[None] * (1 - read)[:, None]
-        _, unknown = calibrated.with_unknown_prior(shares, read, CALIBRATION_PRIOR_UNKNOWN, prior)
+        raw = everything[:, :count], everything[:, count:].sum(-1)
+        fitted_prior = 0.5  # of `UNKNOWN_SCALING`: move there, and back
+        _, unknown = calibrated.with_unknown_prior(*raw, prior, fitted_prior)
+        scaled = UNKNOWN_SCALING.apply(unknown, touches)
+        shares = named[None] * (1 - scaled)[:, None]
+        _, unknown = calibrated.with_unknown_prior(shares, scaled, fitted_prior, prior)
         return named * (1 - float(unknown[0]))
 
 
@@ -440,6 +437,6 @@ class ObjectRecognizer:
 def _update(
     now: Belief, touch: TouchObservation, table: PredictedTouch, number: int | Array, likelihood: Likelihood
 ) -> tuple[Belief, Array]:
-    """The belief after a touch of a site, and the probabilities of all objects."""
+    """Update the belief with a touch of a site, and compute the probabilities of all objects."""
     after = belief.update(now, touch, element(table, number), likelihood)
     return after, belief.posterior(after)

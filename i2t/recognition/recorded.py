@@ -1,9 +1,9 @@
-"""Recorded touches for recognition: those that a pad model is fitted to, and samples of one contact as one touch.
+"""Recorded touches for recognition: touches to which a pad model is fitted, and samples of one contact as one touch.
 
     touches = recorded_touches(dataset, rows, {"mug": mug}, "DATA/known")
     known = ContactModel(SimulationErrors(), PressLimits()).fit(jax.random.key(0), touches)
 
-Metres, newtons, microtesla.
+Units are metres, newtons and microtesla.
 """
 
 from collections.abc import Iterable, Mapping
@@ -26,26 +26,22 @@ from i2t.skin_models.pad_fit import ObjectTouches
 from i2t.skin_models.pad_model import KnownPad
 from i2t.types import ReturnCode, Surface
 
-MIN_PAD_TOUCHES, SPARE_TOUCHES = 20, 5  # that a pad model can be made of; more than a reading has values
-MIN_PAD_SESSIONS = 2  # hyperparameters are chosen on sessions left out
-SAME_PLACE_M, SAME_TURN, SAME_PRESS_S = 2e-4, 4e-3, 1.0  # m, rad and s within which touches are of one contact
-
 
 def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Mesh], made_from: str) -> ObjectTouches:
-    """The recorded touches that a pad model can be fitted to.
+    """Select the recorded touches to which a pad model can be fitted.
 
     Args:
         dataset: Recorded touches.
-        rows: (n,) bool, those that may be used.
-        meshes: Of objects that the catalogue does not have, or has otherwise.
-        made_from: The run or data set, which messages about the pad model name.
+        rows: (n,) mask of the touches that may be used.
+        meshes: Meshes of objects that the catalogue lacks or has in another form.
+        made_from: The run or data set, for messages about the pad model.
 
     Returns:
-        Presses that met something, with a measured force and depth, on objects whose mesh is known; their poses are
-        those of the tool seen from the object.
+        Presses with contact, measured force and depth, on objects with a mesh. Their poses are those of the tool in the
+        object's frame.
 
     Raises:
-        DataError: Too few are left, of one session only, or of several skins.
+        DataError: Too few touches are left, or they are of one session only, or of several skins.
     """
     touches = dataset.touches
     pressed = rows & np.isin(touches.code, [ReturnCode.SKIN, ReturnCode.WRENCH])
@@ -64,11 +60,12 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
     if len(pads) > 1:
         raise DataError(f"the training touches are of several skins ({', '.join(pads)}), and a pad model is of one")
     sessions = len(np.unique(touches.session[usable]))
-    least = max(MIN_PAD_TOUCHES, touches.reading.shape[-1] + SPARE_TOUCHES)
-    if usable.sum() < least or sessions < MIN_PAD_SESSIONS:
+    # A pad model needs more touches than a reading has values, and sessions to leave out for its hyperparameters.
+    min_touches, min_sessions = max(20, touches.reading.shape[-1] + 5), 2
+    if usable.sum() < min_touches or sessions < min_sessions:
         raise DataError(
             f"{usable.sum()} usable training touches in {sessions} sessions are too few for a pad model, which needs "
-            f"{least} in {MIN_PAD_SESSIONS}"
+            f"{min_touches} in {min_sessions}"
         )
     chosen = _seen_from_object(dataset.select(usable))
     names = [chosen.objects[i] for i in np.unique(chosen.touches.object)]
@@ -76,73 +73,73 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
 
 
 def named_surfaces(meshes: Mapping[str, Mesh]) -> dict[str, Surface]:
-    """Surfaces of one size class, so that one program serves all.
+    """Prepare surfaces of one size class, so that one program serves all.
 
     Args:
-        meshes: Of objects, by name.
+        meshes: Meshes of objects, by name.
 
     Returns:
-        Their surfaces by name.
+        Surfaces of the objects, by name.
     """
     return dict(zip(meshes, prepare_surfaces(list(meshes.values())), strict=True))
 
 
 def known_surfaces(names: Iterable[str], meshes: Mapping[str, Mesh]) -> dict[str, Surface]:
-    """Surfaces of the objects whose mesh is known, as of `named_surfaces`.
+    """Prepare surfaces of the objects that have a mesh, as `named_surfaces` does.
 
     Args:
-        names: Of objects.
-        meshes: Of objects that the catalogue does not have, or has otherwise.
+        names: Names of objects.
+        meshes: Meshes of objects that the catalogue lacks or has in another form.
 
     Returns:
-        The surfaces by name; none of an object that neither has.
+        Surfaces by name, without objects that have no mesh.
     """
-    known = {name: meshes.get(name) or catalogue.make_object(name).mesh for name in names if _is_known(name, meshes)}
-    return named_surfaces(known) if known else {}
+    selected = {name: meshes.get(name) or catalogue.make_object(name).mesh for name in names if _is_known(name, meshes)}
+    return named_surfaces(selected) if selected else {}
 
 
 def _is_known(name: str, meshes: Mapping[str, Mesh]) -> bool:
     return name in meshes or name in catalogue.NAMES
 
 
-def describe(known: KnownPad) -> str:
-    """One line about a pad model.
+def describe(pad: KnownPad) -> str:
+    """Describe a pad model in one line.
 
     Args:
-        known: The pad model.
+        pad: The pad model.
 
     Returns:
-        A sentence without its full stop.
+        Sentence without its full stop.
     """
-    origin = known.origin
-    left_out = f", R2 {known.model.r2:.3f} on touches left out" if np.isfinite(known.model.r2) else ""
+    origin = pad.origin
+    left_out = f", R2 {pad.model.r2:.3f} on touches left out" if np.isfinite(pad.model.r2) else ""
     return (
         f'pad model of "{origin.pad}" from {origin.made_from}: {origin.touches} {origin.source} touches of '
         f"{', '.join(origin.objects)}{left_out}"
     )
 
 
-def to_json(known: KnownPad) -> dict[str, object]:
-    """Entry of metrics.json for a pad model.
+def to_json(pad: KnownPad) -> dict[str, object]:
+    """Make the entry of metrics.json for a pad model.
 
     Args:
-        known: The pad model.
+        pad: The pad model.
 
     Returns:
-        Its skin, source, objects, number of touches, R2 and chips.
+        Skin, source, objects, number of touches, R2 and number of chips.
     """
-    return {**asdict(known.origin), "r2": known.model.r2, "chips": len(known.board.chips)}
+    return {**asdict(pad.origin), "r2": pad.model.r2, "chips": len(pad.board.chips)}
 
 
 def with_placement(errors: SimulationErrors, object_covariance: np.ndarray) -> SimulationErrors:
-    """Errors whose placement is as uncertain as a rig says, the mean over the axes.
+    """Set the uncertainty of the placement to that of a rig, averaged over the axes.
 
     Args:
-        errors: Of the world.
-        object_covariance: (6, 6) m^2, of where objects are believed to stand, rotations in arc lengths.
+        errors: Errors of the simulated world.
+        object_covariance: (6, 6) covariance (m^2) of the pose of objects, rotations in arc lengths.
 
     Returns:
-        The errors.
+        Errors with this placement.
     """
     variance = np.diag(object_covariance)
     return replace(
@@ -152,27 +149,33 @@ def with_placement(errors: SimulationErrors, object_covariance: np.ndarray) -> S
     )
 
 
-def merge_samples(recorded: Dataset) -> Dataset:
-    """Make one touch of samples of one contact: usable touches of a session that follow each other within a second with
-    the tool where it was, which no arm lifts and presses again in. They share the contact's errors, so that they are no
-    independent touches.
+def merge_samples(
+    recorded: Dataset, *, max_distance: float = 2e-4, max_angle: float = 4e-3, max_interval: float = 1.0
+) -> Dataset:
+    """Merge samples of one contact into one touch.
+
+    Samples of one contact are consecutive usable touches of a session, within a second and at the same pose: no arm
+    lifts and presses again in that time. They share the errors of the contact and so are not independent touches.
 
     Args:
         recorded: Touches in order of time.
+        max_distance: Distance (m) up to which two poses are the same.
+        max_angle: Angle (rad) up to which two poses are the same.
+        max_interval: Time (s) between two samples of one contact.
 
     Returns:
-        The same touches, or fewer; readings, forces and depths of those that were merged are means.
+        Touches of `recorded`, in which merged touches have mean readings, forces and depths.
     """
     touches, time = recorded.touches, times_of(recorded)
     usable = np.isin(np.arange(len(recorded)), np.concatenate(list(usable_touches(touches).values())))
     moved = inverse(touches.T_w_t[:-1]) @ touches.T_w_t[1:]
     turned = np.arccos(np.clip((np.trace(moved[:, :3, :3], axis1=1, axis2=2) - 1) / 2, -1, 1))
-    follows = (np.linalg.norm(moved[:, :3, 3], axis=1) < SAME_PLACE_M) & (turned < SAME_TURN)
+    follows = (np.linalg.norm(moved[:, :3, 3], axis=1) < max_distance) & (turned < max_angle)
     follows &= usable[1:] & usable[:-1]
     for same in (touches.session, touches.code):
         follows &= same[1:] == same[:-1]
     with np.errstate(invalid="ignore"):
-        follows &= (np.diff(time) >= 0) & (np.diff(time) < SAME_PRESS_S)  # false where a time is unknown
+        follows &= (np.diff(time) >= 0) & (np.diff(time) < max_interval)  # False if a time is unknown
     starts = first_samples(follows)
     if len(starts) == len(recorded):
         return recorded
@@ -185,7 +188,7 @@ def merge_samples(recorded: Dataset) -> Dataset:
 
 
 def _seen_from_object(dataset: Dataset) -> Dataset:
-    """Poses of the tool in the object's frame, for tips that move under a skin that stands."""
+    """Express poses of the tool in the object's frame, for tips that move under a stationary skin."""
     touches = dataset.touches
     T_o_t = inverse(touches.T_w_o.astype(np.float64)) @ touches.T_w_t
     T_o_t[:, 3] = (0, 0, 0, 1)

@@ -1,11 +1,12 @@
-"""Episodes of an environment side by side, under policies: random sites, the paper's heuristic, expected information.
+"""Many episodes of an environment in parallel, under policies: random sites, the paper's heuristic, expected
+information.
 
-`begin_episodes` puts the objects down, `advance` makes the next touches of every episode, and `rollout` repeats both
-under a policy, `policy(key, state, params) -> site`. The policies here never choose a site that is not allowed or was
-touched before; where none is left they choose `i2t.recognition.policy.NO_SITE`.
+`begin_episodes` places the objects, `advance` makes the next touches of every episode, and `rollout` repeats both under
+a policy, `policy(key, state, params) -> site`. The policies here never choose a site that is forbidden or was touched
+before; if none is left they choose `i2t.recognition.policy.NO_SITE`.
 
-Touches depend on the key of the episodes, the number of the touch, the episode and the site alone. Methods that are
-compared with the same key therefore share those touches that they both make (`advance(..., shared=...)`).
+A touch depends only on the key of the episodes, the index of the touch, the episode and the site. Methods that are
+compared with the same key therefore share the touches that both of them make (`advance(..., shared=...)`).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -38,23 +39,20 @@ from i2t.runtime.compiling import jit_by_amount, jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.types import Pad, Surface
 
-FEW_TOUCHES = 16_000  # of no more, compiling them quickly pays; last digits may differ from those of more
-EPISODE_BATCH = 16  # touches and episodes at a time: fewer fill up the last batch less, and fit the caches
-POLICY_BATCH = 8  # episodes whose sites are chosen at a time
-IMAGINED_OUTCOMES, IMAGINED_PARTICLES = 16, 8  # of the imagined outcomes of a site
+EPISODE_BATCH = 16  # touches and episodes at a time; a small last batch wastes little, and the data fit the caches
 
-TouchNumber: TypeAlias = tuple[int, int, int]  # number of the touch, episode and site
+TouchNumber: TypeAlias = tuple[int, int, int]  # index of the touch, of the episode and of the site
 SitePolicy: TypeAlias = Callable[[Array, EpisodeState, EnvironmentParams], Array]
 
 
 class RunningEpisodes(NamedTuple):
-    """Episodes side by side, as far as they went; arrays on the host."""
+    """Episodes in parallel, with all touches so far; arrays on the host."""
 
     environment: TouchEnvironment
     params: EnvironmentParams
     key_touch: UInt32[np.ndarray, "2"]  # data of the random key of all touches
-    states: EpisodeState  # (e, ...), all with as many touches
-    new: Mapping[TouchNumber, TouchOutcome] = {}  # touches that the last call of `advance` had to make
+    states: EpisodeState  # (e, ...), all with the same number of touches
+    new: Mapping[TouchNumber, TouchOutcome] = {}  # touches of the last call of `advance` that were not shared
 
 
 def begin_episodes(
@@ -64,17 +62,17 @@ def begin_episodes(
     truth: Int[np.ndarray, " e"],
     pad: Int[np.ndarray, " e"] | None = None,
 ) -> RunningEpisodes:
-    """Put an object down in every episode.
+    """Place an object in every episode.
 
     Args:
-        key: Random key of everything that happens in the episodes.
-        environment: Their rules.
-        params: What may be there.
-        truth: Number of the object that is there in each episode.
-        pad: Number of the pad that touches in each episode; by default the first.
+        key: Random key of all random events in the episodes.
+        environment: The rules of the episodes.
+        params: The objects and pads of the environment.
+        truth: Index of the true object of each episode.
+        pad: Index of the pad of each episode; the first pad by default.
 
     Returns:
-        The episodes before their first touch.
+        Episodes before their first touch.
     """
     pad = np.zeros(len(truth), int) if pad is None else pad
     begun = _begin(key, jnp.asarray(truth), jnp.asarray(pad), params, environment.config)
@@ -92,15 +90,15 @@ def advance(
 
     Args:
         episodes: The episodes so far.
-        site: Numbers of the sites to touch.
-        shared: Touches that episodes of the same key, objects and sites made; they are not made again.
-        bar: Shows progress.
+        site: Indices of the sites to touch.
+        shared: Touches of other episodes with the same key, objects and sites, which are not made again.
+        bar: Progress bar to update.
 
     Returns:
-        The episodes after the touches, and the touches that were not shared (`new`).
+        Episodes after the touches, with the touches that were not shared (`new`).
 
     Raises:
-        ValueError: A site is negative: none was chosen.
+        ValueError: A site is negative because none was chosen.
     """
     site = np.asarray(site)
     if (site < 0).any():
@@ -108,18 +106,18 @@ def advance(
     states, (e, n) = episodes.states, site.shape
     count = int(states.num_made[0])
     numbers = [(count + i % n, i // n, int(where)) for i, where in enumerate(site.reshape(-1))]
-    made = {} if shared is None else {number: shared[number] for number in numbers if number in shared}
+    touches = {} if shared is None else {number: shared[number] for number in numbers if number in shared}
     if bar is not None:
-        bar.update(len(made))
-    missing = np.flatnonzero([number not in made for number in numbers])
+        bar.update(len(touches))
+    missing = np.flatnonzero([number not in touches for number in numbers])
     new: dict[TouchNumber, TouchOutcome] = {}
     keys = np.asarray(_touch_keys(episodes.key_touch, count, n=n, episodes=e))
     for rows, batch in _touch(episodes, keys, site, missing):
         new |= {numbers[i]: jax.tree.map(lambda x, j=j: x[j], batch) for j, i in enumerate(rows)}
         if bar is not None:
             bar.update(len(rows))
-    made |= new
-    outcome = jax.tree.map(lambda *x: np.stack(x).reshape(e, n, *x[0].shape), *[made[number] for number in numbers])
+    touches |= new
+    outcome = jax.tree.map(lambda *x: np.stack(x).reshape(e, n, *x[0].shape), *[touches[number] for number in numbers])
     for i in range(n):
         states = _record(states, site[:, i], jax.tree.map(lambda x, i=i: x[:, i], outcome))
         if episodes.params.beliefs is not None:
@@ -128,7 +126,7 @@ def advance(
 
 
 def episodes_of(episodes: RunningEpisodes) -> Episodes:
-    """Record of episodes as far as they went.
+    """Collect the record of episodes so far.
 
     Args:
         episodes: The episodes so far.
@@ -141,24 +139,24 @@ def episodes_of(episodes: RunningEpisodes) -> Episodes:
     parts = filled_batches(np.arange(e), EPISODE_BATCH)
     calls = ((select_rows(states, rows),) for rows in parts)
     read = np.concatenate(list(spread(_read, calls, shared=(params.pads, episodes.environment.config))))[:e, :count]
-    site, made = np.asarray(states.site[:, :count]), jax.tree.map(lambda x: x[:, :count], states.made)
-    advanced = advance_from(np.asarray(params.T_w_site)[site], made.T_w_t).astype(np.float32)
-    seen = TouchObservation(*map(jnp.asarray, (read, made.force, advanced, made.contact)))
-    return Episodes(np.asarray(states.object), site, seen, np.asarray(made.T_w_t))
+    site, touches = np.asarray(states.site[:, :count]), jax.tree.map(lambda x: x[:, :count], states.made)
+    advanced = advance_from(np.asarray(params.T_w_site)[site], touches.T_w_t).astype(np.float32)
+    seen = TouchObservation(*map(jnp.asarray, (read, touches.force, advanced, touches.contact)))
+    return Episodes(np.asarray(states.object), site, seen, np.asarray(touches.T_w_t))
 
 
 def last_touches(episodes: RunningEpisodes) -> MeasuredTouches:
-    """The last touch of each episode.
+    """Return the last touch of each episode.
 
     Args:
         episodes: The episodes so far.
 
     Returns:
-        Measurements (e,).
+        Measurements and poses of e touches.
     """
-    made = episodes_of(episodes)
-    seen = made.observations
-    return MeasuredTouches(made.T_w_t[:, -1], np.asarray(seen.reading[:, -1]), np.asarray(seen.force[:, -1]))
+    record = episodes_of(episodes)
+    seen = record.observations
+    return MeasuredTouches(record.T_w_t[:, -1], np.asarray(seen.reading[:, -1]), np.asarray(seen.force[:, -1]))
 
 
 def rollout(
@@ -169,18 +167,18 @@ def rollout(
     truth: Int[np.ndarray, " e"],
     pad: Int[np.ndarray, " e"] | None = None,
 ) -> tuple[Episodes, Float[np.ndarray, "e t o"]]:
-    """Episodes under a policy, with what the environment believes after each touch.
+    """Run episodes under a policy, with the environment's belief after each touch.
 
     Args:
-        key: Random key; the same one puts the same objects down in the same places.
-        environment: Its rules.
-        params: What may be there, with beliefs.
-        policy: Chooses sites.
-        truth: Number of the object that is there in each episode.
-        pad: Number of the pad that touches in each episode; by default the first.
+        key: Random key; the same key gives the same objects and placements.
+        environment: The rules of the episodes.
+        params: The objects and pads of the environment, with beliefs.
+        policy: Function that chooses sites.
+        truth: Index of the true object of each episode.
+        pad: Index of the pad of each episode; the first pad by default.
 
     Returns:
-        The episodes, and the posterior over the objects after each touch.
+        Episodes, and the `(e, t, o)` posteriors over the objects after each touch.
     """
     key_world, key_policy = jax.random.split(key)
     episodes = begin_episodes(key_world, environment, params, truth, pad)
@@ -203,20 +201,20 @@ def run_episodes(
     config: EnvironmentConfig,
     label: str,
 ) -> Episodes:
-    """Simulate episodes at sites chosen beforehand, with a progress bar.
+    """Simulate episodes at sites chosen in advance, with a progress bar.
 
     Args:
-        key: Random key of everything that happens in the episodes.
-        surfaces: Of the objects, all of one size class.
-        truth: Number of the object that is there in each episode.
-        chosen: Numbers of the sites to touch.
-        sites: The pool.
-        pad: That touches.
+        key: Random key of all random events in the episodes.
+        surfaces: Surfaces of the objects, all of one size class.
+        truth: Index of the true object of each episode.
+        chosen: Indices of the sites to touch.
+        sites: Pool of the sites.
+        pad: The pad.
         config: Errors, limits and the number of touches.
-        label: What the bar says the touches are for.
+        label: Purpose of the touches, for the bar.
 
     Returns:
-        The episodes.
+        Record of the episodes.
     """
     environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], sites, config)
     episodes = begin_episodes(key, environment, params, truth)
@@ -229,44 +227,44 @@ def run_episodes(
 
 
 def untouched(state: EpisodeState, params: EnvironmentParams) -> Bool[Array, " sites"]:
-    """Sites that are allowed and that the episode has not touched.
+    """Find the sites that are allowed and not yet touched in the episode.
 
     Args:
         state: The episode.
-        params: What may be there.
+        params: The objects and pads of the environment.
 
     Returns:
-        A mask of the sites.
+        `(sites,)` mask of these sites.
     """
-    made = jnp.arange(state.site.shape[0]) < state.num_made
-    return params.allowed.at[jnp.where(made, state.site, params.sites)].set(False, mode="drop")
+    is_past = jnp.arange(state.site.shape[0]) < state.num_made
+    return params.allowed.at[jnp.where(is_past, state.site, params.sites)].set(False, mode="drop")
 
 
 def random_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
-    """Any site that is allowed and was not touched.
+    """Choose any site that is allowed and not yet touched.
 
     Args:
         key: Random key.
         state: The episode.
-        params: What may be there.
+        params: The objects and pads of the environment.
 
     Returns:
-        Number of the site.
+        Index of the site.
     """
     return draw_site(key, jnp.ones(params.sites), untouched(state, params))
 
 
 def heuristic_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
-    """The paper's heuristic: an informative site of the most probable object (`i2t.paper.loop.site_informativeness`),
-    or any other where none is left.
+    """Choose by the paper's heuristic an informative site of the most probable object
+    (`i2t.paper.loop.site_informativeness`), or any other site if none is left.
 
     Args:
         key: Random key.
         state: The episode, with its belief.
-        params: What may be there.
+        params: The objects and pads of the environment.
 
     Returns:
-        Number of the site.
+        Index of the site.
     """
     key_object, key_site = jax.random.split(key)
     which = loop.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.num_made)
@@ -277,22 +275,21 @@ def heuristic_site(key: Key[Array, ""], state: EpisodeState, params: Environment
 
 
 def informative_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
-    """The site that is expected to tell most about the object (`i2t.recognition.policy`).
+    """Choose the site with the largest expected information about the object (`i2t.recognition.policy`).
 
     Args:
-        key: Random key of the imagined outcomes.
+        key: Random key of the simulated outcomes.
         state: The episode, with its belief.
-        params: What may be there.
+        params: The objects and pads of the environment.
 
     Returns:
-        Number of the site.
+        Index of the site.
     """
     assert params.beliefs is not None
     table = jax.tree.map(lambda x: x[state.pad], params.beliefs.predicted)
     gain = expected_information_gain(
-        key, _belief(state), table, params.beliefs.likelihood,
-        num_draws=IMAGINED_OUTCOMES, num_particles=IMAGINED_PARTICLES,
-    )  # fmt: skip
+        key, _belief(state), table, params.beliefs.likelihood, num_draws=16, num_particles=8
+    )
     return choose_site(gain, untouched(state, params))
 
 
@@ -316,7 +313,7 @@ def _belief(state: EpisodeState) -> belief.Belief:
 def _begin(
     key: Key[Array, ""], truth: Array, pad: Array, params: EnvironmentParams, config: EnvironmentConfig
 ) -> tuple[Array, EpisodeState]:
-    """Data of the key of the touches, and the episodes."""
+    """Return the data of the key of the touches, and the episodes."""
     key_sessions, key_touch, key_reading = jax.random.split(key, 3)
     environment = TouchEnvironment(config)
     keys = [jax.random.split(key, len(truth)) for key in (key_sessions, key_reading)]
@@ -330,8 +327,8 @@ def _begin(
 
 @partial(jit_quickly, static_argnames=("n", "episodes"))
 def _touch_keys(key: Array, before: Int[Array, ""] | int, *, n: int, episodes: int) -> Array:
-    """Keys of the next n touches of every episode, in the order of episodes, as data: their rows fill up batches more
-    than once.
+    """Make the keys of the next n touches of every episode, in the order of episodes. They are returned as data,
+    because their rows are repeated to fill batches.
     """
     steps = before + jnp.arange(n)
     key = jax.random.wrap_key_data(key)
@@ -342,7 +339,7 @@ def _touch_keys(key: Array, before: Int[Array, ""] | int, *, n: int, episodes: i
 def _touch(
     episodes: RunningEpisodes, keys: np.ndarray, site: np.ndarray, missing: np.ndarray
 ) -> Iterator[tuple[np.ndarray, TouchOutcome]]:
-    """The missing touches, rows of `site` in the order of episodes, in batches of one size that are filled up."""
+    """Make the missing touches, given as rows of the flat `site`, in filled batches of one size."""
     states, params, (e, n) = episodes.states, episodes.params, site.shape
     size = min(EPISODE_BATCH, 1 << (e - 1).bit_length())
     of_pads = [missing[states.pad[missing // n] == pad] for pad in np.unique(states.pad)]
@@ -374,18 +371,19 @@ def _touch_many(
     return jax.vmap(touch)(jax.random.wrap_key_data(keys), states, site)
 
 
-_touch_rows = jit_by_amount(_touch_many, FEW_TOUCHES)
+# Up to this number of touches, compiling quickly saves time. The last digits may differ from those of longer runs.
+_touch_rows = jit_by_amount(_touch_many, 16_000)
 
 
 def _record(states: EpisodeState, site: np.ndarray, outcome: TouchOutcome) -> EpisodeState:
-    """Episodes with one touch more, on the host."""
+    """Write one touch into each episode, on the host."""
     at = int(states.num_made[0])
 
     def with_row(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
         return np.concatenate([rows[:, :at], row[:, None].astype(rows.dtype), rows[:, at + 1 :]], axis=1)
 
-    sites, made = jax.tree.map(with_row, (states.site, states.made), (site, outcome))
-    return states._replace(site=sites, made=made, num_made=states.num_made + 1)
+    sites, outcomes = jax.tree.map(with_row, (states.site, states.made), (site, outcome))
+    return states._replace(site=sites, made=outcomes, num_made=states.num_made + 1)
 
 
 @jit_quickly
@@ -395,7 +393,7 @@ def _read(states: EpisodeState, pads: Pad, config: EnvironmentConfig) -> Array:
 
 @jit_quickly
 def _believe(states: EpisodeState, params: EnvironmentParams, config: EnvironmentConfig) -> EpisodeState:
-    """Episodes with the belief after their last touch."""
+    """Update the belief of episodes with their last touch."""
     environment = TouchEnvironment(config)
 
     def believe(state: EpisodeState) -> EpisodeState:
@@ -408,7 +406,7 @@ def _believe(states: EpisodeState, params: EnvironmentParams, config: Environmen
 @partial(jit_quickly, static_argnames="policy")
 def _choose(key: Array, states: EpisodeState, params: EnvironmentParams, *, policy: SitePolicy) -> Array:
     keys = jax.random.split(key, len(states.object))
-    return map_batches(lambda at: policy(at[0], at[1], params), (keys, states), batch_size=POLICY_BATCH)
+    return map_batches(lambda at: policy(at[0], at[1], params), (keys, states), batch_size=8)
 
 
 @jax.jit

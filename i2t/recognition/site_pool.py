@@ -1,15 +1,16 @@
-"""Sites of several objects: the safe ones, the chosen ones, and the predicted touch of each on every object.
+"""Sites of several objects: safe sites, chosen sites, and the predicted touch of each site on every object.
 
 A pool of sites serves a recogniser that chooses among them, so that touches are predicted once for every object in each
-of its possible poses (`predict_outcomes`). Episodes that are to be judged need sites of their own, because those
-that share sites are alike: `plan_random_touches` draws every touch's site anew; where sites are chosen, `sample_pools`
-draws a pool for every few episodes. Simulated objects stand at the world's origin. Where an object stands elsewhere,
-its surface is placed there (`place_surfaces`) before sites are drawn and checked, because what is safe depends on how
-it stands: on what is up, and on where the table is.
+of its possible poses (`predict_outcomes`). Evaluated episodes need separate sites, because episodes that share sites
+are not independent: `plan_random_touches` draws the site of every touch anew, and `sample_pools` draws a pool for every
+few episodes that choose their sites. Simulated objects stand at the world's origin. The surface of an object that
+stands elsewhere is moved there (`place_surfaces`) before sites are drawn and checked, because their safety depends on
+its orientation and on the height of the table.
 """
 
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -32,83 +33,90 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import Surface, in_one_line
 
-BATCH_TOUCHES = 512  # predicted at a time
-DRAWN_SITES = 256  # at a time
-CANDIDATES_PER_SITE = 2  # drawn for each site that is wanted; about half of them are safe
-MIN_SAFE_SHARE = 1 / 64  # of candidates: an object on which fewer are safe has too few sites
+
+@dataclass(frozen=True)
+class SiteDraws:
+    """Batches in which safe sites are drawn."""
+
+    sites: int = 256  # at a time
+    candidates_per_site: int = 2  # about half of the candidates are safe
+    min_safe_fraction: float = 1 / 64  # of candidates; an object with a smaller fraction has too few safe sites
+
+
+_DRAWS = SiteDraws()
 
 
 @in_one_line
 class SitePool(NamedTuple):
     """Safe sites of some objects."""
 
-    T_w_t: Float[Array, "sites 4 4"]  # tool poses where the skin would just lie on the surface
+    T_w_t: Float[Array, "sites 4 4"]  # poses of the tool at which the skin just touches the surface
     owner: Int[np.ndarray, " sites"]  # index of the object on which the site was drawn
 
     def moved(self, T_a_w: Float[Array | np.ndarray, "4 4"]) -> "SitePool":
-        """The same sites in another frame.
+        """Express the sites in another frame.
 
         Args:
-            T_a_w: The motion from the sites' frame to the other.
+            T_a_w: The motion from the sites' frame to the other frame.
 
         Returns:
-            The sites, with poses T_a_t.
+            Sites with poses T_a_t.
         """
         poses = np.asarray(T_a_w, float) @ np.asarray(self.T_w_t, float)
         return SitePool(jnp.asarray(poses, jnp.float32), self.owner)
 
 
 class SitePools(NamedTuple):
-    """Several pools, as many safe sites of each object in each."""
+    """Several pools with equal numbers of safe sites of each object."""
 
-    T_w_t: Float[np.ndarray, "pools objects each 4 4"]
+    T_w_t: Float[np.ndarray, "pools objects sites 4 4"]
 
     def joined(self) -> SitePool:
-        """All sites as one pool.
+        """Join all pools.
 
         Returns:
-            The sites; site i of object o in pool p is row (p * objects + o) * each + i.
+            Pool of all sites; site i of object o in pool p is row (p * objects + o) * sites + i.
         """
-        pools, objects, each = self.T_w_t.shape[:3]
-        return SitePool(jnp.asarray(self.T_w_t.reshape(-1, 4, 4)), np.tile(np.repeat(np.arange(objects), each), pools))
+        pools, objects, sites = self.T_w_t.shape[:3]
+        return SitePool(jnp.asarray(self.T_w_t.reshape(-1, 4, 4)), np.tile(np.repeat(np.arange(objects), sites), pools))
 
 
 class TouchPlan(NamedTuple):
-    """Touch sites of some episodes, decided beforehand."""
+    """Sites of the touches of some episodes, chosen in advance."""
 
     sites: SitePool
-    chosen: Int[np.ndarray, "e t"]  # sites of the touches
-    pool: Int[np.ndarray, " e"]  # number of the pool that an episode's sites come from: those of one pool are alike
+    chosen: Int[np.ndarray, "e t"]  # indices of the touched sites
+    pool: Int[np.ndarray, " e"]  # index of each episode's pool; episodes of one pool are not independent
 
 
 def prepare_surfaces(meshes: Sequence[Any]) -> list[Surface]:
-    """Surfaces of one size class, so that one compilation serves all.
+    """Prepare surfaces of one size class, so that one compilation serves all.
 
     Args:
-        meshes: Of the objects.
+        meshes: Meshes of the objects.
 
     Returns:
-        Prepared surfaces.
+        Surfaces for rendering, padded to one size.
     """
     stacked = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
     return [element(stacked, i) for i in range(len(meshes))]
 
 
 def place_surfaces(surfaces: Sequence[Surface], T_w_o: Float[Array | np.ndarray, "4 4"]) -> list[Surface]:
-    """The surfaces of objects where they stand, for drawing and checking sites.
+    """Move the surfaces of objects to their pose, for drawing and checking sites.
 
     Args:
-        surfaces: Each in its object's frame.
-        T_w_o: Where all of them stand.
+        surfaces: Surfaces, each in its object's frame.
+        T_w_o: The pose of all objects.
 
     Returns:
-        Surfaces in W, triangles alone: they are not for rendering.
+        Surfaces in W that hold triangles only and cannot be rendered.
     """
     rows = np.asarray(T_w_o, float)[:3]
 
     def place(surface: Surface) -> Surface:
         x, y, z = np.moveaxis(np.asarray(surface.triangles, float), -1, 0)
-        # Written out, so that the corners of a face that shrinks to a point stay equal to the last digit.
+        # The products are written out, so that the corners of a degenerate face stay equal to the last digit.
         moved = np.stack([row[0] * x + row[1] * y + row[2] * z + row[3] for row in rows], axis=-1)
         return Surface(jnp.asarray(moved, jnp.float32))
 
@@ -116,56 +124,56 @@ def place_surfaces(surfaces: Sequence[Surface], T_w_o: Float[Array | np.ndarray,
 
 
 def pose_particles(errors: SimulationErrors, count: int, seed: int) -> Particles:
-    """Poses in which an object may stand.
+    """Draw poses in which an object may stand.
 
     Args:
-        errors: Those of placement count.
+        errors: Errors, whose placement is used.
         count: Number of particles.
-        seed: Of the quasi-random sequence.
+        seed: Seed of the quasi-random sequence.
 
     Returns:
-        The particles.
+        Pose particles about the believed pose.
     """
     return belief.sample_particles(outcomes.placement_std(errors.placement, errors.placement_angle), count, seed)
 
 
 def sample_sites(
-    key: Key[Array, ""], surfaces: Sequence[Surface], names: Sequence[str], each: int, limits: touch_sites.SiteLimits
+    key: Key[Array, ""], surfaces: Sequence[Surface], names: Sequence[str], count: int, limits: touch_sites.SiteLimits
 ) -> SitePool:
     """Draw random safe sites of every object.
 
     Args:
-        key: Of the sites.
-        surfaces: Of the objects, in the world: at its origin, or placed by `place_surfaces`.
-        names: Of the objects, for messages.
-        each: How many sites of each object.
-        limits: What makes a site safe.
+        key: Random key of the sites.
+        surfaces: Surfaces of the objects in the world: at its origin, or moved by `place_surfaces`.
+        names: Names of the objects, for messages.
+        count: Number of sites of each object.
+        limits: Limits of safe sites.
 
     Returns:
-        The sites, ordered by object.
+        Pool of the sites, ordered by object.
 
     Raises:
         ValueError: An object has too few safe sites.
     """
-    found = [
-        touch_sites.collect_sites(jax.random.fold_in(key, i), surface, each, limits, name)
+    poses = [
+        touch_sites.collect_sites(jax.random.fold_in(key, i), surface, count, limits, name)
         for i, (surface, name) in enumerate(zip(surfaces, names, strict=True))
     ]
-    return SitePool(jnp.asarray(np.concatenate(found)), np.repeat(np.arange(len(surfaces)), each))
+    return SitePool(jnp.asarray(np.concatenate(poses)), np.repeat(np.arange(len(surfaces)), count))
 
 
 def safe_sites(
     surfaces: Sequence[Surface], sites: SitePool, limits: touch_sites.SiteLimits
 ) -> Bool[np.ndarray, "sites objects"]:
-    """Test each site of a pool for safety on each object; on its own object a drawn site is safe.
+    """Test each site of a pool for safety on each object. A site that was drawn on an object is safe on it.
 
     Args:
-        surfaces: Of the objects, in the world: at its origin, or placed by `place_surfaces`.
+        surfaces: Surfaces of the objects in the world: at its origin, or moved by `place_surfaces`.
         sites: The pool, in the world.
-        limits: What makes a site safe.
+        limits: Limits of safe sites.
 
     Returns:
-        Whether the site is safe, by site and object.
+        `(sites, objects)` mask of safe touches.
     """
     return np.stack([np.asarray(_are_safe(surface, sites.T_w_t, limits)) for surface in surfaces], axis=1)
 
@@ -188,29 +196,30 @@ def predict_outcomes(
     """Predict a touch of every object in every pose at every site, with a progress bar.
 
     Args:
-        surfaces: Of the objects.
-        twist: Of the pose particles (m).
-        T_w_site: Sites.
-        reading_models: Of some pads, at the same loads.
+        surfaces: Surfaces of the objects.
+        twist: Twists (m) of the pose particles.
+        T_w_site: Poses of the sites.
+        reading_models: Reading models of some pads, for the same loads.
         overtravel: Distance (m) beyond a site after which a press gives up.
-        label: What the bar says the touches are for.
-        bar: A bar of several predictions, which counts these too, instead of one of their own.
+        label: Purpose of the touches, for the bar.
+        bar: Bar of several predictions, which also counts these; by default they have their own.
 
     Returns:
-        For each pad the predicted touches, (sites, objects, k), on the host.
+        Predicted touches (sites, objects, k) for each pad, on the host.
     """
-    by_layer: dict[tuple[float, ...], list[int]] = {}  # a contact is pressed once for all pads of one layer
+    by_layer: dict[tuple[float, ...], list[int]] = {}  # contacts are computed once for all pads of one layer
     for i, model in enumerate(reading_models):
         by_layer.setdefault(tuple(float(part) for part in model.layer), []).append(i)
-    most = max(len(some) for some in by_layer.values())
+    largest = max(len(numbers) for numbers in by_layer.values())
     predicted: dict[int, PredictedTouch] = {}
     total = len(by_layer) * len(surfaces) * len(T_w_site) * len(twist)
-    new_bar = partial(progress, total=total, desc=f"{label}: imagining", unit="touch", unit_scale=True)
+    new_bar = partial(progress, total=total, desc=f"{label}: predicting", unit="touch", unit_scale=True)
     with new_bar() if bar is None else nullcontext(bar) as shown:
-        for some in by_layer.values():
-            models = [reading_models[i] for i in np.resize(some, most)]  # filled up: one compilation serves all layers
-            made = _predict_on_layer(surfaces, twist, np.asarray(T_w_site), models, overtravel, shown)
-            predicted |= dict(zip(some, made, strict=False))
+        for numbers in by_layer.values():
+            # Groups are filled up to one size, so that one compilation serves all layers.
+            models = [reading_models[i] for i in np.resize(numbers, largest)]
+            touches = _predict_on_layer(surfaces, twist, np.asarray(T_w_site), models, overtravel, shown)
+            predicted |= dict(zip(numbers, touches, strict=False))
     return [predicted[i] for i in range(len(reading_models))]
 
 
@@ -222,13 +231,12 @@ def _predict_on_layer(
     overtravel: float,
     bar: Progress,
 ) -> list[PredictedTouch]:
-    each = max(BATCH_TOUCHES // len(twist), 1)
-    rows = filled_batches(np.arange(len(T)), each)
+    rows = filled_batches(np.arange(len(T)), max(512 // len(twist), 1))  # about 512 touches at a time
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    made = spread(_predict_touches, calls, shared=(twist, list(models), overtravel))
+    parts = spread(_predict_touches, calls, shared=(twist, list(models), overtravel))
     result: list[PredictedTouch] | None = None
-    for (number, some), part in zip(batches, made, strict=True):
+    for (number, some), part in zip(batches, parts, strict=True):
         if result is None:
             shape = (len(T), len(surfaces))
             result = jax.tree.map(lambda x, shape=shape: np.empty((*shape, *x.shape[1:]), x.dtype), part)
@@ -243,14 +251,14 @@ def _predict_on_layer(
 def _predict_touches(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], overtravel: Array
 ) -> list[PredictedTouch]:
-    def one(T: Array, x: Array) -> list[PredictedTouch]:
+    def predict(T: Array, x: Array) -> list[PredictedTouch]:
         first = reading_models[0]
         contact = outcomes.predict_contact(
             surface, jnp.eye(4), x, T, first.loads, overtravel=overtravel, layer=first.layer
         )
         return [outcomes.predict_reading(contact, model) for model in reading_models]
 
-    return jax.vmap(lambda T: jax.vmap(lambda x: one(T, x))(twist))(T_w_site)
+    return jax.vmap(lambda T: jax.vmap(lambda x: predict(T, x))(twist))(T_w_site)
 
 
 def plan_random_touches(
@@ -266,17 +274,17 @@ def plan_random_touches(
     """Draw a safe site of a random object for each touch.
 
     Args:
-        key: Of the draws.
-        surfaces: Of the objects.
-        names: Of the objects, for messages.
-        episodes: How many.
-        touches: Of each episode.
-        limits: What makes a site safe.
-        share: Episodes, one after the other, that touch the same sites, so that less has to be predicted; with one no
-            two touches share a site.
+        key: Random key of the draws.
+        surfaces: Surfaces of the objects.
+        names: Names of the objects, for messages.
+        episodes: Number of episodes.
+        touches: Number of touches of each episode.
+        limits: Limits of safe sites.
+        share: Number of consecutive episodes with the same sites, which reduces the number of predictions. With 1, all
+            touches have different sites.
 
     Returns:
-        The plan, with a pool for each `share` episodes.
+        Plan with one pool for each `share` episodes.
 
     Raises:
         ValueError: An object has too few safe sites.
@@ -298,46 +306,45 @@ def sample_pools(
     names: Sequence[str],
     *,
     pools: int,
-    each: int,
+    per_object: int,
     limits: touch_sites.SiteLimits,
 ) -> SitePools:
     """Draw several pools of random safe sites.
 
     Args:
-        key: Of the sites.
-        surfaces: Of the objects.
-        names: Of the objects, for messages.
-        pools: How many.
-        each: How many sites of each object in each pool.
-        limits: What makes a site safe.
+        key: Random key of the sites.
+        surfaces: Surfaces of the objects.
+        names: Names of the objects, for messages.
+        pools: Number of pools.
+        per_object: Number of sites of each object in each pool.
+        limits: Limits of safe sites.
 
     Returns:
-        The pools.
+        Pools with equal numbers of sites.
 
     Raises:
         ValueError: An object has too few safe sites.
     """
-    found = [
-        _draw_sites(jax.random.fold_in(key, i), surface, pools * each, limits, name).reshape(pools, each, 4, 4)
+    poses = [
+        _draw_sites(jax.random.fold_in(key, i), surface, pools * per_object, limits, name)
         for i, (surface, name) in enumerate(zip(surfaces, names, strict=True))
     ]
-    return SitePools(np.stack(found, axis=1))
+    return SitePools(np.stack([T.reshape(pools, per_object, 4, 4) for T in poses], axis=1))
 
 
 def plan_informative_touches(
     key: Key[Array, ""], pools: SitePools, pool: Int[np.ndarray, " e"], touches: int
 ) -> TouchPlan:
-    """Draw for each touch the site of a random object by the paper's heuristic
-    (`i2t.paper.loop.site_informativeness`).
+    """Draw for each touch a site of a random object by the paper's heuristic (`i2t.paper.loop.site_informativeness`).
 
     Args:
-        key: Of the draws.
-        pools: Of sites.
-        pool: Number of each episode's pool.
-        touches: Of each episode.
+        key: Random key of the draws.
+        pools: Pools of sites.
+        pool: Index of each episode's pool.
+        touches: Number of touches of each episode.
 
     Returns:
-        The plan; its sites are those touched.
+        Plan whose sites are the touched ones.
     """
     which, site = jax.device_get(_draw_informative(key, pool_informativeness(pools), pool, touches=touches))
     T = pools.T_w_t[pool[:, None], which, site].reshape(-1, 4, 4)
@@ -346,22 +353,22 @@ def plan_informative_touches(
 
 @partial(jit_quickly, static_argnames="touches")
 def _draw_informative(
-    key: Key[Array, ""], weight: Float[Array, "pools objects each"], pool: Int[Array, " e"], *, touches: int
+    key: Key[Array, ""], weight: Float[Array, "pools objects sites"], pool: Int[Array, " e"], *, touches: int
 ) -> tuple[Int[Array, "e t"], Int[Array, "e t"]]:
-    """Objects and their sites, as the weights have it."""
+    """Draw objects, and sites of them in proportion to their weights."""
     key_object, key_site = jax.random.split(key)
     which = jax.random.randint(key_object, (len(pool), touches), 0, weight.shape[1])
     return which, jax.random.categorical(key_site, jnp.log(weight[pool[:, None], which]))
 
 
-def pool_informativeness(pools: SitePools) -> Float[np.ndarray, "pools objects each"]:
-    """The paper's heuristic in each of some pools, all of whose sites are safe.
+def pool_informativeness(pools: SitePools) -> Float[np.ndarray, "pools objects sites"]:
+    """Compute the paper's heuristic for some pools, all of whose sites are safe.
 
     Args:
-        pools: Of sites.
+        pools: Pools of sites.
 
     Returns:
-        Probabilities of the sites of each object, if that one is the hypothesis.
+        `(pools, objects, sites)` probabilities of the sites of each object, given that it is the hypothesis.
     """
     return np.asarray(_informativeness(jnp.asarray(pools.T_w_t)))
 
@@ -380,22 +387,22 @@ def _informativeness(T_w_t: Array) -> Array:
 def _draw_sites(
     key: Array, surface: Surface, count: int, limits: touch_sites.SiteLimits, name: str
 ) -> Float[np.ndarray, "{count} 4 4"]:
-    """Any number of random safe sites of an object; one compilation serves all objects of a size class."""
-    found: list[np.ndarray] = [np.zeros((0, 4, 4), np.float32)]
+    """Draw any number of random safe sites of an object. One compilation serves all objects of a size class."""
+    poses: list[np.ndarray] = [np.zeros((0, 4, 4), np.float32)]
     have = batches = 0
     while have < count:
         drawn = _draw_batch(jax.random.fold_in(key, batches), surface, limits)
-        found.append(np.asarray(drawn.T_w_t)[np.asarray(drawn.safe)])
-        have, batches = have + len(found[-1]), batches + 1
-        tried = batches * DRAWN_SITES * CANDIDATES_PER_SITE
-        if tried * MIN_SAFE_SHARE > have + DRAWN_SITES:
+        poses.append(np.asarray(drawn.T_w_t)[np.asarray(drawn.safe)])
+        have, batches = have + len(poses[-1]), batches + 1
+        tried = batches * _DRAWS.sites * _DRAWS.candidates_per_site
+        if tried * _DRAWS.min_safe_fraction > have + _DRAWS.sites:
             raise ValueError(
                 f"{name} has too few safe sites: {have} among {tried} candidates; lower min_cos or the flange's size, "
                 "or raise max_rise"
             )
-    return np.concatenate(found)[:count]
+    return np.concatenate(poses)[:count]
 
 
 @jit_quickly
 def _draw_batch(key: Array, surface: Surface, limits: touch_sites.SiteLimits) -> touch_sites.Sites:
-    return touch_sites.sample_sites(key, surface, DRAWN_SITES, limits, CANDIDATES_PER_SITE)
+    return touch_sites.sample_sites(key, surface, _DRAWS.sites, limits, _DRAWS.candidates_per_site)

@@ -1,8 +1,8 @@
-"""Environments made of objects and pads, and their touches made once, so that a step is a look-up.
+"""Environments built from objects and pads, and tables of their touches, so that a step is a look-up.
 
-`make_environment` draws sites and pads; `tabulate` presses every pad on every object in a number of placements at every
-site, with the errors of arm and force sensor; those of the skin are drawn in each episode. Whoever touches a site twice
-in an episode meets the same press twice.
+`make_environment` draws sites and pads. `tabulate` presses every pad on every object in a number of placements at every
+site, with the errors of arm and force sensor; those of the skin are drawn in each episode. An episode that touches a
+site twice gets the same press twice.
 """
 
 from collections.abc import Sequence
@@ -36,9 +36,6 @@ from i2t.skin.elasticity import CELL_GRID
 from i2t.skin.pad import numbered_pad
 from i2t.types import Board, Pad, ReturnCode, Surface
 
-SAFE_CANDIDATES_PER_SITE = 4  # drawn for each that is wanted: it has to be safe on every object
-TABULATED_BATCH = 32  # approaches at a time, each pressed with every pad
-
 
 def make_environment(
     objects: Sequence[str | Mesh],
@@ -50,19 +47,20 @@ def make_environment(
     board: Board | None = None,
     seed: int = 0,
 ) -> tuple[TouchEnvironment, EnvironmentParams]:
-    """An environment whose touches are pressed as they are made.
+    """Build an environment whose touches are simulated when they are made.
 
     Args:
         objects: Names of the catalogue, or meshes (m) that stand on z = 0.
-        config: Its rules; by default presses are linear in the pressure (`EnvironmentConfig.law` is None).
-        sites: Number of sites, drawn from all objects alike, each safe on every object.
+        config: Rules of the environment; by default presses are linear in the pressure (`EnvironmentConfig.law` is
+            None).
+        sites: Number of sites, drawn from all objects equally, each safe on every object.
         pads: Number of pads.
-        first_pad: Number of the first (`i2t.skin.pad.numbered_pad`); others number others.
-        board: Whose chips lie below the skins; ReSkin's five by default.
-        seed: Of the sites.
+        first_pad: Number of the first pad (`i2t.skin.pad.numbered_pad`); the others follow it.
+        board: Board below the skins; ReSkin's five chips by default.
+        seed: Seed of the sites.
 
     Returns:
-        The environment and its parameters.
+        Environment and its parameters.
 
     Raises:
         ValueError: There are too few objects, sites or pads, or too few sites are safe on every object.
@@ -72,7 +70,9 @@ def make_environment(
     """
     config = config or EnvironmentConfig(law=None)
     if not objects or sites < 1 or pads < 1:
-        raise ValueError(f"an environment of {len(objects)} objects, {sites} sites, {pads} pads; give one of each")
+        raise ValueError(
+            f"an environment of {len(objects)} objects, {sites} sites, {pads} pads; give at least one of each"
+        )
     names = [item if isinstance(item, str) else f"object {i}" for i, item in enumerate(objects)]
     surfaces = prepare_surfaces([make_object(item).mesh if isinstance(item, str) else item for item in objects])
     pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, config=config)
@@ -83,16 +83,16 @@ def make_environment(
 def environment_params(
     surfaces: Sequence[Surface], pads: Sequence[Pad], sites: SitePool, config: EnvironmentConfig
 ) -> EnvironmentParams:
-    """Parameters of an environment in which every site may be touched.
+    """Build the parameters of an environment in which every site may be touched.
 
     Args:
-        surfaces: Of the objects, all of one size class.
-        pads: That touch.
-        sites: Safe on every object.
-        config: The rules.
+        surfaces: Surfaces of the objects, all of one size class.
+        pads: The pads.
+        sites: Sites that are safe on every object.
+        config: Rules of the environment.
 
     Returns:
-        The parameters.
+        Parameters without table and beliefs.
     """
     stacked = jax.tree.map(lambda *x: jnp.asarray(np.stack(x)), *pads)
     return EnvironmentParams(
@@ -108,16 +108,16 @@ def environment_params(
 def tabulate(
     key: Key[Array, ""], environment: TouchEnvironment, params: EnvironmentParams, placements: int = 32
 ) -> EnvironmentParams:
-    """Make every touch once: of every object in some placements at every site with every pad.
+    """Tabulate the touches of every object in some placements at every site with every pad.
 
     Args:
         key: Random key of placements and of the errors of arm and force sensor.
-        environment: Whose errors, limits and law hold.
-        params: What may be there.
+        environment: The rules, with their errors, limits and press law.
+        params: The objects and pads of the environment.
         placements: Number of placements, drawn once, the same for every object.
 
     Returns:
-        The parameters with their table; steps are look-ups from here on.
+        Parameters with their table, so that steps are look-ups.
     """
     config = environment.config
     key_place, key_touch = jax.random.split(key)
@@ -145,7 +145,7 @@ def _responses(pads: Pad, config: EnvironmentConfig) -> PadResponse:
 def _touch_all(
     keys: Array, surface: Surface, T_w_o: Array, params: EnvironmentParams, config: EnvironmentConfig
 ) -> TabulatedTouches:
-    """Touches of one object, (pads, placements, sites)."""
+    """Simulate the touches of one object, (pads, placements, sites)."""
     placements, sites = T_w_o.shape[0], params.sites
     row, site = jnp.divmod(jnp.arange(placements * sites), sites)
 
@@ -154,26 +154,26 @@ def _touch_all(
         T_w_site = params.T_w_site[site]
 
         def press(pad: Pad, response: PadResponse) -> TabulatedTouches:
-            made = simulate_touch(
+            touched = simulate_touch(
                 key, surface, jnp.eye(4), T_w_site,
                 session=SessionErrors(T_w_o[row], jnp.eye(4)), pad=pad, errors=config.errors,
                 limits=config.limits, law=config.law, response=response,
             )  # fmt: skip
-            advance = advance_from(T_w_site, made.T_w_t)
-            return TabulatedTouches(made.reading, made.force, advance, made.code != ReturnCode.AIR)
+            advance = advance_from(T_w_site, touched.T_w_t)
+            return TabulatedTouches(touched.reading, touched.force, advance, touched.code != ReturnCode.AIR)
 
         return jax.vmap(press)(params.pads, params.response)
 
-    made = map_batches(touch, (keys, row, site), batch_size=TABULATED_BATCH)
-    return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(placements, sites, *x.shape[1:]), 2, 0), made)
+    touches = map_batches(touch, (keys, row, site), batch_size=32)  # approaches at a time, each with every pad
+    return jax.tree.map(lambda x: jnp.moveaxis(x.reshape(placements, sites, *x.shape[1:]), 2, 0), touches)
 
 
 def _safe_sites(
     key: Array, surfaces: list[Surface], names: Sequence[str], *, count: int, config: EnvironmentConfig
 ) -> SitePool:
-    """Sites that are safe on every object where it is believed to stand, of each as many as there can be."""
-    each = -(-count // len(surfaces))
-    pool = sample_sites(key, surfaces, names, SAFE_CANDIDATES_PER_SITE * each, config.safety)
+    """Draw sites that are safe on every object at its believed pose, as equally from all objects as possible."""
+    per_object = -(-count // len(surfaces))
+    pool = sample_sites(key, surfaces, names, 4 * per_object, config.safety)  # not all are safe on every object
     safe = np.all(safe_sites(surfaces, pool, config.safety), axis=1)
     good = np.flatnonzero(safe)
     if len(good) < count:
@@ -181,7 +181,7 @@ def _safe_sites(
             f"{len(good)} of {len(pool.owner)} sites are safe on every object, and {count} are wanted; ask for fewer "
             "sites, or for objects of one height"
         )
-    # Interleaved: the first of each object, then the second, until there are enough.
+    # The sites are interleaved: the first of each object, then the second, and so on.
     rank = np.array([np.sum(pool.owner[good][:i] == owner) for i, owner in enumerate(pool.owner[good])])
     chosen = np.sort(good[np.lexsort((pool.owner[good], rank))[:count]])
     return SitePool(pool.T_w_t[chosen], pool.owner[chosen])

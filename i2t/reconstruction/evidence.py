@@ -1,14 +1,15 @@
-"""What one touch or one view says of an unknown object's surface.
+"""Evidence about an unknown object's surface from one touch or one view.
 
-  points   where the signed distance is known: zero on the surface, less behind it
-  pad      its points, of which one lies on the surface, wherever the pad met it
-  free     space that is known to be free, with a lower bound of the signed distance: what a pad swept on its way, or
-           what a camera looked through
+  points   points whose signed distance is given: zero on the surface, negative behind it
+  pad      points of the pad, at least one of them on the surface, because the pad met it there
+  free     points of free space with a lower bound of the signed distance: space that a pad swept on its way, or that a
+           camera looked through
 
-A touch whose reading is not used knows only that its pad met the surface somewhere; a reading says where. Metres; all
-is in the frame of the object, as the lab believes it to stand.
+A touch without its reading only shows that its pad met the surface somewhere; the reading shows where. Lengths are in
+metres, and everything is in the frame of the object, at its assumed pose.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -23,35 +24,49 @@ from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, STANDOFF
 from i2t.reconstruction.local_shape import PatchPosterior
 from i2t.types import Array
 
-PAD_EDGE = 7  # points along each edge of the pad, among which the one that met the surface is sought
-SWEPT_EDGE = 5  # points along each edge of the pad, of the space behind it
-SWEPT_DEPTHS_M = (0.5e-3, 3e-3, 8e-3, 16e-3, 28e-3)  # behind the pad's plane
-CENTRE_STD_M = 0.6e-3  # of the surface about a centre of pressure
-PATCH_EDGE = 8  # points along each edge of the patch's window
-FREE_QUANTILE, FREE_SHARE, LEAST_FREE_M = 0.05, 0.8, 0.4e-3  # of the posterior's depths, a part of which counts as free
-INSIDE_DEPTH_M, INSIDE_STD_M = 3e-3, 2e-3  # behind a contact, where the object is expected to be solid
-VIEW_POINTS, VIEW_FREE_POINTS, VIEW_FREE_M = 150, 300, 40e-3  # of a view; free ones lie so far before the others
-VIEW_OBSERVATIONS = 15.0  # independent ones that a view counts as
-VIEW_STD_M, VIEW_MARGIN_M = 1.5e-3, 3e-3  # of its points; before them space counts as free
-TABLE_MARGIN_M = 2e-3
-MAX_SWEPT_M = 10.0
-OUTLINE_PIXELS = 3  # across: what is seen past the edge of a surface counts from so far beside it
+
+@dataclass(frozen=True)
+class EvidenceConfig:
+    """Sampling and uncertainties of the evidence of touches and views."""
+
+    pad_edge: int = 7  # points along each edge of the pad, one of which met the surface
+    swept_edge: int = 5  # points along each edge of the pad, in the space behind it
+    swept_depths: tuple[float, ...] = (0.5e-3, 3e-3, 8e-3, 16e-3, 28e-3)  # m behind the pad's plane
+    max_swept: float = 10.0  # m, longest accepted way
+    centre_std: float = 0.6e-3  # m, distance of the surface from a centre of pressure
+    patch_edge: int = 8  # free points along each edge of the patch's window
+    free_quantile: float = 0.05  # quantile of the posterior's depths down to which space is free
+    free_fraction: float = 0.8  # fraction of that depth that counts as free
+    min_free: float = 0.4e-3  # m, smaller free depths are ignored
+    inside_depth: float = 3e-3  # m behind a contact, where the object is expected to be solid
+    inside_std: float = 2e-3  # m, of the signed distance there
+    view_points: int = 150  # points of the surface in a view
+    view_free_points: int = 300
+    view_free_range: float = 40e-3  # m before the surface within which the free points lie
+    view_observations: float = 15.0  # number of independent observations that a view is worth
+    view_std: float = 1.5e-3  # m, of the points of a view
+    view_margin: float = 3e-3  # m before the seen surface at which space starts to count as free
+    table_margin: float = 2e-3  # m above the table, below which a point is not the object's
+    outline_pixels: int = 3  # width of the filter that keeps free space away from the edge of a surface
+
+
+_CONFIG = EvidenceConfig()
 
 
 class Sweep(NamedTuple):
     """Space that a pad swept on a straight way to a pose."""
 
     T_o_t: Float[np.ndarray, "4 4"]  # pose of the tool at first contact, or where the way through air ended
-    length: float  # m of the way behind that pose
+    length: float  # m, length of the way to that pose
 
     def lower_bound(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
-        """Lower bound of the signed distance of points: their depth in the swept space.
+        """Bound the signed distance of points from below by their depth in the swept space.
 
         Args:
-            points: m.
+            points: Points (m) in the object's frame.
 
         Returns:
-            m; -inf for points that were not swept.
+            `(q,)` lower bounds (m), -inf for points that were not swept.
         """
         x, y, z = ((points - self.T_o_t[:3, 3]) @ self.T_o_t[:3, :3]).T
         half = PAD_WINDOW / 2
@@ -60,41 +75,42 @@ class Sweep(NamedTuple):
 
 
 class SeenThrough(NamedTuple):
-    """Space between a camera and what it saw."""
+    """Space between a camera and the surfaces that it saw."""
 
-    depth: Float[np.ndarray, "h w"]  # m, +inf where nothing was there, NaN where nothing is known
+    depth: Float[np.ndarray, "h w"]  # m, +inf where there is no surface, NaN where the camera measured nothing
     camera: Camera
     T_o_c: Float[np.ndarray, "4 4"]
 
     def lower_bound(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
-        """Lower bound of the signed distance of points: zero before what was seen.
+        """Bound the signed distance of points from below by zero in front of the seen surfaces.
 
         Args:
-            points: m.
+            points: Points (m) in the object's frame.
 
         Returns:
-            m; -inf for points that the camera did not look through.
+            `(q,)` lower bounds (m), -inf for points that the camera did not look through.
         """
         local = (points - self.T_o_c[:3, 3]) @ self.T_o_c[:3, :3]
         before = local[:, 2] > 0
         at = np.rint(distortion.project(self.camera, jnp.asarray(np.where(before[:, None], local, 1.0))))
         inside = before & (at >= 0).all(1) & (at < [self.camera.width, self.camera.height]).all(1)
         column, row = np.where(inside, at.T, 0).astype(int)
-        nearest = minimum_filter(np.nan_to_num(self.depth, nan=0.0, posinf=np.inf), OUTLINE_PIXELS, mode="nearest")
-        return np.where(inside & (local[:, 2] < nearest[row, column] - VIEW_MARGIN_M), 0.0, -np.inf)
+        depth = np.nan_to_num(self.depth, nan=0.0, posinf=np.inf)
+        nearest = minimum_filter(depth, _CONFIG.outline_pixels, mode="nearest")
+        return np.where(inside & (local[:, 2] < nearest[row, column] - _CONFIG.view_margin), 0.0, -np.inf)
 
 
 class SurfaceEvidence(NamedTuple):
     """Evidence of one touch or one view."""
 
-    region: Sweep | SeenThrough  # carved out of the surface exactly
+    region: Sweep | SeenThrough  # free space, which is carved out of the surface exactly
     free: Float[np.ndarray, "f 3"]  # m, points of free space
     free_bound: Float[np.ndarray, " f"]  # m, lower bounds of the signed distance at them
     points: Float[np.ndarray, "n 3"] = np.zeros((0, 3))  # m
     values: Float[np.ndarray, " n"] = np.zeros(0)  # m, signed distances at them
-    std: Float[np.ndarray, " n"] = np.zeros(0)  # m, of the values
-    pad_points: Float[np.ndarray, "s 3"] = np.zeros((0, 3))  # m, of which one lies on the surface; none after air
-    observations: float = 1.0  # independent ones that the points count as
+    std: Float[np.ndarray, " n"] = np.zeros(0)  # m, standard deviations of the values
+    pad_points: Float[np.ndarray, "s 3"] = np.zeros((0, 3))  # m, one lies on the surface; empty without contact
+    observations: float = 1.0  # number of independent observations that the points are worth
 
     @property
     def is_contact(self) -> bool:
@@ -103,94 +119,96 @@ class SurfaceEvidence(NamedTuple):
 
 
 def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: float = STANDOFF) -> SurfaceEvidence:
-    """Evidence of a touch of which nothing is known but the pose of contact.
+    """Build the evidence of a touch from its pose alone.
 
     Args:
         T_o_t: Pose of the tool at first contact, or where the way through air ended.
         hit: Whether there was a contact.
-        swept: m of the straight way behind that pose.
+        swept: Length (m) of the straight way to that pose.
 
     Returns:
-        The evidence: the surface lies somewhere on the pad's square, and what was swept is free.
+        Evidence that the surface lies somewhere on the pad's square and that the swept space is free.
 
     Raises:
-        ValueError: The pose is not rigid and finite, or the way no way.
+        ValueError: The pose is not rigid and finite, or the way is not between 0 and 10 m.
     """
     T_o_t = validation.pose("T_o_t", T_o_t)
-    if not 0 < swept < MAX_SWEPT_M:
-        raise ValueError(f"swept: is {swept}; give a way in metres, above 0 and below {MAX_SWEPT_M:g}")
+    if not 0 < swept < _CONFIG.max_swept:
+        raise ValueError(f"swept: is {swept}; give a way in metres, above 0 and below {_CONFIG.max_swept:g}")
     sweep = Sweep(T_o_t, float(swept))
-    edge = 0.9 * PAD_WINDOW * (np.arange(SWEPT_EDGE) / (SWEPT_EDGE - 1) - 0.5)
-    free = _to_object(T_o_t, _grid(edge, edge, -np.array(SWEPT_DEPTHS_M)))
+    edge = 0.9 * PAD_WINDOW * (np.arange(_CONFIG.swept_edge) / (_CONFIG.swept_edge - 1) - 0.5)
+    free = _to_object(T_o_t, _grid(edge, edge, -np.array(_CONFIG.swept_depths)))
     bound = sweep.lower_bound(free)
     touch = SurfaceEvidence(sweep, free[bound > 0], bound[bound > 0])
-    along = PAD_WINDOW * (np.arange(PAD_EDGE) / (PAD_EDGE - 1) - 0.5)
+    along = PAD_WINDOW * (np.arange(_CONFIG.pad_edge) / (_CONFIG.pad_edge - 1) - 0.5)
     return touch._replace(pad_points=_to_object(T_o_t, _grid(along, along, np.zeros(1)))) if hit else touch
 
 
 def reading_evidence(
     T_o_t: Float[Array, "4 4"], posterior: PatchPosterior, *, swept: float = STANDOFF
 ) -> SurfaceEvidence:
-    """Evidence of a touch whose reading says where in its square the pad met the surface.
+    """Build the evidence of a touch whose reading shows where in its square the pad met the surface.
 
     Args:
         T_o_t: Pose of the tool at first contact.
-        posterior: Of the patch that the pad met, by `infer_patch`.
-        swept: m of the straight way behind that pose.
+        posterior: Posterior of the patch that the pad met, from `infer_patch`.
+        swept: Length (m) of the straight way to that pose.
 
     Returns:
-        The evidence: the centre of pressure lies on the surface, and what nearly all patches leave free is free.
+        Evidence that the centre of pressure lies on the surface and that the space which nearly all patches leave free
+        is free.
 
     Raises:
-        ValueError: The pose is not rigid and finite, or the way no way.
+        ValueError: The pose is not rigid and finite, or the way is not between 0 and 10 m.
     """
     touch = contact_evidence(T_o_t, swept=swept)
     centre = np.append(np.asarray(posterior.centre, float), 0.0)
-    found = with_surface_points(touch, centre[None], np.array([CENTRE_STD_M]))
+    felt = with_surface_points(touch, centre[None], np.array([_CONFIG.centre_std]))
     patches = np.asarray(posterior.patch)
-    place = ((np.arange(PATCH_EDGE) + 0.5) / PATCH_EDGE * patches.shape[-1]).astype(int)
-    return with_free_patch(found, np.quantile(patches[:, place][:, :, place].astype(np.float32), FREE_QUANTILE, axis=0))
+    pixels = ((np.arange(_CONFIG.patch_edge) + 0.5) / _CONFIG.patch_edge * patches.shape[-1]).astype(int)
+    depths = patches[:, pixels][:, :, pixels].astype(np.float32)
+    return with_free_patch(felt, np.quantile(depths, _CONFIG.free_quantile, axis=0))
 
 
 def with_surface_points(
     touch: SurfaceEvidence, local: Float[np.ndarray, "n 3"], std: Float[np.ndarray, " n"]
 ) -> SurfaceEvidence:
-    """A touch with points of the surface that it felt, and one behind the surest of them, where the object is solid.
+    """Add the points of the surface that a touch felt, and a solid point behind the most certain of them.
 
     Args:
-        touch: By `contact_evidence`.
-        local: m, in the frame of the tool.
-        std: m, of their distances to the surface.
+        touch: Evidence of the touch from `contact_evidence`.
+        local: Points (m) of the surface in the tool frame.
+        std: Standard deviations (m) of their distances to the surface.
 
     Returns:
-        The evidence.
+        Evidence of the touch with these points in the object's frame.
     """
     assert isinstance(touch.region, Sweep)
     if not (len(local) and np.isfinite(local).all() and (std > 0).all()):
-        raise ValueError("points of a touch must be finite, one or more, with standard deviations above 0")
-    behind = local[[int(std.argmin())]] + [0, 0, INSIDE_DEPTH_M]
+        raise ValueError("give one or more surface points of a touch, all finite, with standard deviations above 0")
+    behind = local[[int(std.argmin())]] + [0, 0, _CONFIG.inside_depth]
     return touch._replace(
         points=_to_object(touch.region.T_o_t, np.concatenate([local, behind])),
-        values=np.append(np.zeros(len(local)), -INSIDE_DEPTH_M),
-        std=np.append(std, INSIDE_STD_M),
+        values=np.append(np.zeros(len(local)), -_CONFIG.inside_depth),
+        std=np.append(std, _CONFIG.inside_std),
     )
 
 
 def with_free_patch(touch: SurfaceEvidence, depth: Float[np.ndarray, "e e"]) -> SurfaceEvidence:
-    """A touch that leaves the space before its pad free.
+    """Add the space that a touch leaves free in front of its pad.
 
     Args:
-        touch: By `contact_evidence`.
-        depth: m beyond the pad's plane that are free, over the patch's window; row i along tool y. Only a part of it is
-            believed.
+        touch: Evidence of the touch from `contact_evidence`.
+        depth: Free depths (m) beyond the pad's plane over the patch's window; row i along tool y. Only four fifths of
+            each count as free.
 
     Returns:
-        The evidence.
+        Evidence of the touch with these free points.
     """
     assert isinstance(touch.region, Sweep)
     at = ((np.arange(len(depth)) + 0.5) / len(depth) - 0.5) * PATCH_WINDOW
     y, x = np.meshgrid(at, at, indexing="ij")
-    local = np.stack([x, y, FREE_SHARE * depth], -1)[FREE_SHARE * depth > LEAST_FREE_M]
+    local = np.stack([x, y, _CONFIG.free_fraction * depth], -1)[_CONFIG.free_fraction * depth > _CONFIG.min_free]
     free = _to_object(touch.region.T_o_t, local)
     return touch._replace(
         free=np.concatenate([touch.free, free]), free_bound=np.append(touch.free_bound, np.zeros(len(free)))
@@ -205,18 +223,18 @@ def view_evidence(
     table: float = -np.inf,
     box: tuple[Array, Array] | None = None,
 ) -> SurfaceEvidence:
-    """Evidence of a view of the object by a depth camera.
+    """Build the evidence of a depth camera's view of the object.
 
     Args:
-        depth: m along the camera's axis, +inf where nothing was there, NaN or 0 where nothing is known.
-        camera: Its intrinsics.
-        T_o_c: Pose of the camera (z forwards).
-        table: m, height of what the object stands on; what is no more than 2 mm above it is not the object.
-        box: (3,) m each, lowest and highest corner of the box that the object is known to be in; what is seen outside
-            of it is not the object.
+        depth: Depth (m) along the camera's axis, +inf where there is no surface, NaN or 0 where nothing was measured.
+        camera: Intrinsics of the camera.
+        T_o_c: Pose of the camera, whose z points forwards.
+        table: Height (m) of the surface on which the object stands. Points up to 2 mm above it are not the object's.
+        box: Lowest and highest corner, (3,) m each, of the box that holds the object. Points outside of it are not the
+            object's.
 
     Returns:
-        The evidence: points of the surface, and space that the camera looked through.
+        Evidence with points of the surface and the space that the camera looked through.
 
     Raises:
         ValueError: The view shows nothing above the table and in the box, its size is not the camera's, or the
@@ -226,23 +244,23 @@ def view_evidence(
     check_image(depth, camera)
     depth = depth.astype(np.float64)
     rng = np.random.default_rng(0)
-    depth = np.where(measured_mask(depth) | np.isposinf(depth), depth, np.nan)  # infinite: nothing was there
+    depth = np.where(measured_mask(depth) | np.isposinf(depth), depth, np.nan)
     row, column = np.nonzero(np.isfinite(depth))
     pixels = jnp.stack([column, row], -1).astype(jnp.float32)
     points = _to_object(T_o_c, np.asarray(distortion.deproject(camera, pixels, jnp.asarray(depth[row, column]))))
     low, high = (-np.inf, np.inf) if box is None else map(np.asarray, box)
-    of_object = (points[:, 2] > table + TABLE_MARGIN_M) & ((points > low) & (points < high)).all(1)
+    of_object = (points[:, 2] > table + _CONFIG.table_margin) & ((points > low) & (points < high)).all(1)
     points = points[of_object].astype(np.float64)
     if not len(points):
         raise ValueError(
             "the depth image shows nothing above the table and in the box; check its unit, the camera's pose, `table` "
             "and `box`"
         )
-    points = points[rng.permutation(len(points))[:VIEW_POINTS]]
-    # Free space is looked at on the way to the points, most of it near them.
-    ends = points[rng.integers(len(points), size=VIEW_FREE_POINTS)]
+    points = points[rng.permutation(len(points))[: _CONFIG.view_points]]
+    # Free space is sampled on the rays to the points, most densely near them.
+    ends = points[rng.integers(len(points), size=_CONFIG.view_free_points)]
     way = T_o_c[:3, 3] - ends
-    before = VIEW_MARGIN_M + VIEW_FREE_M * rng.uniform(0, 1, (VIEW_FREE_POINTS, 1)) ** 2
+    before = _CONFIG.view_margin + _CONFIG.view_free_range * rng.uniform(0, 1, (_CONFIG.view_free_points, 1)) ** 2
     free = ends + before * way / np.linalg.norm(way, axis=1, keepdims=True)
     return SurfaceEvidence(
         SeenThrough(depth, camera, T_o_c),
@@ -250,8 +268,8 @@ def view_evidence(
         np.zeros(len(free)),
         points,
         np.zeros(len(points)),
-        np.full(len(points), VIEW_STD_M),
-        observations=VIEW_OBSERVATIONS,
+        np.full(len(points), _CONFIG.view_std),
+        observations=_CONFIG.view_observations,
     )
 
 

@@ -1,13 +1,14 @@
-"""Next touch of an unknown object.
+"""Choice of the next touch of an unknown object.
 
-Sites are proposed on the surface as it is estimated now, each with the tool along the estimated normal; those that the
-limits of `i2t.simulation.site_limits` forbid are struck out, judged on the estimate, since nothing else is known. A
-policy chooses among the rest; where nothing is left, nothing is chosen and the caller stops.
+Sites are proposed on the current estimate of the surface, each with the tool along the estimated normal. Sites that the
+limits of `i2t.simulation.site_limits` forbid on the estimated surface are dropped. A policy chooses one of the others;
+if none is left, none is chosen and the caller stops.
 
-  random       any of them
-  uncertainty  the one whose surface is least certain
-  reduction    the one whose measurement is expected to take most off the error of the surface: with cov the posterior
-               covariance and q(x) the density of the surface at x, sum_x q(x) cov(x, c)^2 / (cov(c, c) + noise^2),
+  random       any site
+  uncertainty  the site whose surface is least certain
+  reduction    the site whose measurement is expected to reduce the error of the surface most. With cov the posterior
+               covariance and q(x) the density of the surface at x, the reduction is
+               sum_x q(x) cov(x, c)^2 / (cov(c, c) + noise^2),
                which is exact for a regression whose mean does not move (Krause et al., JMLR 9, 2008)
 """
 
@@ -36,44 +37,42 @@ from i2t.simulation.sites import is_above_table, is_upward
 
 PolicyName = Literal["random", "uncertainty", "reduction"]
 POLICY_NAMES: tuple[PolicyName, ...] = ("random", "uncertainty", "reduction")
-MAX_OVERTRAVEL_M = 0.1
-SITES_AT_A_TIME = 16  # sites whose limits are checked at a time
-# An object held so that the tool reaches it from everywhere: no table, no flange, any direction.
+# Limits for an object that is held so that the tool reaches it from all sides: no table, no flange, any direction.
 AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
 
 @dataclass(frozen=True)
 class ExplorationConfig:
-    """Options of sites and approaches."""
+    """Options for sites and approaches."""
 
     policy: PolicyName = "reduction"
-    limits: SiteLimits = field(default_factory=SiteLimits)  # of what is safe; the paper's collection on a table
-    candidates: int = 48  # sites proposed at a time
-    stride: int = 2  # of the grid on which they are sought
-    overtravel: float = 10e-3  # m beyond a site, before a touch counts as one of air
-    noise: float = 2e-3  # m, of the measurement that is expected
-    probes: int = 400  # points of the surface whose error counts
+    limits: SiteLimits = field(default_factory=SiteLimits)  # limits of safe sites; the paper's collection on a table
+    candidates: int = 48  # number of sites proposed at a time
+    stride: int = 2  # step of the grid on which sites are sought
+    overtravel: float = 10e-3  # m beyond a site at which a touch ends without contact
+    noise: float = 2e-3  # m, standard deviation of the expected measurement
+    probes: int = 400  # number of surface points over which the error is summed
 
     def __post_init__(self) -> None:
         if self.policy not in POLICY_NAMES:
             raise ValueError(f"policy {self.policy!r}: is not known; {did_you_mean(self.policy, POLICY_NAMES)}")
-        if not 0 <= self.overtravel <= MAX_OVERTRAVEL_M:
-            raise ValueError(f"overtravel {self.overtravel!r} m: give 0 to {MAX_OVERTRAVEL_M:g} m")
+        if not 0 <= self.overtravel <= 0.1:
+            raise ValueError(f"overtravel {self.overtravel!r} m: give 0 to 0.1 m")
 
 
 class SiteProposals(NamedTuple):
     """Sites on the estimated surface."""
 
     T_o_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at contact, its z into the object
-    std: Float[np.ndarray, " n"]  # m, of the surface there
+    std: Float[np.ndarray, " n"]  # m, standard deviation of the surface there
     safe: Bool[np.ndarray, " n"]
 
 
 class TouchChoice(NamedTuple):
-    """Next touch, and the sites it was chosen among."""
+    """Next touch, and the sites among which it was chosen."""
 
-    T_o_t: Float[np.ndarray, "4 4"] | None  # None: nothing is safe
-    score: float  # of the policy; NaN where nothing was chosen
+    T_o_t: Float[np.ndarray, "4 4"] | None  # None if no site is safe
+    score: float  # the policy's score of the site; NaN if no site is safe
     proposals: SiteProposals
 
 
@@ -88,14 +87,14 @@ def choose_touch(
     """Choose the next touch.
 
     Args:
-        model: What was known before.
-        state: What the touches say.
-        config: The policy, what is safe, how sites are proposed.
-        seed: The same seed gives the same proposals.
-        estimate: The surface of this state, where it is at hand.
+        model: The prior knowledge of the surface.
+        state: The evidence so far.
+        config: The policy, the limits of safe sites, and the way in which sites are proposed.
+        seed: Seed of the random numbers; the same seed gives the same proposals.
+        estimate: The estimated surface of this state; computed if it is not given.
 
     Returns:
-        The site; none where nothing is safe.
+        Chosen site with its score and all proposals; no site if none is safe.
     """
     config = config or ExplorationConfig()
     rng = np.random.default_rng(seed)
@@ -117,15 +116,15 @@ def choose_touch(
 
 
 def propose_sites(estimate: SurfaceEstimate, rng: np.random.Generator, *, config: ExplorationConfig) -> SiteProposals:
-    """Sites drawn over the estimated surface.
+    """Draw sites over the estimated surface.
 
     Args:
-        estimate: Of the surface.
-        rng: Random numbers.
-        config: How many, and what is safe.
+        estimate: The estimated surface.
+        rng: Random number generator.
+        config: The number of sites and the limits of safe sites.
 
     Returns:
-        Sites, as many as wanted or as the surface has.
+        Sites, `config.candidates` of them or as many as the surface has.
     """
     points, normals, std = surface_points(estimate)
     kept = rng.permutation(len(points))[: config.candidates]
@@ -139,13 +138,13 @@ def propose_sites(estimate: SurfaceEstimate, rng: np.random.Generator, *, config
 def surface_points(
     estimate: SurfaceEstimate,
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Points of the estimated surface, about one for each cell of the grid that it passes.
+    """List points of the estimated surface, about one for each cell of the grid that the surface crosses.
 
     Args:
-        estimate: Of the surface.
+        estimate: The estimated surface.
 
     Returns:
-        Points (m), outward unit normals, and the standard deviation of the surface (m) at each.
+        `(n, 3)` points (m), `(n, 3)` outward unit normals, and `(n,)` standard deviations of the surface (m) there.
     """
     grid = estimate.grid
     field_ = estimate.distance.reshape(grid.shape)
@@ -160,22 +159,23 @@ def surface_points(
 def safe_sites(
     estimate: SurfaceEstimate, T_o_t: Float[np.ndarray, "n 4 4"], *, config: ExplorationConfig
 ) -> Bool[np.ndarray, " n"]:
-    """Sites that the limits allow, as far as the estimate knows: tilt, room for mount and flange above the table to the
-    end of the overtravel, and nothing of the estimated surface above the contact plane in the sensor's square.
+    """Test which sites the limits allow on the estimated surface.
+
+    The limits concern the tilt, the clearance of mount and flange above the table down to the end of the overtravel,
+    and the room above the contact plane in the sensor's square, which the estimated object must leave free.
 
     Args:
-        estimate: Of the surface.
+        estimate: The estimated surface.
         T_o_t: Poses of the tool at the sites.
         config: The limits and the overtravel.
 
     Returns:
-        Whether each is safe; a pose that is not finite is not.
+        `(n,)` True where the site is safe; False for a pose that is not finite.
     """
     limits, finite = config.limits, np.isfinite(T_o_t).all((1, 2))
     T_o_t = np.where(finite[:, None, None], T_o_t, np.eye(4))
-    here = np.resize(T_o_t, (-(-len(T_o_t) // SITES_AT_A_TIME) * SITES_AT_A_TIME, 4, 4)).astype(
-        np.float32
-    )  # few sizes, few compilations
+    batch = 16  # a multiple of it has few sizes, and so few compilations
+    here = np.resize(T_o_t, (-(-len(T_o_t) // batch) * batch, 4, 4)).astype(np.float32)
     deepest = here.copy()
     deepest[:, :3, 3] += np.float32(config.overtravel) * here[:, :3, 2]
     clear = np.asarray(_stand_clear(here, deepest, limits))[: len(T_o_t)]
@@ -186,20 +186,20 @@ def safe_sites(
 def _stand_clear(here: jax.Array, end: jax.Array, limits: SiteLimits) -> jax.Array:
     """Test tilt, mount and flange against the limits at contact and at the end of the overtravel."""
 
-    def one(here: jax.Array, end: jax.Array) -> jax.Array:
+    def stands_clear(here: jax.Array, end: jax.Array) -> jax.Array:
         return is_upward(here, limits) & is_above_table(here, limits) & is_above_table(end, limits)
 
-    return jax.vmap(one)(here, end)
+    return jax.vmap(stands_clear)(here, end)
 
 
 def _unoccluded(estimate: SurfaceEstimate, T_o_t: np.ndarray, limits: SiteLimits) -> np.ndarray:
-    """Test that the estimated object leaves the room above the contact plane free, `max_rise` aside."""
+    """Test that the estimated object leaves the room above the contact plane free from `max_rise` upwards."""
     edge = np.linspace(-limits.half, limits.half, 5)
     x, y, z = (e.ravel() for e in np.meshgrid(edge, edge, -(limits.max_rise + np.linspace(0, 60e-3, 13))))
     local = np.stack([x, y, z], -1)
     places = np.einsum("nij,kj->nki", T_o_t[:, :3, :3], local) + T_o_t[:, None, :3, 3]
-    found = interpolate(estimate.grid, estimate.distance, places.reshape(-1, 3)).reshape(len(T_o_t), -1)
-    return np.asarray((found >= 0).all(-1))  # false of NaN
+    distance = interpolate(estimate.grid, estimate.distance, places.reshape(-1, 3)).reshape(len(T_o_t), -1)
+    return np.asarray((distance >= 0).all(-1))  # False for NaN
 
 
 def expected_reduction(
@@ -211,24 +211,24 @@ def expected_reduction(
     rng: np.random.Generator,
     config: ExplorationConfig,
 ) -> Float[np.ndarray, " n"]:
-    """Expected reduction of the surface's variance by a measurement at each place, summed over where the surface may
-    be.
+    """Compute the expected reduction of the surface's variance by a measurement at each place, summed over the places
+    where the surface may be.
 
     Args:
-        model: What was known before.
-        posterior: By `i2t.reconstruction.surface.regress`.
-        estimate: The surface of the same state.
-        places: m, on the estimated surface.
-        rng: Random numbers, which choose the points that are summed over.
-        config: Noise of the measurement, number of points.
+        model: The prior knowledge of the surface.
+        posterior: Posterior from `i2t.reconstruction.surface.regress`.
+        estimate: The estimated surface of the same state.
+        places: Points (m) on the estimated surface.
+        rng: Random number generator, which draws the points of the sum.
+        config: The noise of the measurement and the number of points.
 
     Returns:
-        m^2, relative to one another.
+        `(n,)` reductions (m^2), up to a common factor.
     """
     std = estimate.std.astype(np.float64)
     density = np.exp(-0.5 * (estimate.distance / std) ** 2) / std
     drawn = rng.choice(len(density), config.probes, p=density / density.sum())
     cov = posterior_covariance(model, posterior, estimate.grid.points()[drawn], places)
     _, std = predict(model, posterior, places)
-    own = std**2 - model.config.band_floor**2  # what a touch can take away
+    own = std**2 - model.config.band_floor**2  # the variance that a touch can reduce
     return (cov**2).sum(0) / (own + config.noise**2)

@@ -1,16 +1,17 @@
-"""A library of patches: surfaces met on many shapes, rendered once, and the press of a nominal pad into each.
+"""A library of patches: local surfaces of many shapes, rendered once, and the press of a nominal pad into each.
 
-Sites are drawn on every shape, safe ones (`i2t.simulation.sites`) or any, and the approach is tilted against the
-surface's normal by an angle between two bounds, about a random axis: how an unknown surface lies is not known either.
-There the flat face meets the shape, its heights are rendered, and a layer of nominal stiffness is pressed onto them
-with each of a few loads. None of this depends on a pad, so that one library serves all of them; what a pad reads at it
-is imagined by `i2t.reconstruction.press_models`.
+Sites are drawn on every shape, either safe sites (`i2t.simulation.sites`) or any sites. The approach is tilted against
+the surface's normal by an angle between two bounds, about a random axis, because the orientation of an unknown surface
+is not known either. The heights of the shape at first contact of the flat face are rendered, and a layer of nominal
+stiffness is pressed onto them with each of a few loads. None of this depends on a pad, so one library serves all pads;
+`i2t.reconstruction.press_models` predicts what a pad reads at its patches.
 
-Metres, newtons, radians; frames as in `i2t.types`.
+Units are metres, newtons and radians; frames as in `i2t.types`.
 """
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -34,22 +35,32 @@ from i2t.skin.contact import CELL_GRID, GRID
 from i2t.skin.pad import nominal_pad
 from i2t.types import Pad, Surface
 
-LIBRARY_LOADS_N = (0.25, 0.8, 2.5, 8.0)  # from below what a 25 uT press takes to the force at which a press ends
-TILT_RANGE_RAD = (math.radians(1.0), math.radians(6.0))
-BATCH = 64
-FEW_FACES = 512  # the size class of shapes of no more faces; larger ones, which would slow them down, have another
-SITE_CANDIDATES = 4  # for each safe site
-SITES = 16  # of a shape at a time, so that any number of them compiles once
+
+@dataclass(frozen=True)
+class LibraryConfig:
+    """Loads and tilts of a library's presses, and the batches in which it is computed."""
+
+    # N, from below the load of a 25 uT press to the force at which a press ends
+    loads: tuple[float, ...] = (0.25, 0.8, 2.5, 8.0)
+    tilt: tuple[float, float] = (math.radians(1.0), math.radians(6.0))  # rad
+    batch_size: int = 64  # patches pressed at a time
+    # Shapes with at most this many faces form a size class, because larger shapes would slow them down.
+    small_faces: int = 512
+    candidates_per_site: int = 4  # for each safe site
+    sites_per_batch: int = 16  # sites of one shape at a time, so that any number of sites compiles once
+
+
+_CONFIG = LibraryConfig()
 
 
 class Contacts(NamedTuple):
-    """First contacts with one shape, and the patches met."""
+    """First contacts with one shape, and the patches there."""
 
     T_o_t: Float[Array, "n 4 4"]  # tool pose at first contact
     patch: Float[Array, "n p p"]  # m beyond the plane of contact, clipped to the reach
     height: Float[Array, "n g g"]  # m, over the cells of `i2t.skin.contact.GRID`, uncut
     coarse: Float[Array, "n h h"]  # m, over cells of 1 mm
-    met: Bool[Array, " n"]  # false where the way met nothing, or too few sites are safe
+    met: Bool[Array, " n"]  # false where the tool met nothing, or where too few sites are safe
 
 
 def build_library(
@@ -57,23 +68,23 @@ def build_library(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    tilt: tuple[float, float] = TILT_RANGE_RAD,
+    tilt: tuple[float, float] = _CONFIG.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> PatchLibrary:
     """Render patches of many shapes and press a nominal layer onto them.
 
     Args:
         key: Random key.
-        surfaces: Of the shapes, each standing in its own frame.
-        count: Patches of the library at most; as many of each shape, but where a shape has too few safe sites.
-        tilt: rad, between these the approach is tilted against the normal.
-        limits: Of safe sites; None takes any point of the surface.
+        surfaces: Surfaces of the shapes, each in its own frame.
+        count: Maximum number of patches. Each shape gives the same number, unless it has too few safe sites.
+        tilt: Smallest and largest angle (rad) of the approach against the normal.
+        limits: Limits of safe sites; None takes any point of the surface.
 
     Returns:
-        The library, on the host.
+        Library on the host.
 
     Raises:
-        ValueError: There is no shape, or none could be touched.
+        ValueError: No shape is given, or no shape can be touched.
     """
     return library_of(*sample_contacts(key, surfaces, count, tilt=tilt, limits=limits))
 
@@ -83,61 +94,61 @@ def sample_contacts(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    tilt: tuple[float, float] = TILT_RANGE_RAD,
+    tilt: tuple[float, float] = _CONFIG.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> tuple[Contacts, np.ndarray]:
-    """Meet many shapes at random sites.
+    """Simulate first contacts with many shapes at random sites.
 
     Args:
         key: Random key.
-        surfaces: Of the shapes.
-        count: Contacts at most.
-        tilt: rad, between these the approach is tilted against the normal.
-        limits: Of safe sites; None takes any point of the surface.
+        surfaces: Surfaces of the shapes, each in its own frame.
+        count: Maximum number of contacts.
+        tilt: Smallest and largest angle (rad) of the approach against the normal.
+        limits: Limits of safe sites; None takes any point of the surface.
 
     Returns:
-        Contacts that met something, on the host, and the index of each one's shape.
+        Contacts that met a surface, on the host, and the index of the shape of each.
 
     Raises:
-        ValueError: There is no shape, or none could be touched.
+        ValueError: No shape is given, or no shape can be touched.
     """
     if not len(surfaces) or count < 1:
         raise ValueError("a library needs at least one shape and one patch; give meshes, and a count above 0")
-    each = -(-count // len(surfaces))
+    per_shape = -(-count // len(surfaces))
     parts, objects = [], []
     for i, surface in enumerate(to_few_sizes(surfaces)):
         key_shape = jax.random.fold_in(key, i)
         rounds = [
             jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, tilt, limits))
-            for start in range(0, each, SITES)
+            for start in range(0, per_shape, _CONFIG.sites_per_batch)
         ]
-        drawn = jax.tree.map(lambda *fields: np.concatenate(fields)[:each], *rounds)
+        drawn = jax.tree.map(lambda *fields: np.concatenate(fields)[:per_shape], *rounds)
         parts.append(jax.tree.map(lambda field, met=drawn.met: field[met], drawn))
         objects.append(np.full(len(parts[-1].met), i, np.int32))
     contacts = jax.tree.map(lambda *fields: np.concatenate(fields), *parts)
     if not len(contacts.met):
         raise ValueError("no shape could be touched; relax the limits of sites, or check the unit of the meshes")
-    # What is too many is left out at random.
+    # Surplus contacts are dropped at random.
     kept = np.sort(np.random.default_rng(0).permutation(len(contacts.met))[:count])
     return jax.tree.map(lambda field: field[kept], contacts), np.concatenate(objects)[kept]
 
 
 def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
-    """The library of contacts that were met: a nominal layer is pressed onto each.
+    """Press a nominal layer onto each of the given contacts.
 
     Args:
-        contacts: As of `sample_contacts`.
-        objects: (n,) index of each one's shape.
+        contacts: Contacts from `sample_contacts`.
+        objects: (n,) index of the shape of each contact.
 
     Returns:
-        The library, on the host.
+        Library on the host.
     """
-    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), LIBRARY_LOADS_N)
+    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), _CONFIG.loads)
     return PatchLibrary(
         patch=np.asarray(contacts.patch, np.float16),
         height=np.asarray(contacts.coarse, np.float32),
         object=np.asarray(objects, np.int32),
-        loads=np.asarray(LIBRARY_LOADS_N, np.float32),
+        loads=np.asarray(_CONFIG.loads, np.float32),
         newtons=newtons_on_cells(pressure, CELL_GRID).reshape(*indentation.shape, -1).astype(np.float16),
         indentation=np.asarray(indentation, np.float32),
         centre=np.asarray(centre_of_pressure(pressure, CELL_GRID), np.float32),
@@ -147,15 +158,15 @@ def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
 def press_batches(
     pad: Pad, heights: Float[np.ndarray, "n g g"], loads: Sequence[float] | Float[np.ndarray, " l"]
 ) -> tuple[Float[np.ndarray, "n l g g"], Float[np.ndarray, "n l"]]:
-    """Press a pad onto many surfaces with each of some loads, in batches of one size: one compilation serves all.
+    """Press a pad onto many surfaces with each of some loads, in batches of one size, so that it compiles once.
 
     Args:
         pad: The skin.
-        heights: m, of the surfaces over cells of 1 mm, beyond the plane of first contact.
-        loads: N.
+        heights: Heights (m) of the surfaces over cells of 1 mm, beyond the plane of first contact.
+        loads: Loads (N).
 
     Returns:
-        Pressures (Pa), and indentations (m) past first contact, on the host.
+        `(n, l, g, g)` pressures (Pa) and `(n, l)` indentations (m) past first contact, on the host.
     """
     heights, shared = np.asarray(heights, np.float32), (pad, np.asarray(loads, np.float32))
     return in_batches(_chains, heights, shared=shared)
@@ -164,36 +175,36 @@ def press_batches(
 def in_batches(
     function: Callable[..., PyTree], *rows: Float[np.ndarray, "n ..."], shared: tuple[PyTree, ...]
 ) -> PyTree:
-    """A compiled function of patches, `BATCH` of them at a time.
+    """Apply a compiled function to patches, 64 of them at a time.
 
     Args:
-        function: Of some rows and what is shared by all; axis 0 of its results counts the rows.
-        rows: Its first arguments.
-        shared: Those that follow.
+        function: Function of some rows and of arguments that all rows share; axis 0 of its results counts the rows.
+        rows: First arguments of the function.
+        shared: Arguments that follow.
 
     Returns:
-        Its results for all rows, on the host.
+        Results of the function for all rows, on the host.
     """
-    batches = filled_batches(np.arange(len(rows[0])), BATCH)
-    parts = spread(function, (tuple(each[some] for each in rows) for some in batches), shared=shared)
+    batches = filled_batches(np.arange(len(rows[0])), _CONFIG.batch_size)
+    parts = spread(function, (tuple(values[batch] for values in rows) for batch in batches), shared=shared)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
 
 
 def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
-    """Bring surfaces to two size classes, and so to two compilations.
+    """Pad surfaces to two size classes, so that only two programs are compiled.
 
     Args:
         surfaces: Prepared surfaces of any sizes.
 
     Returns:
-        The same, those of few faces padded to `FEW_FACES` and those of many alike in size.
+        The same surfaces in order: those with few faces padded to 512, the others to one common size.
     """
-    small = [len(surface.triangles) <= FEW_FACES for surface in surfaces]
+    small = [len(surface.triangles) <= _CONFIG.small_faces for surface in surfaces]
     sized: list[Surface] = list(surfaces)
     for wanted in (True, False):
         group = [i for i, is_small in enumerate(small) if is_small == wanted]
         if group:
-            stacked = stack_surfaces([surfaces[i] for i in group], faces=FEW_FACES)
+            stacked = stack_surfaces([surfaces[i] for i in group], faces=_CONFIG.small_faces)
             for row, i in enumerate(group):
                 sized[i] = jax.tree.map(lambda field, row=row: field[row], stacked)
     return sized
@@ -201,8 +212,8 @@ def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
 
 @jit_quickly
 def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> Contacts:
-    """A few sites of one surface, approached at a tilt."""
-    count = SITES
+    """Meet one surface at a batch of sites, with tilted approaches."""
+    count = _CONFIG.sites_per_batch
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
     if limits is None:
         key_points, key_spin = jax.random.split(key_sites)
@@ -210,7 +221,7 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
         spins = jax.random.uniform(key_spin, (count,), maxval=2 * jnp.pi)
         frames, safe = jax.vmap(contact_frame)(points, normals, spins), jnp.ones(count, bool)
     else:
-        frames, safe = touch_sites.sample_sites(key_sites, surface, count, limits, SITE_CANDIDATES)
+        frames, safe = touch_sites.sample_sites(key_sites, surface, count, limits, _CONFIG.candidates_per_site)
     angle = jax.random.uniform(key_tilt, (count,), minval=tilt[0], maxval=tilt[1])
     about = jax.random.uniform(key_about, (count,), maxval=2 * jnp.pi)
 
@@ -221,13 +232,13 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
         patch, height, coarse = _heights(surface, inverse(T_o_t))
         return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
 
-    contacts = map_batches(lambda each: meet(*each), (frames, angle, about), batch_size=count)
+    contacts = map_batches(lambda site: meet(*site), (frames, angle, about), batch_size=count)
     return contacts._replace(met=contacts.met & safe)
 
 
 def _heights(surface: Surface, T_t_o: Array) -> tuple[Array, Array, Array]:
-    """Heights (m) over the pixels of a patch and the cells of both grids: one compiled renderer draws all three, with
-    lengths along x and y scaled to the patch's pixels.
+    """Render heights (m) over the pixels of a patch and the cells of both grids. One compiled renderer draws all three,
+    with lengths along x and y scaled to the patch's pixels.
     """
     pitch = PATCH_WINDOW / PATCH_PIXELS
     scales = [1.0, pitch / GRID.spacing, pitch / CELL_GRID.spacing]

@@ -1,25 +1,26 @@
-"""Local shape from one press: a posterior over patches of a library.
+"""Local shape from one press: a posterior over the patches of a library.
 
-A library holds patches of many shapes (`i2t.reconstruction.library`), a `PressModel` what one pad would read at each
-of them under a few loads. A press is one or more stops, each with a reading (uT), a force (N) and a travel past first
-contact (m); two stops of one press, at 25 and at 100 uT say, are a press curve. Each patch i of the library is weighted
-by how well it explains all of the press,
+A library holds patches of many shapes (`i2t.reconstruction.library`), and a `PressModel` the readings of one pad at
+each of them under a few loads. A press is one or more stops, each with a reading (uT), a force (N) and a travel past
+first contact (m). Two stops of one press, for example at 25 and at 100 uT, are a press curve. Each patch i of the
+library is weighted by how well it explains the whole press,
 
     y = r_i(F) + (U_i a + e) / sqrt(g),    a ~ N(0, I),    e ~ N(0, D),    g ~ Gamma(k/2, k/2),
 
 where r_i is interpolated at the measured force and the columns of U_i are nuisances that are integrated out: the slant
 of the press along two axes (friction, the same at all its stops), the error of each force, and that of first contact.
-So y is of a multivariate Student's t with k degrees of freedom. With z = D^-1/2 (y - r_i), V = D^-1/2 U_i and
-A = I + V'V,
+Thus y has a multivariate Student's t distribution with k degrees of freedom. With z = D^-1/2 (y - r_i),
+V = D^-1/2 U_i and A = I + V'V,
 
     log w_i = 1 / (T S) [ -1/2 log |A| - (k + m)/2 log(1 + (z'z - z'V A^-1 V'z) / k) ]
 
-with m measured values at S stops, and T a temperature: patches are not the truth, and what a model errs is alike in all
-channels. A share of the prior stays mixed in, so that no touch is certain. Posterior samples are drawn from the weights
-systematically and are alike in weight.
+with m measured values at S stops, and a temperature T, because no patch is exact and the errors of a model are alike in
+all channels. A fraction of the prior stays mixed in, so that no touch gives certainty. Posterior samples are drawn from
+the weights systematically and have equal weights.
 
-Frames and units as in `i2t.types`. A patch is what lies in front of the skin at first contact: metres along tool z
-beyond the plane of first contact, clipped to the reach. Pure functions on one press; compile them at the edge:
+Frames and units as in `i2t.types`. A patch is the surface in front of the skin at first contact: metres along tool z
+beyond the plane of first contact, clipped to the reach. All functions are pure and work on one press; compile them at
+the edge:
 
     infer = jax.jit(infer_patch, static_argnames=("samples",))
     posterior = infer(reading, force, travel, model=model, library=library)
@@ -38,63 +39,60 @@ from i2t import validation
 from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW
 from i2t.skin.contact import CONTACT_NEWTONS
 
-SAMPLES = 256
-SMALLEST_FORCE_N = 0.02  # a noisy wrench sensor says less
-
 
 class PatchLibrary(NamedTuple):
     """Patches of many shapes, and their presses by a pad of nominal stiffness; the same for every pad."""
 
     patch: Float[Any, "n p p"]  # m beyond the plane of first contact, clipped to the reach
     height: Float[Any, "n g g"]  # m, the same over the cells of the pad, uncut (+inf where there is no surface)
-    object: Int[Any, " n"]  # which shape each is from
+    object: Int[Any, " n"]  # index of the shape of each patch
     loads: Float[Any, " l"]  # N, ascending
-    newtons: Float[Any, "n l cells"]  # on each cell of 1 mm, row along tool y
+    newtons: Float[Any, "n l cells"]  # N on each cell of 1 mm, row along tool y
     indentation: Float[Any, "n l"]  # m past first contact, of the nominal layer
     centre: Float[Any, "n l 2"]  # m, centre of pressure (x, y)
 
 
 class PatchLikelihood(NamedTuple):
-    """Errors of a press about the predicted one; near what `experiments.reconstruct patch` chooses on validation
-    objects.
+    """Errors of a press about the predicted one. The values are close to those that `experiments.reconstruct patch`
+    chooses on validation objects.
     """
 
     slant_std: Float[Array, ""] | float = 0.01745  # m/m, of the press's motion along x and y (1 degree)
     force_std: Float[Array, ""] | float = 0.1  # N, of each stop
     travel_std: Float[Array, ""] | float = 0.07e-3  # m, of each stop
     contact_std: Float[Array, ""] | float = 0.1e-3  # m, of first contact, the same at all stops of a press
-    relative_error: Float[Array, ""] | float = 0.1  # of the reading's norm, by which imagined readings err
-    dof: Float[Array, ""] | float = 6.0  # of Student's t
-    temperature: Float[Array, ""] | float = 2.0  # T, times the number of stops, whose errors are alike
-    prior_share: Float[Array, ""] | float = 0.02  # of the prior in the weights
-    blur: Float[Array, ""] | float = 1.0  # pixels, by which probabilities of masks are smoothed
+    relative_error: Float[Array, ""] | float = 0.1  # of the reading's norm, error of predicted readings
+    dof: Float[Array, ""] | float = 6.0  # degrees of freedom of Student's t
+    temperature: Float[Array, ""] | float = 2.0  # T, multiplied by the number of stops, whose errors are alike
+    prior_share: Float[Array, ""] | float = 0.02  # fraction of the prior in the weights
+    blur: Float[Array, ""] | float = 1.0  # pixels, smoothing of the probabilities of masks
 
 
 class PressModel(NamedTuple):
     """Readings of one pad at each patch of a library under each of its loads.
 
-    Readings are turned to the axes in which the sensor's noise is independent; those axes come first in memory, and
-    patches last, as every touch needs all of them.
+    Readings are turned to the axes in which the sensor's noise is independent. Their axis comes first in memory, and
+    that of the patches last, because every touch needs all patches.
     """
 
     loads: Float[Array, " l"]  # N
     reading: Float[Array, "l c n"]  # uT
     sliding: Float[Array, "l 2 c n"]  # uT for a slant of 1 m/m along x and y
-    travel: Float[Array, "l n"]  # m past first contact, with what arm and mount yield
+    travel: Float[Array, "l n"]  # m past first contact, with the compliance of arm and mount
     axes: Float[Array, "c c"]  # turns a reading to those axes: axes @ reading
-    noise: Float[Array, " c"]  # uT^2, variance along each axis
+    noise: Float[Array, " c"]  # uT^2, noise variance along each axis
     likelihood: PatchLikelihood
 
 
 class PatchPosterior(NamedTuple):
-    """Posterior over patches. Samples (k) are alike in weight; `weight` is of every patch of the library."""
+    """Posterior over patches. The k samples have equal weights; `weight` has a value for each patch of the library."""
 
     weight: Float[Array, " n"]  # of the library's patches; sums to 1
     rows: Int[Array, " k"]  # of the samples in the library
     patch: Float[Array, "k p p"]  # m beyond the plane of first contact
     mean: Float[Array, "p p"]  # m
-    mask_probability: Float[Array, "p p"]  # of a surface within 1.5 mm of that plane (the paper's mask)
-    contact_probability: Float[Array, "g g"]  # of pressure on each cell of 1 mm, at the load nearest the last stop's
+    mask_probability: Float[Array, "p p"]  # that the surface is within 1.5 mm of that plane (the paper's mask)
+    contact_probability: Float[Array, "g g"]  # that a cell of 1 mm bears pressure, at the load nearest the last stop's
     centre: Float[Array, "2"]  # m, centre of pressure (x, y) at that load
     centre_covariance: Float[Array, "2 2"]  # m^2
 
@@ -106,24 +104,24 @@ def infer_patch(
     *,
     model: PressModel,
     library: PatchLibrary,
-    samples: int = SAMPLES,
+    samples: int = 256,
 ) -> PatchPosterior:
-    """The posterior over local surfaces after one press.
+    """Infer the posterior over local surfaces from one press.
 
     Args:
-        reading: uT, at the one stop of a press (c,) or at several (s, c), in the board's order and axes; a stop with
-            a value that is not finite, or of unknown force, counts as not made.
-        force: N, at each.
-        travel: m past first contact, at each; NaN where it was not measured.
-        model: What the pad reads at the library's patches.
+        reading: Readings (uT) at the one stop of a press, (c,), or at several, (s, c), in the board's order and axes.
+            A stop with a non-finite reading or force is ignored.
+        force: Force (N) at each stop.
+        travel: Travel (m) past first contact at each stop; NaN if it was not measured.
+        model: Readings of the pad at the library's patches.
         library: The patches.
-        samples: How many are drawn; static.
+        samples: Number of posterior samples; static.
 
     Returns:
-        The posterior.
+        Posterior over the library's patches, with its samples, means and probabilities.
 
     Raises:
-        ValueError: A force is more than a skin bears.
+        ValueError: A force is larger than a skin withstands.
 
     Example:
         infer = jax.jit(infer_patch, static_argnames=("samples",))
@@ -135,71 +133,71 @@ def infer_patch(
         validation.forces("force", forces[np.isfinite(forces)], measured=True)
     reading = jnp.atleast_2d(jnp.asarray(reading))
     force = jnp.atleast_1d(jnp.asarray(force, reading.dtype))
-    made = jnp.all(jnp.isfinite(reading), axis=1) & jnp.isfinite(force)
-    reading = jnp.where(made[:, None], reading, jnp.nan)
-    force = jnp.maximum(jnp.where(made, force, 0.0), SMALLEST_FORCE_N)
+    valid = jnp.all(jnp.isfinite(reading), axis=1) & jnp.isfinite(force)
+    reading = jnp.where(valid[:, None], reading, jnp.nan)
+    force = jnp.maximum(jnp.where(valid, force, 0.0), 0.02)  # N, about the noise of a wrench sensor
     travel = jnp.broadcast_to(jnp.asarray(travel, reading.dtype), force.shape)
-    last = force[jnp.max(jnp.where(made, jnp.arange(len(force)), 0))]
-    if len(reading) == 1:  # a loop of one step is none to the compiler, see `log_likelihood`
+    last = force[jnp.max(jnp.where(valid, jnp.arange(len(force)), 0))]
+    if len(reading) == 1:  # the compiler removes a loop of one step, see `log_likelihood`
         reading = jnp.concatenate([reading, jnp.full_like(reading, jnp.nan)])
         force, travel = jnp.tile(force, 2), jnp.tile(travel, 2)
-    judged = log_likelihood(reading, force, travel, model=model)
-    weight = posterior_weights(judged, model.likelihood, jnp.sum(made))
+    log_weight = log_likelihood(reading, force, travel, model=model)
+    weight = posterior_weights(log_weight, model.likelihood, jnp.sum(valid))
     return summarize(weight, last, library=library, blur=model.likelihood.blur, samples=samples)
 
 
 def log_likelihood(
     reading: Float[Array, "s c"], force: Float[Array, " s"], travel: Float[Array, " s"], *, model: PressModel
 ) -> Float[Array, " n"]:
-    """Log likelihood of a press under each patch of the library, up to a constant.
+    """Compute the log likelihood of a press under each patch of the library, up to a constant.
 
     Args:
-        reading: uT, at each stop; one with a NaN counts as not made.
-        force: N, at each, above 0.
-        travel: m past first contact; NaN where it was not measured.
-        model: What the pad reads at the library's patches.
+        reading: Reading (uT) at each stop; a stop with a NaN is ignored.
+        force: Force (N) at each stop, above 0.
+        travel: Travel (m) past first contact at each stop; NaN if it was not measured.
+        model: Readings of the pad at the library's patches.
 
     Returns:
-        Logarithms of the likelihood, neither tempered nor normalised.
+        `(n,)` logarithms of the likelihood, neither tempered nor normalised.
     """
-    what = model.likelihood
-    made = jnp.all(jnp.isfinite(reading), axis=1)
-    turned = jnp.where(made[:, None], reading, 0) @ model.axes.T
+    errors = model.likelihood
+    valid = jnp.all(jnp.isfinite(reading), axis=1)
+    turned = jnp.where(valid[:, None], reading, 0) @ model.axes.T
 
     def compare(stop: tuple[Array, Array, Array, Array]) -> _Differences:
-        reading, force, travel, made = stop
-        error = what.relative_error**2 * jnp.mean(reading**2)
-        scale = made / jnp.sqrt(model.noise + error)[:, None]
+        reading, force, travel, valid = stop
+        error = errors.relative_error**2 * jnp.mean(reading**2)
+        scale = valid / jnp.sqrt(model.noise + error)[:, None]
         at, slope = _at_force(model.reading, model.loads, force)
-        known = (made & jnp.isfinite(travel)) / what.travel_std
+        travel_scale = (valid & jnp.isfinite(travel)) / errors.travel_std
         travelled, travel_slope = _at_force(model.travel, model.loads, force, proportional=False)
         return _Differences(
             reading=scale * (reading[:, None] - at),
-            travel=known * (jnp.where(known > 0, travel, 0) - travelled),
-            sliding=what.slant_std * scale[None] * _at_force(model.sliding, model.loads, force)[0],
-            by_force=what.force_std * scale * slope,
-            travel_by_force=known * what.force_std * travel_slope,
-            contact=known * what.contact_std,
+            travel=travel_scale * (jnp.where(travel_scale > 0, travel, 0) - travelled),
+            sliding=errors.slant_std * scale[None] * _at_force(model.sliding, model.loads, force)[0],
+            by_force=errors.force_std * scale * slope,
+            travel_by_force=travel_scale * errors.force_std * travel_slope,
+            contact=travel_scale * errors.contact_std,
         )
 
-    # One stop after the other: fused with what follows, each sum there would interpolate again.
-    distance, log_det = _marginal(jax.lax.map(compare, (turned, force, travel, made)))
-    measured = jnp.sum(made * (reading.shape[1] + jnp.isfinite(travel)))
-    return -0.5 * log_det - 0.5 * (what.dof + measured) * jnp.log1p(distance / what.dof)
+    # One stop after the other: fused with the code below, each sum there would interpolate again.
+    distance, log_det = _marginal(jax.lax.map(compare, (turned, force, travel, valid)))
+    measured = jnp.sum(valid * (reading.shape[1] + jnp.isfinite(travel)))
+    return -0.5 * log_det - 0.5 * (errors.dof + measured) * jnp.log1p(distance / errors.dof)
 
 
 def posterior_weights(
     log_likelihood: Float[Array, " n"], likelihood: PatchLikelihood, stops: Int[Array, ""] | int = 1
 ) -> Float[Array, " n"]:
-    """Weights of the library's patches, tempered, with a share of the prior.
+    """Turn log likelihoods into weights of the library's patches, tempered and mixed with the prior.
 
     Args:
-        log_likelihood: Of each.
-        likelihood: Says temperature and share.
+        log_likelihood: Log likelihood of each patch.
+        likelihood: The temperature and the fraction of the prior.
         stops: Number of stops of the press.
 
     Returns:
-        Weights that sum to 1.
+        `(n,)` weights that sum to 1.
     """
     weight = jax.nn.softmax(log_likelihood / (likelihood.temperature * jnp.maximum(stops, 1)))
     return (1 - likelihood.prior_share) * weight + likelihood.prior_share / len(weight)
@@ -211,19 +209,19 @@ def summarize(
     *,
     library: PatchLibrary,
     blur: Float[Array, ""] | float = 0.0,
-    samples: int = SAMPLES,
+    samples: int = 256,
 ) -> PatchPosterior:
-    """Posterior of the surface by weights of the patches.
+    """Summarise the surfaces of weighted patches.
 
     Args:
-        weight: Of the patches; sums to 1.
-        force: N, of the last stop, to whose load contacts belong.
+        weight: Weights of the patches, which sum to 1.
+        force: Force (N) of the last stop, which selects the load of the contacts.
         library: The patches.
-        blur: Pixels, by which probabilities of masks are smoothed.
-        samples: How many are drawn; static.
+        blur: Smoothing (pixels) of the probabilities of masks.
+        samples: Number of posterior samples; static.
 
     Returns:
-        The posterior.
+        Posterior over the library's patches, with its samples, means and probabilities.
     """
     library = jax.tree.map(jnp.asarray, library)
     rows = systematic_samples(weight, samples)
@@ -249,15 +247,15 @@ def summarize(
 
 
 def systematic_samples(weight: Float[Array, " n"], samples: int) -> Int[Array, " k"]:
-    """Indices drawn in proportion to weights, as evenly as can be (Kitagawa, J. Comput. Graph. Stat. 5, 1996), without
-    chance.
+    """Draw indices in proportion to weights, as evenly as possible and without random numbers (Kitagawa, J. Comput.
+    Graph. Stat. 5, 1996).
 
     Args:
-        weight: Sums to 1.
-        samples: How many; static.
+        weight: Weights that sum to 1.
+        samples: Number of indices; static.
 
     Returns:
-        Ascending indices; where a weight is large, the same one often.
+        `(k,)` ascending indices, with repetitions where a weight is large.
     """
     total = jnp.cumsum(weight)
     wanted = (jnp.arange(samples) + 0.5) / samples * total[-1]
@@ -278,8 +276,10 @@ class _Differences(NamedTuple):
 def _at_force(
     curves: Array, loads: Array, force: Array, *, proportional: bool = True
 ) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Curves over loads (l, ...) at a force, and their derivative by it: linear in the logarithm of the load,
-    proportional ones as values per newton; at most one step beyond the outer loads.
+    """Interpolate curves over loads (l, ...) at a force, with their derivative by the force.
+
+    The interpolation is linear in the logarithm of the load, for proportional curves of their values per newton, and
+    extrapolates by at most one step beyond the outer loads.
     """
     knots = jnp.log(loads)
     low = jnp.clip(jnp.searchsorted(knots, jnp.log(force)) - 1, 0, len(loads) - 2)
@@ -294,10 +294,12 @@ def _at_force(
 
 
 def _marginal(press: _Differences) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
-    """z'z - z'V A^-1 V'z and log |A| of every patch, by a Cholesky factorisation written out over the few nuisances."""
+    """Compute z'z - z'V A^-1 V'z and log |A| of every patch, by a Cholesky factorisation that is written out over the
+    few nuisances.
+    """
     stops = range(len(press.contact))
     # Nuisances in order: slant along x and y, the force of each stop, first contact. The slant and first contact are
-    # the same at all stops, and a force's error is that of its own stop.
+    # shared by all stops, and the error of a force belongs to its own stop.
     count = 3 + len(stops)
     gram: list[list[Array | float]] = [[0.0] * count for _ in range(count)]
     along: list[Array] = []
@@ -318,14 +320,14 @@ def _marginal(press: _Differences) -> tuple[Float[Array, " n"], Float[Array, " n
 
 
 def _dot(a: Float[Array, "m n"], b: Float[Array, "m n"]) -> Float[Array, " n"]:
-    """Sum of products over the first axis, written out: a CPU takes a chain of sums of long rows several times faster
-    than a reduction across them.
+    """Sum products over the first axis, written out: a CPU adds a chain of long rows several times faster than it
+    reduces across them.
     """
     return reduce(add, (a[k] * b[k] for k in range(len(a))))
 
 
 def _eliminate(gram: list[list[Array | float]], along: list[Array]) -> tuple[Array, Array]:
-    """b' (I + G)^-1 b and log |I + G| for a symmetric G whose lower triangle is given entry by entry."""
+    """Compute b' (I + G)^-1 b and log |I + G| for a symmetric G, given by the entries of its lower triangle."""
     factor: list[list[Array]] = []
     solved: list[Array] = []
     nothing = explained = log_det = jnp.zeros(())
@@ -333,7 +335,7 @@ def _eliminate(gram: list[list[Array | float]], along: list[Array]) -> tuple[Arr
         row: list[Array] = []
         for j in range(i):
             row.append((gram[i][j] - sum((row[k] * factor[j][k] for k in range(j)), nothing)) / factor[j][j])
-        pivot = jnp.sqrt(1 + gram[i][i] - sum((each * each for each in row), nothing))
+        pivot = jnp.sqrt(1 + gram[i][i] - sum((entry * entry for entry in row), nothing))
         solved.append((along[i] - sum((row[k] * solved[k] for k in range(i)), nothing)) / pivot)
         factor.append([*row, pivot])
         explained, log_det = explained + solved[-1] ** 2, log_det + 2 * jnp.log(pivot)
@@ -341,7 +343,7 @@ def _eliminate(gram: list[list[Array | float]], along: list[Array]) -> tuple[Arr
 
 
 def _blurred(image: Float[Array, "m m"], std: Float[Array, ""] | float) -> Float[Array, "m m"]:
-    """Smooth by a Gaussian of a standard deviation in pixels, the outermost ones continued."""
+    """Smooth an image by a Gaussian with a standard deviation in pixels, continuing the outermost pixels."""
     at = np.arange(image.shape[0])
     distance = (at[:, None] - at[None, :]) ** 2
     kernel = jnp.exp(-0.5 * distance / jnp.maximum(std, 1e-3) ** 2)

@@ -1,13 +1,16 @@
-"""Readings of one pad at every patch of a library, by its physics.
+"""Readings of one pad at every patch of a library, computed from the pad's physics.
 
-The pad's own layer is pressed onto each patch with each of the library's loads, friction follows the path of the press
-(`i2t.skin.friction`), and the field of the moved magnets is what chips read.
-Friction without any slide belongs to that: it is a third of a reading. What a slant of the press adds is taken as
-linear in it, and differs little between patches of one pressure: it is computed for a few hundred patches, and a ridge
-regression on the pressures gives it for all (`SLIDING_PATCHES`; nine tenths of its variance).
+The pad's layer is pressed onto each patch with each of the library's loads, friction follows the path of the press
+(`i2t.skin.friction`), and the chips read the field of the displaced magnets. Friction contributes a third of a reading
+even when the press does not slide.
+The effect of a slanted press is taken as linear in the slant. It differs little between patches with the same pressure,
+so it is computed for a few hundred patches, and a ridge regression on the pressures gives it for all patches, with nine
+tenths of its variance.
 
-Metres, newtons, microtesla.
+Units are metres, newtons and microtesla.
 """
+
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -25,24 +28,30 @@ from i2t.skin.friction import Shear, rest, shear
 from i2t.skin.noise import Noise
 from i2t.types import Board, Pad
 
-LOOSE_FRICTION = 3e-2  # of the largest displacement: 1 % of a reading
-FRICTION_STEPS = 15
-SLIDING_PATCHES = 256
-SLIDING_SLANT = 0.0175  # m/m, at which the effect of a slant is computed: a degree
-SLANTS = SLIDING_SLANT * np.eye(2, dtype=np.float32)  # along x, along y
-NO_SLANT = np.zeros(2, np.float32)
-SLIDING_RIDGE = 0.1  # of the mean square of the pressures
+
+@dataclass(frozen=True)
+class FrictionConfig:
+    """Accuracy of the friction, and of the effect of a slanted press."""
+
+    tolerance: float = 3e-2  # of the largest displacement, for 1 % of a reading
+    max_steps: int = 15
+    slant_patches: int = 256  # patches at which the effect of a slant is computed
+    slant: float = 0.0175  # m/m, the slant at which its effect is computed: a degree
+    slant_ridge: float = 0.1  # penalty of the regression, relative to the mean square of the pressures
+
+
+_FRICTION = FrictionConfig()
 
 
 def imagine_presses(pad: Pad, library: PatchLibrary) -> PressModel:
-    """Readings of a pad of known physics at a library's patches: simulated, nominal, or fitted to its presses.
+    """Predict the readings of a pad of given physics (simulated, nominal or fitted) at a library's patches.
 
     Args:
         pad: The skin.
         library: The patches.
 
     Returns:
-        The model, on the default device.
+        Readings of the pad at each patch under each load, on the default device.
 
     Example:
         model = imagine_presses(i2t.nominal_pad(), library)
@@ -50,10 +59,11 @@ def imagine_presses(pad: Pad, library: PatchLibrary) -> PressModel:
     loads = np.asarray(library.loads, np.float32)
     pressure, indentation = press_batches(pad, np.asarray(library.height), loads)
     newtons = newtons_on_cells(pressure, CELL_GRID).reshape(*indentation.shape, -1)
-    rows = np.random.default_rng(0).permutation(len(newtons))[:SLIDING_PATCHES]
-    reading = in_batches(_read, pressure, indentation, shared=(pad, NO_SLANT))
-    slanted = [in_batches(_read, pressure[rows], indentation[rows], shared=(pad, slant)) for slant in SLANTS]
-    by_slant = (np.stack(slanted, 2) - reading[rows][:, :, None]) / SLIDING_SLANT / loads[None, :, None, None]
+    rows = np.random.default_rng(0).permutation(len(newtons))[: _FRICTION.slant_patches]
+    reading = in_batches(_read, pressure, indentation, shared=(pad, np.zeros(2, np.float32)))
+    slants = _FRICTION.slant * np.eye(2, dtype=np.float32)  # along x, along y
+    slanted = [in_batches(_read, pressure[rows], indentation[rows], shared=(pad, slant)) for slant in slants]
+    by_slant = (np.stack(slanted, 2) - reading[rows][:, :, None]) / _FRICTION.slant / loads[None, :, None, None]
     sliding = _ridge(newtons[rows] / loads[None, :, None], by_slant, newtons)
     variance, vectors = np.linalg.eigh(noise_covariance(pad.board, Noise()))
     axes = np.asarray(vectors.T, np.float32)
@@ -69,52 +79,55 @@ def imagine_presses(pad: Pad, library: PatchLibrary) -> PressModel:
 
 
 def noise_covariance(board: Board, noise: Noise) -> Float[np.ndarray, "c c"]:
-    """Covariance of a recorded reading about that of an ideal sensor (`i2t.skin.noise.add_sensor_noise`).
+    """Compute the covariance of a recorded reading about that of an ideal sensor (`i2t.skin.noise.add_sensor_noise`).
 
     Args:
-        board: Whose chips read it.
+        board: The board whose chips give the reading.
         noise: Sizes of the errors.
 
     Returns:
-        uT^2.
+        `(c, c)` covariance (uT^2).
     """
     bursts = 1 / noise.contact_samples + 1 / noise.ambient_samples
     own = noise.sigma(board.num_chips) ** 2 * (1 - noise.common) * bursts + noise.steps(board.num_chips) ** 2 / 12
-    each_axis = np.diag([noise.xy, noise.xy, noise.z]) * np.sqrt(2 * noise.common)  # in contact, and before it
-    seen = np.stack([np.asarray(board.to_board(jnp.tile(axis, (board.num_chips, 1)))) for axis in each_axis], -1)
-    return np.diag(own) + seen @ seen.T
+    axis_std = np.diag([noise.xy, noise.xy, noise.z]) * np.sqrt(2 * noise.common)  # in contact, and before it
+    shared = np.stack([np.asarray(board.to_board(jnp.tile(axis, (board.num_chips, 1)))) for axis in axis_std], -1)
+    return np.diag(own) + shared @ shared.T
 
 
 @jit_quickly
 def _read(pressure: Array, indentation: Array, pad: Pad, slant: Array) -> Array:
-    """Readings (n, l, c) of pressures (n, l, g, g), pressed in turn with a slant of the press."""
+    """Compute readings (n, l, c) of pressures (n, l, g, g), which a slanted press applies in turn."""
 
-    def one(pressure: Array, indentation: Array) -> Array:
+    def read_press(pressure: Array, indentation: Array) -> Array:
         way = jnp.diff(indentation - indentation[0], prepend=-indentation[:1])
         traction = _friction(pad, pressure, way[:, None] * slant[None])
-        return jax.lax.map(lambda each: response(pad, each[0], CELL_GRID, traction=each[1]), (pressure, traction))
+        return jax.lax.map(lambda load: response(pad, load[0], CELL_GRID, traction=load[1]), (pressure, traction))
 
-    return jax.vmap(one)(pressure, indentation)
+    return jax.vmap(read_press)(pressure, indentation)
 
 
 def _friction(pad: Pad, pressure: Array, slide: Array) -> Array:
-    """Tractions (l, 2, g, g) along the path of a press, by how far the surface slides between loads (m)."""
+    """Compute tractions (l, 2, g, g) along the path of a press, whose surface slides by `slide` (m) between loads."""
 
     def follow(state: Shear, step: tuple[Array, Array]) -> tuple[Shear, Array]:
         pressure, slide = step
-        state = shear(pad, pressure, slide, CELL_GRID, before=state, tolerance=LOOSE_FRICTION, max_steps=FRICTION_STEPS)
+        tolerance, max_steps = _FRICTION.tolerance, _FRICTION.max_steps
+        state = shear(pad, pressure, slide, CELL_GRID, before=state, tolerance=tolerance, max_steps=max_steps)
         return state, state.traction
 
     return jax.lax.scan(follow, rest(pad, jnp.zeros_like(pressure[0]), CELL_GRID), (pressure, slide))[1]
 
 
-def _ridge(seen: np.ndarray, target: np.ndarray, all_of: np.ndarray) -> np.ndarray:
-    """A linear map from pressures (n, l, cells) to targets (n, l, 2, c), one for each load, applied to all."""
+def _ridge(inputs: np.ndarray, targets: np.ndarray, all_inputs: np.ndarray) -> np.ndarray:
+    """Fit linear maps from pressures (n, l, cells) to targets (n, l, 2, c), one for each load, and apply them to all
+    pressures.
+    """
 
-    def one(x: np.ndarray, y: np.ndarray, new: np.ndarray) -> np.ndarray:
+    def fit_load(x: np.ndarray, y: np.ndarray, new: np.ndarray) -> np.ndarray:
         gram = x @ x.T
-        system = gram + SLIDING_RIDGE * np.trace(gram) * np.eye(len(x), dtype=x.dtype) / len(x)
+        system = gram + _FRICTION.slant_ridge * np.trace(gram) * np.eye(len(x), dtype=x.dtype) / len(x)
         return (new @ x.T) @ np.linalg.solve(system, y.reshape(len(x), -1))
 
-    by_load = [one(seen[:, i], target[:, i], all_of[:, i]) for i in range(seen.shape[1])]
-    return np.stack(by_load, 1).reshape(*all_of.shape[:2], *target.shape[2:])
+    by_load = [fit_load(inputs[:, i], targets[:, i], all_inputs[:, i]) for i in range(inputs.shape[1])]
+    return np.stack(by_load, 1).reshape(*all_inputs.shape[:2], *targets.shape[2:])

@@ -1,9 +1,9 @@
 """A library of shapes: their signed distances on one grid, standing on any side, turned and mirrored about z.
 
-Each shape is held once for each side on which it may stand, its box centred on the z axis and its lowest point at
-z = 0, or its box about the origin where objects are held. The eight turns and mirrors of the square about z are not
-held: with R such a turn, the turned shape is f(R x), so the points are turned in place of the shapes, and the values of
-all shapes at one point lie side by side.
+Each shape is stored once for each side on which it may stand, with its box centred on the z axis and its lowest point
+at z = 0, or with its box about the origin for objects that are held. The eight turns and mirrors of the square about z
+are not stored: for such a turn R, the turned shape is f(R x), so the points are turned instead of the shapes, and the
+values of all shapes at one point lie next to each other.
 """
 
 from collections.abc import Sequence
@@ -16,24 +16,23 @@ from jaxtyping import Float, Int, Int8
 from i2t.objects.solids import Mesh, centre_box
 from i2t.reconstruction.signed_distances import VoxelGrid, grid_around, signed_distance_grid
 
-STEP_M = 0.25e-3  # of the distances that are held
-FARTHEST = 127  # steps; what is farther away is held as this
+STEP_M = 0.25e-3  # resolution of the stored distances
 
 # The turns of a square about z, and their mirror images.
-TURNS = np.zeros((8, 3, 3), int)
-TURNS[:, :2, :2] = [np.diag(signs)[list(order)] for order in ((0, 1), (1, 0)) for signs in product((1, -1), repeat=2)]
-TURNS[:, 2, 2] = 1
-# Which axis is up, and which of its ends: what is left of the 48 turns and mirrors of a cube.
+TURNS = np.stack(
+    [np.diag((*signs, 1))[[*order, 2]] for order in ((0, 1), (1, 0)) for signs in product((1, -1), repeat=2)]
+)
+# The choice of the axis that points up, and of its end. The product with `TURNS` is the 48 turns and mirrors of a cube.
 STANCES = np.stack(
     [np.roll(np.eye(3, dtype=int), axis, axis=1) * (1, 1, sign) for axis in range(3) for sign in (1, -1)]
 )
 
 
 class ShapeLibrary(NamedTuple):
-    """Signed distances of k shapes; with their turns, there are 8 k shapes, turn after turn."""
+    """Signed distances of k shapes. With their turns there are 8 k shapes, ordered by turn."""
 
     grid: VoxelGrid
-    steps: Int8[np.ndarray, "g k"]  # of `STEP_M`
+    steps: Int8[np.ndarray, "g k"]  # signed distances in units of `STEP_M`, clipped to 127
 
     @property
     def size(self) -> int:
@@ -41,34 +40,34 @@ class ShapeLibrary(NamedTuple):
         return len(TURNS) * self.steps.shape[1]
 
     def near(self, points: Float[np.ndarray, "n 3"], turn: int) -> Float[np.ndarray, "n k"]:
-        """Distances of all shapes in one turn.
+        """Look up the signed distances of all shapes in one turn.
 
         Args:
-            points: m; those outside the grid are moved to its nearest face.
-            turn: Number of the turn.
+            points: Points (m); those outside the grid are moved to its nearest face.
+            turn: Index of the turn in `TURNS`.
 
         Returns:
-            m, those of the nearest points of the grid.
+            `(n, k)` signed distances (m) at the nearest grid points.
         """
         last = np.array(self.grid.shape) - 1
-        place = np.clip(np.rint((points @ TURNS[turn].T - self.grid.low) / self.grid.spacing), 0, last).astype(int)
-        return self.steps[np.ravel_multi_index(tuple(place.T), self.grid.shape)] * np.float32(STEP_M)
+        index = np.clip(np.rint((points @ TURNS[turn].T - self.grid.low) / self.grid.spacing), 0, last).astype(int)
+        return self.steps[np.ravel_multi_index(tuple(index.T), self.grid.shape)] * np.float32(STEP_M)
 
     def fields(self, shapes: Int[np.ndarray, " m"]) -> Float[np.ndarray, "g m"]:
-        """Distances of some shapes at all points of the grid.
+        """Look up the signed distances of some shapes at all points of the grid.
 
         Args:
-            shapes: Their numbers, turns included.
+            shapes: Indices of the shapes, turns included.
 
         Returns:
-            m.
+            `(g, m)` signed distances (m).
         """
         turns, columns = np.divmod(shapes, max(self.steps.shape[1], 1))
-        found = np.empty((len(self.steps), len(shapes)), np.float32)
+        distances = np.empty((len(self.steps), len(shapes)), np.float32)
         for i, (turn, steps) in enumerate(zip(turns, self.steps.T[columns], strict=True)):
-            found[:, i] = _turned(steps.reshape(self.grid.shape), TURNS[turn]).ravel()
-        found *= np.float32(STEP_M)
-        return found
+            distances[:, i] = _turned(steps.reshape(self.grid.shape), TURNS[turn]).ravel()
+        distances *= np.float32(STEP_M)
+        return distances
 
 
 def shape_library(
@@ -80,26 +79,26 @@ def shape_library(
     high: np.ndarray,
     on_table: bool = True,
 ) -> ShapeLibrary:
-    """Signed distances of shapes on a grid that holds them in every stance.
+    """Compute the signed distances of shapes on a grid that holds them in every stance.
 
     Args:
-        meshes: Closed meshes in metres; bodies may overlap.
-        across: Points of the grid along x, and along y.
-        margin: m, of the grid around the shapes.
-        low: (3,) m, lowest corner of what the grid must hold besides.
-        high: (3,) m, its highest corner.
-        on_table: Whether shapes stand on z = 0, their box about the z axis; if not, it is about the origin.
+        meshes: Closed meshes in metres, whose bodies may overlap.
+        across: Number of grid points along x, and along y.
+        margin: Margin (m) of the grid around the shapes.
+        low: (3,) lowest corner (m) of a box that the grid must hold as well.
+        high: (3,) highest corner (m) of that box.
+        on_table: Whether shapes stand on z = 0 with their box about the z axis. Otherwise the box is about the origin.
 
     Returns:
-        The library.
+        Library of all shapes in six stances.
     """
     sizes = np.array([np.ptp(mesh.vertices, axis=0) for mesh in meshes]).reshape(-1, 3)
-    stood = np.abs(STANCES).transpose(0, 2, 1) @ sizes.T  # (stances, 3, meshes) m, of the box of each
+    stood = np.abs(STANCES).transpose(0, 2, 1) @ sizes.T  # (stances, 3, meshes) m, size of the box of each
     half = stood.max((0, 2)) / 2 if len(meshes) else np.zeros(3)
     up = np.array([0, 0, half[2] if on_table else 0.0])
     grid = grid_around(np.minimum(low, up - half), np.maximum(high, up + half), across=across, margin=margin)
     steps = np.empty((int(np.prod(grid.shape)), len(meshes), len(STANCES)), np.int8)
-    # About the origin, so that turns map it to itself.
+    # This grid is about the origin, so that turns map it to itself.
     cube = VoxelGrid((grid.low[0],) * 3, grid.spacing, (across,) * 3)
     levels = grid.low[2] + grid.spacing * np.arange(grid.shape[2])
     for i, mesh in enumerate(meshes):
@@ -107,19 +106,19 @@ def shape_library(
         for j, stance in enumerate(STANCES):
             lift = stood[j, 2, i] / 2 if on_table else 0.0
             stands = _at_heights(_turned(field, stance), (levels - lift - cube.low[2]) / grid.spacing, grid.spacing)
-            steps[:, i, j] = np.clip(np.rint(stands.ravel() / STEP_M), -FARTHEST, FARTHEST)
+            steps[:, i, j] = np.clip(np.rint(stands.ravel() / STEP_M), -127, 127)  # the range of int8
     return ShapeLibrary(grid, steps.reshape(len(steps), -1))
 
 
 def _turned(field: np.ndarray, turn: Int[np.ndarray, "3 3"]) -> np.ndarray:
-    """The field f(R x) of a field f on a grid that R maps to itself."""
-    # The row of R that picks an axis says where that axis of the field comes from, and which way round.
+    """Turn a field f on a grid that R maps to itself, to the field f(R x)."""
+    # The row of R that picks an axis gives the source of that axis of the field, and its direction.
     flipped = np.flip(field, tuple(axis for axis in range(3) if turn[axis].sum() < 0))
     return flipped.transpose(np.argsort(np.abs(turn).argmax(1)))
 
 
 def _at_heights(field: np.ndarray, places: np.ndarray, spacing: float) -> np.ndarray:
-    """Interpolate a field along z at places (points of its grid); beyond its ends it grows by the way from there."""
+    """Interpolate a field along z at grid coordinates. Beyond its ends it grows by the distance from there."""
     inner = np.clip(places, 0, field.shape[2] - 1)
     base = np.minimum(inner.astype(int), field.shape[2] - 2)
     part = inner - base

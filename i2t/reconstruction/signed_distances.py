@@ -1,10 +1,10 @@
 """Signed distance of a mesh on a grid, and the mesh of a signed distance.
 
-A signed distance is negative inside a solid and positive outside, in metres. Its sign is the winding number along a
-line through each column of the grid, so bodies may overlap; its size is the exact distance to the nearest of a few
-triangles near the surface, and the distance to a dense sample of the surface farther away. The way back is marching
-cubes (Lewiner et al., Journal of Graphics Tools 8, 2003) as scikit-image has it, which is the optional extra
-`reconstruct`.
+A signed distance (m) is negative inside a solid and positive outside. Its sign is the winding number along a line
+through each column of the grid, so bodies may overlap. Its size is the exact distance to the nearest of a few triangles
+near the surface, and the distance to a dense sample of the surface farther away. Marching cubes (Lewiner et al.,
+Journal of Graphics Tools 8, 2003) turn a signed distance back to a mesh. They come from scikit-image, the optional
+extra `reconstruct`.
 """
 
 from typing import NamedTuple
@@ -18,37 +18,35 @@ from scipy.spatial import cKDTree
 from i2t.errors import require_extra
 from i2t.objects.solids import Mesh
 
-LEAST_SAMPLES = 6000  # points of a surface, at least, among which the nearest are sought
-SAMPLES_PER_FACE = 2  # at least, on average
-NEAR_SAMPLES = 6  # nearest samples whose triangles are looked at exactly
-EXACT_WITHIN_M = 8e-3  # of the surface distances are exact; farther off they are those to the samples
-COLUMN_SHIFT = (1.7e-7, 1.1e-7)  # m, by which columns miss vertices and edges that lie on the grid
-
 
 class VoxelGrid(NamedTuple):
-    """Points in a box, in the object's frame: point (i, j, k) is `low + spacing * (i, j, k)`."""
+    """Points in a box in the object's frame: point (i, j, k) is `low + spacing * (i, j, k)`."""
 
     low: tuple[float, float, float]  # m
     spacing: float  # m
     shape: tuple[int, int, int]
 
     def points(self) -> Float[np.ndarray, "g 3"]:
-        """All points (m), the last axis fastest."""
+        """List all points.
+
+        Returns:
+            `(g, 3)` points (m), z fastest.
+        """
         axes = [self.low[i] + self.spacing * np.arange(self.shape[i]) for i in range(3)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
 
 
 def grid_around(low: NDArray, high: NDArray, *, across: int, margin: float) -> VoxelGrid:
-    """A grid over a box, square from above and centred on the z axis, so that quarter turns map it to itself.
+    """Lay a grid over a box, square from above and centred on the z axis, so that quarter turns map it to itself.
 
     Args:
-        low: (3,) m, lowest corner of what it must hold.
-        high: (3,) m, its highest corner.
-        across: Points along x, and along y.
-        margin: m, added on all sides.
+        low: (3,) lowest corner (m) of the box.
+        high: (3,) highest corner (m) of the box.
+        across: Number of points along x, and along y.
+        margin: Margin (m) added on all sides.
 
     Returns:
-        The grid.
+        Grid that covers the box with its margin.
     """
     half = float(np.abs(np.stack([low[:2], high[:2]])).max()) + margin
     spacing = 2 * half / (across - 1)
@@ -57,14 +55,14 @@ def grid_around(low: NDArray, high: NDArray, *, across: int, margin: float) -> V
 
 
 def corners_of(grid: VoxelGrid, points: Float[np.ndarray, "n 3"]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """The eight grid points around each point, and their weights in trilinear interpolation.
+    """Find the eight grid points around each point, and their weights in trilinear interpolation.
 
     Args:
-        grid: To interpolate on.
-        points: m; those outside are moved to the grid's nearest face.
+        grid: Grid on which to interpolate.
+        points: Points (m); those outside are moved to the grid's nearest face.
 
     Returns:
-        (n, 8) indices into the flat grid, and (n, 8) weights that add to 1.
+        `(n, 8)` indices into the flat grid, and `(n, 8)` weights that sum to 1.
     """
     last = np.array(grid.shape) - 1
     place = np.clip((np.asarray(points) - grid.low) / grid.spacing, 0, last)
@@ -77,72 +75,85 @@ def corners_of(grid: VoxelGrid, points: Float[np.ndarray, "n 3"]) -> tuple[NDArr
 
 
 def interpolate(grid: VoxelGrid, values: Float[np.ndarray, " g"], points: Float[np.ndarray, "n 3"]) -> NDArray:
-    """Values at any points, by trilinear interpolation.
+    """Interpolate values of a grid at any points trilinearly.
 
     Args:
-        grid: On which the values are.
-        values: One for each point of the grid.
-        points: m; those outside take the value of the nearest face.
+        grid: Grid of the values.
+        values: One value for each point of the grid.
+        points: Points (m); those outside take the value of the nearest face.
 
     Returns:
-        (n,) values.
+        `(n,)` values at the points.
     """
     index, weight = corners_of(grid, points)
     return (values[index] * weight).sum(-1)
 
 
-def signed_distance_grid(mesh: Mesh, grid: VoxelGrid) -> Float[np.ndarray, " g"]:
-    """Signed distance of a closed mesh at the points of a grid.
+def signed_distance_grid(
+    mesh: Mesh,
+    grid: VoxelGrid,
+    *,
+    min_samples: int = 6000,
+    samples_per_face: int = 2,
+    neighbours: int = 6,
+    exact_within: float = 8e-3,
+) -> Float[np.ndarray, " g"]:
+    """Compute the signed distance of a closed mesh at the points of a grid.
 
     Args:
-        mesh: Closed, faces turned outward; bodies may overlap.
-        grid: Where.
+        mesh: Closed mesh with faces turned outward; bodies may overlap.
+        grid: Grid of the signed distance.
+        min_samples: Minimum number of samples of the surface.
+        samples_per_face: Minimum mean number of samples of a face.
+        neighbours: Number of nearest samples whose triangles give the exact distance.
+        exact_within: Distance (m) from the surface up to which distances are exact. Farther away they are distances to
+            the samples.
 
     Returns:
-        m, negative inside.
+        `(g,)` signed distances (m), negative inside.
     """
     triangles = np.asarray(mesh.vertices, np.float64)[mesh.faces]
     points = grid.points().astype(np.float64)
-    samples, faces = sample_surface(mesh, max(LEAST_SAMPLES, SAMPLES_PER_FACE * len(mesh.faces)))
-    distance, nearest = cKDTree(samples).query(points, k=NEAR_SAMPLES, workers=-1)
-    near = np.flatnonzero(distance[:, 0] < EXACT_WITHIN_M)
-    tried = faces[nearest[near]].reshape(-1)
-    wanted = np.repeat(points[near], NEAR_SAMPLES, axis=0)
-    found = trimesh.triangles.closest_point(triangles[tried], wanted)
-    exact = np.linalg.norm(found - wanted, axis=-1).reshape(-1, NEAR_SAMPLES).min(-1)
+    samples, faces = sample_surface(mesh, max(min_samples, samples_per_face * len(mesh.faces)))
+    distance, nearest = cKDTree(samples).query(points, k=neighbours, workers=-1)
+    near = np.flatnonzero(distance[:, 0] < exact_within)
+    candidates = faces[nearest[near]].reshape(-1)
+    near_points = np.repeat(points[near], neighbours, axis=0)
+    closest = trimesh.triangles.closest_point(triangles[candidates], near_points)
+    exact = np.linalg.norm(closest - near_points, axis=-1).reshape(-1, neighbours).min(-1)
     size = distance[:, 0]
     size[near] = exact
     return np.where(_inside(triangles, grid), -size, size).astype(np.float32)
 
 
 def sample_surface(mesh: Mesh, count: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Points drawn evenly over a surface, the same ones at each call.
+    """Draw points evenly over a surface, the same points at each call.
 
     Args:
-        mesh: Any mesh with area.
-        count: Of points.
+        mesh: Mesh with a surface area above 0.
+        count: Number of points.
 
     Returns:
-        (count, 3) points (m), and the face of each.
+        `(count, 3)` points (m), and the `(count,)` indices of their faces.
     """
     rng = np.random.default_rng(0)
     a, b, c = np.moveaxis(np.asarray(mesh.vertices, np.float64)[mesh.faces], 1, 0)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=-1)
-    places = (np.arange(count) + rng.random(count)) / count  # stratified: gaps are smaller than of independent draws
+    places = (np.arange(count) + rng.random(count)) / count  # stratified, for smaller gaps than independent draws leave
     face = np.searchsorted(np.cumsum(area) / area.sum(), places).clip(max=len(area) - 1)
     root, v = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
     return (1 - root) * a[face] + root * (1 - v) * b[face] + root * v * c[face], face
 
 
 def extract_mesh(grid: VoxelGrid, distance: Float[np.ndarray, " g"]) -> Mesh:
-    """The surface on which a signed distance is zero, closed where it leaves the grid.
+    """Extract the surface on which a signed distance is zero, closed where it leaves the grid.
 
     Args:
-        grid: On which it is given.
-        distance: m, negative inside.
+        grid: Grid of the signed distance.
+        distance: `(g,)` signed distances (m), negative inside.
 
     Returns:
-        Its mesh in metres, faces turned outward; without faces where nothing is inside.
+        Mesh of the surface in metres, faces turned outward; without faces if no point is inside.
 
     Raises:
         MissingExtraError: scikit-image is not installed.
@@ -158,15 +169,16 @@ def extract_mesh(grid: VoxelGrid, distance: Float[np.ndarray, " g"]) -> Mesh:
 
 
 def _inside(triangles: NDArray, grid: VoxelGrid) -> NDArray[np.bool_]:
-    """Mask of grid points inside a mesh, by the winding number along their column of the grid."""
-    xy = grid.points().reshape(*grid.shape, 3)[:, :, 0, :2].reshape(-1, 2).astype(np.float64) + COLUMN_SHIFT
+    """Test which grid points are inside a mesh, by the winding number along their column of the grid."""
+    columns_xy = grid.points().reshape(*grid.shape, 3)[:, :, 0, :2].reshape(-1, 2).astype(np.float64)
+    xy = columns_xy + np.array([1.7e-7, 1.1e-7])  # m, so that columns miss vertices and edges that lie on the grid
     levels = grid.low[2] + grid.spacing * np.arange(grid.shape[2])
     winding = np.zeros((len(xy), grid.shape[2]), np.int32)
     low, high = triangles[..., :2].min(1), triangles[..., :2].max(1)
-    for corner, least, most in zip(triangles, low, high, strict=True):
+    for corner, lowest, highest in zip(triangles, low, high, strict=True):
         a, b, c = corner[:, :2]
         area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        columns = np.flatnonzero(((xy >= least) & (xy <= most)).all(-1)) if area else np.zeros(0, int)
+        columns = np.flatnonzero(((xy >= lowest) & (xy <= highest)).all(-1)) if area else np.zeros(0, int)
         if not len(columns):
             continue
         p = xy[columns] - a

@@ -2,22 +2,23 @@
 
 The surface is where a signed distance f (m, negative inside) is zero. Before the first touch f is a Gaussian process
 whose mean and covariance are those of a library of other shapes (`i2t.reconstruction.shape_library`), plus a stationary
-part for what the library does not hold; a library of none leaves a prior of smoothness alone, around a ball.
+part for shapes that the library lacks. An empty library leaves a prior of smoothness alone, around a ball.
 
     f = sum_k w_k f_k + residual,   cov = sum_k w_k (f_k - m)(f_k - m)' + s^2 Matern_{5/2}(r / l)
 
-A touch or a view is evidence of up to three kinds (`i2t.reconstruction.evidence`): points whose signed distance is
-known, a pad of which some point lies on the surface, and space that is free. The library's weights follow from how
-well each shape agrees (a Student's t likelihood, tempered, since a touch's points are not independent). What is left is
-a linear regression on the points, with points of free space where the mean would break in; in the end space that is
-known to be free is carved out exactly. Frames as in `i2t.types`, O the object.
+A touch or a view gives up to three kinds of evidence (`i2t.reconstruction.evidence`): points whose signed distance is
+given, a pad that meets the surface somewhere, and space that is free. The library's weights follow from how well each
+shape agrees (a Student's t likelihood, tempered because the points of a touch are not independent). The remainder is a
+linear regression on the points, with points of free space where the mean would break in. Finally the free space is
+carved out exactly. Frames as in `i2t.types`, O the object.
 
     model = surface_model(meshes)
     state, _ = init(model)
     state, info = update(model, state, contact_evidence(T_o_t))
     estimate = estimate_surface(model, state)
 
-NumPy: sizes change from touch to touch, and dense linear algebra of a few hundred points takes most of the time.
+This module uses NumPy because sizes change from touch to touch, and dense linear algebra of a few hundred points takes
+most of the time.
 """
 
 from collections.abc import Sequence
@@ -36,40 +37,38 @@ from i2t.reconstruction.shape_library import TURNS, ShapeLibrary, shape_library
 from i2t.reconstruction.signed_distances import VoxelGrid, corners_of, extract_mesh
 from i2t.types import Array
 
-MIN_ACROSS_M, MAX_ACROSS_M = 2e-3, 1.0  # of a shape of the library
-
 
 @dataclass(frozen=True)
 class SurfaceConfig:
-    """Assumptions on shapes, and on how far evidence may be wrong."""
+    """Assumptions on shapes, and on the errors of evidence."""
 
     across: int = 32  # points of the grid along x and along y
     margin: float = 6e-3  # m, of the grid around the shapes
-    on_table: bool = True  # whether objects stand on z = 0, or their box is about the origin
-    shapes: int = 128  # that stand for the whole library, by weight
-    likeliest: bool = False  # whether the likeliest shapes stand for it, in place of shapes drawn by weight
-    temperature: float = 2.0  # by which log likelihoods of shapes are divided
-    misfit: float = 1.5e-3  # m, by which a known shape may miss an unknown object and still be like it
-    dof: float = 4.0  # of the Student's t of that misfit
-    residual: float = 1.5e-3  # m, standard deviation s of what no shape of the library has
-    length: float = 8e-3  # m, of its correlation
-    smooth_residual: float = 15e-3  # m, the same where there is no library
+    on_table: bool = True  # whether objects stand on z = 0; otherwise their box is about the origin
+    shapes: int = 128  # number of shapes that represent the whole library, by weight
+    likeliest: bool = False  # whether the likeliest shapes represent it, instead of shapes drawn by weight
+    temperature: float = 2.0  # divisor of the log likelihoods of shapes
+    misfit: float = 1.5e-3  # m, by which a shape of the library may miss a similar unknown object
+    dof: float = 4.0  # degrees of freedom of the Student's t of that misfit
+    residual: float = 1.5e-3  # m, standard deviation s of the part that no shape of the library has
+    length: float = 8e-3  # m, correlation length of that part
+    smooth_residual: float = 15e-3  # m, the same standard deviation for an empty library
     smooth_length: float = 25e-3  # m
-    radius: float = 30e-3  # m, of the ball that stands for a library of none
-    pose_std: float = 0.3e-3  # m, of every point, from what the tool's pose is uncertain by
-    contact_std: float = 2e-3  # m, where the point of contact in the pad's square is a guess
+    radius: float = 30e-3  # m, of the ball that stands in for an empty library
+    pose_std: float = 0.3e-3  # m, of every point, from the uncertainty of the tool's pose
+    contact_std: float = 2e-3  # m, if the point of contact in the pad's square is a guess
     free_tolerance: float = 0.5e-3  # m by which the mean may break into free space
     free_std: float = 1e-3  # m
-    free_points: int = 4  # of a touch or view, at most, that hold the mean out of free space in each of two rounds
-    band_scale: float = 1.0  # of all standard deviations; `experiments.reconstruct` chooses both for its objects
-    band_floor: float = 1e-3  # m, standard deviation that no touch takes away: what the grid cannot hold
+    free_points: int = 4  # of a touch or view, at most, that keep the mean out of free space in each of two rounds
+    band_scale: float = 1.0  # factor of all standard deviations; `experiments.reconstruct` chooses it and the floor
+    band_floor: float = 1e-3  # m, standard deviation that no touch reduces, from the resolution of the grid
 
 
 class SurfaceModel(NamedTuple):
     """Prior knowledge of the surface."""
 
     library: ShapeLibrary
-    points: Float[np.ndarray, "g 3"]  # m, of its grid
+    points: Float[np.ndarray, "g 3"]  # m, points of the library's grid
     config: SurfaceConfig
 
     @property
@@ -79,11 +78,11 @@ class SurfaceModel(NamedTuple):
 
 
 class SurfaceState(NamedTuple):
-    """What all evidence says."""
+    """Evidence of all touches and views so far."""
 
-    log_weights: Float[np.ndarray, " k"]  # of the library's shapes, not normalised, not tempered
+    log_weights: Float[np.ndarray, " k"]  # of the library's shapes, neither normalised nor tempered
     evidence: tuple[SurfaceEvidence, ...]
-    bound: Float[np.ndarray, " g"]  # m, below which no point of the grid is, as far as space is free; -inf elsewhere
+    bound: Float[np.ndarray, " g"]  # m, lower bounds of the signed distance from free space; -inf elsewhere
 
 
 class SurfaceInfo(NamedTuple):
@@ -94,7 +93,7 @@ class SurfaceInfo(NamedTuple):
 
 
 class SurfaceEstimate(NamedTuple):
-    """A signed distance on the grid, with its spread."""
+    """A signed distance on the grid, with its standard deviation."""
 
     grid: VoxelGrid
     distance: Float[np.ndarray, " g"]  # m
@@ -102,25 +101,25 @@ class SurfaceEstimate(NamedTuple):
 
     @property
     def mesh(self) -> Mesh:
-        """The surface in metres, in the object's frame; needs scikit-image."""
+        """Mesh of the surface in metres, in the object's frame; needs scikit-image."""
         return extract_mesh(self.grid, self.distance)
 
 
 class SurfacePrior(NamedTuple):
-    """Mean and covariance by the library's weighted shapes, on the grid."""
+    """Mean and covariance of the library's weighted shapes on the grid."""
 
     mean: Float[np.ndarray, " g"]  # m
-    deviations: Float[np.ndarray, "g m"]  # m, of the shapes that count, times the root of their weights
+    deviations: Float[np.ndarray, "g m"]  # m, of the shapes that count, times the square roots of their weights
 
 
 class SurfacePosterior(NamedTuple):
-    """The regression on a state's points, to be evaluated anywhere."""
+    """The regression on a state's points, which `predict` evaluates anywhere."""
 
     prior: SurfacePrior
-    points: Float[np.ndarray, "n 3"]  # m, that were regressed on
-    deviations: Float[np.ndarray, "n m"]  # the prior's at them
+    points: Float[np.ndarray, "n 3"]  # m, points of the regression
+    deviations: Float[np.ndarray, "n m"]  # the prior's deviations at these points
     factor: Float[np.ndarray, "n n"]  # lower Cholesky factor of their covariance
-    alpha: Float[np.ndarray, " n"]  # 1/m, what the prior missed there, solved by that factor
+    alpha: Float[np.ndarray, " n"]  # 1/m, their covariance solved for the errors of the prior mean
 
 
 def surface_model(
@@ -130,28 +129,29 @@ def surface_model(
     low: Array = (-40e-3, -40e-3, 0.0),
     high: Array = (40e-3, 40e-3, 50e-3),
 ) -> SurfaceModel:
-    """A model whose library are the given shapes, on all their sides, turned and mirrored about z.
+    """Build a model whose library is the given shapes on all their sides, turned and mirrored about z.
 
     Args:
-        meshes: Closed meshes in metres; none for a prior of smoothness alone.
-        config: What is assumed.
-        low: (3,) m, lowest corner of the box that objects are known to be in; shapes may enlarge it.
-        high: (3,) m, its highest corner.
+        meshes: Closed meshes in metres; an empty sequence gives a prior of smoothness alone.
+        config: Assumptions on shapes and evidence.
+        low: (3,) lowest corner (m) of the box that objects are in; shapes may enlarge it.
+        high: (3,) highest corner (m) of that box.
 
     Returns:
-        The model.
+        Prior knowledge of the surface, without evidence.
 
     Raises:
-        ValueError: A mesh is empty, not finite, or of no size to touch.
-        MissingExtraError: scikit-image is missing, which makes the surface in the end.
+        ValueError: A mesh is empty, not finite, or not of a size that can be touched.
+        MissingExtraError: scikit-image, which extracts the surface in the end, is not installed.
     """
-    require_extra("skimage", "a mesh of signed distances")  # here, and not after all touches
+    require_extra("skimage", "a mesh of signed distances")  # fails here rather than after all touches
     config = config or SurfaceConfig()
+    smallest, largest = 2e-3, 1.0  # m
     for number, mesh in enumerate(meshes):
         across = np.ptp(mesh.vertices, axis=0).max() if len(mesh.faces) else 0.0
-        if not MIN_ACROSS_M < across < MAX_ACROSS_M:
+        if not smallest < across < largest:
             raise ValueError(
-                f"mesh {number} of the library is {across:g} m across; {MIN_ACROSS_M:g} to {MAX_ACROSS_M:g} m are "
+                f"mesh {number} of the library is {across:g} m across; {smallest:g} to {largest:g} m are "
                 "allowed: check its unit, and that it has faces"
             )
     library = shape_library(
@@ -166,13 +166,13 @@ def surface_model(
 
 
 def init(model: SurfaceModel) -> tuple[SurfaceState, SurfaceInfo]:
-    """State before the first touch.
+    """Return the state before the first touch.
 
     Args:
-        model: What is known.
+        model: The prior knowledge of the surface.
 
     Returns:
-        The state, and what it holds.
+        State without evidence, and its number of effective shapes.
     """
     shapes = np.zeros(model.library.size)
     return SurfaceState(shapes, (), np.full(len(model.points), -np.inf)), SurfaceInfo(shapes, float(len(shapes)))
@@ -182,15 +182,15 @@ def update(model: SurfaceModel, state: SurfaceState, evidence: SurfaceEvidence) 
     """Add one more touch or view.
 
     Args:
-        model: What was known before.
-        state: What all before say.
-        evidence: What this one says.
+        model: The prior knowledge of the surface.
+        state: The evidence so far.
+        evidence: The evidence of this touch or view.
 
     Returns:
-        The new state, and how well each shape of the library agrees.
+        New state, and the log likelihood of this evidence under each shape of the library.
 
     Raises:
-        ValueError: What was met lies outside the box that objects are known to be in.
+        ValueError: The touch or view met something outside the box that objects are in.
     """
     met = evidence.pad_points if evidence.is_contact else evidence.points
     low, high = model.points.min(0), model.points.max(0)
@@ -199,33 +199,33 @@ def update(model: SurfaceModel, state: SurfaceState, evidence: SurfaceEvidence) 
             f"a touch or view met something about {np.round(met.mean(0), 3)} m, outside the box of the surface, "
             f"{np.round(low, 3)} to {np.round(high, 3)} m; check its pose and unit, or give a larger box (low, high)"
         )
-    found = _log_likelihood(model, evidence)
+    log_likelihood = _log_likelihood(model, evidence)
     bound = np.maximum(state.bound, evidence.region.lower_bound(model.points))
-    after = SurfaceState(state.log_weights + found, (*state.evidence, evidence), bound)
-    return after, SurfaceInfo(found, _effective(model, after))
+    after = SurfaceState(state.log_weights + log_likelihood, (*state.evidence, evidence), bound)
+    return after, SurfaceInfo(log_likelihood, _effective(model, after))
 
 
 def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
     """Weigh the library, and regress the remainder on the points of all evidence.
 
     Args:
-        model: What was known before.
-        state: What all evidence says.
+        model: The prior knowledge of the surface.
+        state: The evidence so far.
 
     Returns:
-        A posterior to ask with `predict`.
+        Posterior that `predict` evaluates.
     """
     prior = weighted_prior(model, state)
-    points, values, std = _known_points(model, state, prior)
+    points, values, std = _evidence_points(model, state, prior)
     posterior = condition_on(model, prior, points=points, values=values, std=std)
     held = [np.zeros(0, int)] * len(state.evidence)
-    for _ in range(2):  # where the mean breaks into free space it is held out; then once more
-        broken = [_broken(model, posterior, each) for each in state.evidence]
+    for _ in range(2):  # the second round keeps out what the first one pushed into other free space
+        broken = [_broken(model, posterior, evidence) for evidence in state.evidence]
         if not sum(map(len, broken)):
             break
         held = [np.union1d(*rows) for rows in zip(held, broken, strict=True)]
-        free = np.concatenate([each.free[rows] for each, rows in zip(state.evidence, held, strict=True)])
-        bound = np.concatenate([each.free_bound[rows] for each, rows in zip(state.evidence, held, strict=True)])
+        free = np.concatenate([evidence.free[rows] for evidence, rows in zip(state.evidence, held, strict=True)])
+        bound = np.concatenate([evidence.free_bound[rows] for evidence, rows in zip(state.evidence, held, strict=True)])
         posterior = condition_on(
             model,
             prior,
@@ -237,14 +237,14 @@ def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
 
 
 def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
-    """Mean and deviations of the library's shapes by their weights.
+    """Compute mean and deviations of the library's shapes by their weights.
 
     Args:
-        model: With the library.
-        state: With the weights.
+        model: The prior knowledge of the surface, with the library.
+        state: The evidence so far, with the weights.
 
     Returns:
-        The prior of the regression, without its stationary part.
+        Prior of the regression, without its stationary part.
     """
     log_w = state.log_weights / model.config.temperature
     count = min(model.config.shapes, len(log_w))
@@ -253,7 +253,7 @@ def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
         ball = np.linalg.norm(model.points - middle, axis=-1) - model.config.radius
         return SurfacePrior(ball.astype(np.float32), np.zeros((len(ball), 0), np.float32))
     weight = np.exp(log_w - logsumexp(log_w))
-    pick = likeliest if model.config.likeliest and state.evidence else few_of_many
+    pick = likeliest if model.config.likeliest and state.evidence else subsample
     shapes, weights = pick(weight, count)
     deviations = model.library.fields(shapes)
     mean = deviations @ weights
@@ -262,17 +262,19 @@ def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
     return SurfacePrior(mean, deviations)
 
 
-def few_of_many(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """A few weighted shapes that stand for many: those of much weight are kept; of the rest some are drawn, evenly by
-    weight and without chance, and share what the kept ones leave (Fearnhead and Clifford, J. R. Statist. Soc. B 65,
-    2003). The likeliest alone would not do: after few touches they are thin and small ones, which touches hardly reach.
+def subsample(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+    """Choose a few weighted shapes that represent many, after Fearnhead and Clifford (J. R. Statist. Soc. B 65, 2003).
+
+    Shapes with large weights are kept. Some of the others are drawn, evenly by weight and without random numbers, and
+    share the remaining weight. The likeliest shapes alone would not do: after few touches they are thin and small
+    shapes, which touches hardly reach.
 
     Args:
-        weight: Of all; sums to 1.
-        count: How many stand for them.
+        weight: Weights of all shapes, which sum to 1.
+        count: Number of shapes to choose.
 
     Returns:
-        Their indices, and weights that sum to 1.
+        `(m,)` indices of the chosen shapes, and `(m,)` weights that sum to 1.
     """
     order = np.argsort(-weight, kind="stable")
     ranked = weight[order]
@@ -287,14 +289,14 @@ def few_of_many(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.nda
 
 
 def likeliest(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """The shapes of most weight alone, as `few_of_many` without the others.
+    """Choose the shapes with the largest weights, without others that represent the rest as in `subsample`.
 
     Args:
-        weight: Of all; sums to 1.
-        count: How many stand for them.
+        weight: Weights of all shapes, which sum to 1.
+        count: Number of shapes to choose.
 
     Returns:
-        Their indices, and weights that sum to 1.
+        `(m,)` indices of the chosen shapes, and `(m,)` weights that sum to 1.
     """
     shapes = np.argpartition(-weight, count - 1)[:count]
     return shapes, (weight[shapes] / weight[shapes].sum()).astype(np.float32)
@@ -311,14 +313,14 @@ def condition_on(
     """Regress the signed distance on its values at some points.
 
     Args:
-        model: What was known before.
-        prior: By the library's shapes.
-        points: m.
-        values: m, signed distances at the points.
-        std: m, of the values.
+        model: The prior knowledge of the surface.
+        prior: The prior of the library's shapes.
+        points: Points (m).
+        values: Signed distances (m) at the points.
+        std: Standard deviations (m) of the values.
 
     Returns:
-        A posterior to ask with `predict`.
+        Posterior that `predict` evaluates.
     """
     mean, deviations = _prior_at(model, prior, points)
     cov = (deviations @ deviations.T + _matern(model, points, points)).astype(np.float64) + np.diag(std**2 + 1e-9)
@@ -334,22 +336,22 @@ def predict(
     *,
     spread: bool = True,
 ) -> tuple[Float[np.ndarray, " q"], Float[np.ndarray, " q"]]:
-    """Mean and standard deviation of the signed distance at any points, without carving.
+    """Predict mean and standard deviation of the signed distance at any points, without carving.
 
     Args:
-        model: Of the posterior.
-        posterior: By `regress`.
-        points: m; or numbers of points of the model's grid, which is faster.
-        spread: Whether standard deviations are wanted, which cost more than means.
+        model: The model of the posterior.
+        posterior: Posterior from `regress`.
+        points: Points (m), or indices of points of the model's grid, which is faster.
+        spread: Whether to compute standard deviations, which cost more than means.
 
     Returns:
-        Means and standard deviations (m); zeros in place of the latter where they are not wanted.
+        `(q,)` means and `(q,)` standard deviations (m); the latter are zeros without `spread`.
     """
     prior, deviations = _prior_at(model, posterior.prior, points)
     matern = _matern(model, model.points[points] if points.ndim == 1 else points, posterior.points)
     if not spread:
-        found = matern @ posterior.alpha + deviations @ (posterior.deviations.T @ posterior.alpha)
-        return prior + found, np.zeros(len(points))
+        change = matern @ posterior.alpha + deviations @ (posterior.deviations.T @ posterior.alpha)
+        return prior + change, np.zeros(len(points))
     cross = matern + deviations @ posterior.deviations.T
     mean = prior + cross @ posterior.alpha
     config = model.config
@@ -361,40 +363,40 @@ def predict(
 def posterior_covariance(
     model: SurfaceModel, posterior: SurfacePosterior, a: Float[np.ndarray, "p 3"], b: Float[np.ndarray, "q 3"]
 ) -> Float[np.ndarray, "p q"]:
-    """Covariance of the signed distance between two sets of points, without the part that no touch reduces
-    (`band_floor`).
+    """Compute the covariance of the signed distance between two sets of points, without `band_floor`, which no touch
+    reduces.
 
     Args:
-        model: Of the posterior.
-        posterior: By `regress`.
-        a: m.
-        b: m.
+        model: The model of the posterior.
+        posterior: Posterior from `regress`.
+        a: First points (m).
+        b: Second points (m).
 
     Returns:
-        m^2.
+        `(p, q)` covariances (m^2).
     """
     (_, left), (_, right) = (_prior_at(model, posterior.prior, points) for points in (a, b))
-    known_a, known_b = (
+    white_a, white_b = (
         _whitened(posterior, _matern(model, points, posterior.points) + deviations @ posterior.deviations.T)
         for points, deviations in ((a, left), (b, right))
     )
-    found = left @ right.T + _matern(model, a, b) - known_a.T @ known_b
-    return found * model.config.band_scale**2
+    covariance = left @ right.T + _matern(model, a, b) - white_a.T @ white_b
+    return covariance * model.config.band_scale**2
 
 
 def estimate_surface(
     model: SurfaceModel, state: SurfaceState, *, stride: int = 1, posterior: SurfacePosterior | None = None
 ) -> SurfaceEstimate:
-    """The signed distance on the grid, with free space carved out of it.
+    """Estimate the signed distance on the grid, with free space carved out.
 
     Args:
-        model: What was known before.
-        state: What all evidence says.
-        stride: Every so many points of the grid along each axis.
-        posterior: By `regress`, where it is at hand.
+        model: The prior knowledge of the surface.
+        state: The evidence so far.
+        stride: Step in grid points along each axis.
+        posterior: Posterior from `regress`; computed if it is not given.
 
     Returns:
-        Its mean and standard deviation.
+        Mean and standard deviation of the signed distance on the thinned grid.
     """
     numbers = np.arange(len(model.points)).reshape(model.grid.shape)[::stride, ::stride, ::stride]
     grid, rows = VoxelGrid(model.grid.low, model.grid.spacing * stride, numbers.shape), numbers.ravel()
@@ -408,22 +410,23 @@ def _student(x: np.ndarray, dof: float) -> np.ndarray:
 
 
 def _log_likelihood(model: SurfaceModel, evidence: SurfaceEvidence) -> np.ndarray:
-    """Log likelihood of evidence under each shape of the library, turn after turn."""
+    """Compute the log likelihood of evidence under each shape of the library, ordered by turn."""
     config, total = model.config, []
     every = np.concatenate([evidence.free, evidence.pad_points, evidence.points])
     parts = np.cumsum([len(evidence.free), len(evidence.pad_points)])
     for turn in range(len(TURNS)):
-        free, pad, known = np.split(model.library.near(every, turn), parts)
-        found = np.zeros(known.shape[1])
+        free, pad, surface = np.split(model.library.near(every, turn), parts)
+        log_likelihood = np.zeros(surface.shape[1])
         if len(free):
-            found += _student(np.minimum(free - evidence.free_bound[:, None], 0).min(0) / config.misfit, config.dof)
-        if len(pad):  # also where a reading says more: nothing of the surface lies behind the pad's plane
-            found += _student(pad.min(0) / config.misfit, config.dof)
-        if len(known):
+            intrusion = np.minimum(free - evidence.free_bound[:, None], 0).min(0)
+            log_likelihood += _student(intrusion / config.misfit, config.dof)
+        if len(pad):  # also for a touch with a reading, because no part of the surface lies behind the pad's plane
+            log_likelihood += _student(pad.min(0) / config.misfit, config.dof)
+        if len(surface):
             scale = np.hypot(config.misfit, evidence.std)[:, None]
-            error = (known - evidence.values[:, None]) / scale
-            found += evidence.observations * _student(error, config.dof).mean(0)
-        total.append(found)
+            error = (surface - evidence.values[:, None]) / scale
+            log_likelihood += evidence.observations * _student(error, config.dof).mean(0)
+        total.append(log_likelihood)
     return np.concatenate(total)
 
 
@@ -435,22 +438,22 @@ def _effective(model: SurfaceModel, state: SurfaceState) -> float:
 
 
 def _residual(model: SurfaceModel) -> tuple[float, float]:
-    """Standard deviation and length (m) of the stationary part."""
+    """Return standard deviation and correlation length (m) of the stationary part."""
     config = model.config
     return (config.residual, config.length) if model.library.size else (config.smooth_residual, config.smooth_length)
 
 
 def _matern(model: SurfaceModel, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Matern 5/2 covariance of the part that is not in the library."""
+    """Compute the Matern 5/2 covariance of the part that is not in the library."""
     std, length = _residual(model)
-    a, b = (np.asarray(each, np.float32) * np.float32(np.sqrt(5) / length) for each in (a, b))
+    a, b = (np.asarray(points, np.float32) * np.float32(np.sqrt(5) / length) for points in (a, b))
     square = np.maximum(a @ (-2 * b.T) + (a**2).sum(-1)[:, None] + (b**2).sum(-1), 0)
     r = np.sqrt(square)
     return (square * np.float32(1 / 3) + r + 1) * np.exp(-r) * np.float32(std**2)
 
 
 def _prior_at(model: SurfaceModel, prior: SurfacePrior, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and deviations at points, or at numbers of points of the grid."""
+    """Evaluate the prior's mean and deviations at points, or at indices of grid points."""
     if points.ndim == 1:
         return prior.mean[points], prior.deviations[points]
     index, weight = corners_of(model.grid, points)
@@ -458,31 +461,31 @@ def _prior_at(model: SurfaceModel, prior: SurfacePrior, points: np.ndarray) -> t
 
 
 def _whitened(posterior: SurfacePosterior, cross: np.ndarray) -> np.ndarray:
-    """Covariances (n, q) with the points regressed on, whitened by theirs."""
+    """Whiten covariances (q, n) with the points of the regression by the covariance of these points."""
     if not len(posterior.points):
         return np.zeros((0, len(cross)), np.float32)
     return solve_triangular(posterior.factor, cross.T, lower=True, check_finite=False)
 
 
-def _known_points(
+def _evidence_points(
     model: SurfaceModel, state: SurfaceState, prior: SurfacePrior
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, signed distances and deviations of all evidence; of a square of which no more is known the point where
-    the surface is expected to be nearest.
+    """Collect points, signed distances and standard deviations of all evidence. A touch without its own points gives
+    the point of its pad's square where the surface is expected to be nearest.
     """
     config = model.config
     points, values, std = [np.zeros((0, 3))], [np.zeros(0)], [np.zeros(0)]
-    for each in state.evidence:
-        if not len(each.points) and each.is_contact:
-            each = _with_guess(model, prior, each)
-        points.append(each.points)
-        values.append(each.values)
-        std.append(np.hypot(each.std, config.pose_std))
+    for evidence in state.evidence:
+        if not len(evidence.points) and evidence.is_contact:
+            evidence = _with_guess(model, prior, evidence)
+        points.append(evidence.points)
+        values.append(evidence.values)
+        std.append(np.hypot(evidence.std, config.pose_std))
     return np.concatenate(points), np.concatenate(values), np.concatenate(std)
 
 
 def _with_guess(model: SurfaceModel, prior: SurfacePrior, touch: SurfaceEvidence) -> SurfaceEvidence:
-    """A touch that does not know where its pad met the surface, with the point where the shapes expect it."""
+    """Add to a touch without points the point of its pad where the shapes expect the surface."""
     assert isinstance(touch.region, Sweep)
     nearest = touch.pad_points[[int(_prior_at(model, prior, touch.pad_points)[0].argmin())]]
     local = (nearest - touch.region.T_o_t[:3, 3]) @ touch.region.T_o_t[:3, :3]
@@ -490,7 +493,7 @@ def _with_guess(model: SurfaceModel, prior: SurfacePrior, touch: SurfaceEvidence
 
 
 def _broken(model: SurfaceModel, posterior: SurfacePosterior, evidence: SurfaceEvidence) -> Int[np.ndarray, " r"]:
-    """Rows of the free points that the mean violates most: a few of each touch or view."""
+    """Find the free points that the mean violates most: a few rows of each touch or view."""
     excess = predict(model, posterior, evidence.free, spread=False)[0] - evidence.free_bound
     worst = np.argsort(excess)[: model.config.free_points]
     return worst[excess[worst] < -model.config.free_tolerance]

@@ -204,6 +204,6 @@ def test_views_are_checked_one_by_one_and_protruding_surroundings_are_reported(n
         nominal.predict(patches, force=1.0, wide=views)
     with pytest.raises(ValueError, match="another view than the patch, or"):
         nominal.predict(patches[3], force=1.0, wide=views[3])
-    with pytest.warns(UserWarning, match="stands out by 12 mm beside the patch"):
+    with pytest.warns(UserWarning, match="stands out by 12 mm next to the patch"):
         nominal.render_touches(THINGS["step"], crowded[0])
     nominal.render_touches(THINGS["table"], crowded[0])  # without a warning, which would be an error

@@ -32,7 +32,7 @@ def touches(n=240, seed=6):
     return patches, measured, y + rng.normal(size=y.shape)
 
 
-def test_baselines_find_what_they_are_able_to():
+def test_baselines_explain_only_what_their_inputs_determine():
     patches, measured, y = touches()
     train, test = slice(0, 200), slice(200, 240)
     fitted = fit_baselines(patches[train], measured[train], y[train], np.arange(200) // 9)
@@ -47,7 +47,7 @@ def test_baselines_find_what_they_are_able_to():
     assert r2["nearest-measured"] > r2["nearest"]
 
 
-def test_baselines_on_predicted_pressure_are_those_on_patches_given_another_image():
+def test_baselines_on_predicted_pressure_equal_those_on_patches_for_the_same_image():
     """Pressures in place of the patches, noise in place of the pressures: the same model."""
     patches, measured, y = touches()
     noise, groups = np.random.default_rng(1).normal(size=patches.shape), np.arange(240) // 9
@@ -63,7 +63,7 @@ def test_baselines_on_predicted_pressure_are_those_on_patches_given_another_imag
             np.testing.assert_allclose(actual.std, expected.std, rtol=1e-4)
 
 
-def test_ranges_of_baselines_hold_what_they_say():
+def test_intervals_of_baselines_cover_the_stated_fraction():
     """Before any scaling on validation touches: 90 % of new values, or a little less, because components are of all
     training patches, also of those that are held out.
     """
@@ -74,7 +74,7 @@ def test_ranges_of_baselines_hold_what_they_say():
         assert 0.82 < np.mean(np.abs(new - mean) < STDS_WITHIN_90 * std) < 0.95, name
 
 
-def test_the_range_grows_away_from_what_was_touched():
+def test_the_interval_widens_away_from_the_training_touches():
     rng = np.random.default_rng(2)
     place = rng.uniform(-1, 1, (150, 2))
     patches = np.zeros((150, 4, 4))
@@ -89,10 +89,10 @@ def test_the_range_grows_away_from_what_was_touched():
         assert (std[1] > std[0]).all()
 
 
-def test_methods_share_what_they_made_of_the_same_touches_only():
-    made: list[int] = []
+def test_methods_share_values_of_the_same_touches_only():
+    calls: list[int] = []
     given, rows = TrainingTouches(bare_dataset(np.zeros((4, 5, 5)), np.zeros((4, 6)))), np.arange(4) < 2
-    values = [given.once("sum", mask, lambda: made.append(1) or len(made)) for mask in (rows, rows, ~rows)]
+    values = [given.once("sum", mask, lambda: calls.append(1) or len(calls)) for mask in (rows, rows, ~rows)]
     assert values == [1, 1, 2]
 
 

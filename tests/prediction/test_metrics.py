@@ -26,7 +26,7 @@ def test_scores_by_hand():
     assert np.isnan(score(truth, predicted).rmse_sigma)
 
 
-def test_the_mean_explains_nothing_the_truth_everything_and_what_does_not_vary_has_no_share():
+def test_r2_is_zero_for_the_mean_one_for_the_truth_and_nan_without_variation():
     truth = np.random.default_rng(0).normal(size=(30, 15))
     assert score(truth, np.broadcast_to(truth.mean(0), truth.shape)).r2 == pytest.approx(0)
     assert score(truth, truth).r2 == 1

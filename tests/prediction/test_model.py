@@ -37,8 +37,8 @@ def examples(cfg: ModelConfig, n: int) -> Inputs:
 
 
 def plain(conditions: int) -> Normalisation:
-    one = jnp.ones(15)
-    return Normalisation(Standard(0 * one, one), Standard(jnp.zeros(conditions), jnp.ones(conditions)), 0 * one)
+    ones = jnp.ones(15)
+    return Normalisation(Standard(0 * ones, ones), Standard(jnp.zeros(conditions), jnp.ones(conditions)), 0 * ones)
 
 
 def start(cfg: ModelConfig) -> dict:
@@ -105,7 +105,7 @@ def test_weights_of_a_seed_are_those_of_earlier_versions() -> None:
     np.testing.assert_allclose(params["bottleneck"]["kernel"][0], expected, rtol=4 * EPS)
 
 
-def test_layers_left_out_change_no_other() -> None:
+def test_omitted_layers_do_not_change_the_others() -> None:
     whole, part = start(replace(SMALL, heteroscedastic=True)), start(replace(SMALL, auxiliary=False))
     for name, layer in part.items():
         jax.tree.map(np.testing.assert_array_equal, layer, whole[name])

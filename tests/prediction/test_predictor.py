@@ -81,16 +81,17 @@ def on_pressure():
 def test_one_touch_is_a_row_of_many(process, patches):
     assert process[0].with_pressure(smooth=True).pressure == replace(PRESSURE, smooth=True)
     many = process[0].predict(patches, force=np.linspace(0.5, 1.5, 6))
-    one = process[0].predict(patches[2], force=np.linspace(0.5, 1.5, 6)[2])
-    assert one.mean.shape == one.std.shape == (15,)
-    np.testing.assert_allclose(one.mean, many.mean[2], rtol=1e-4, atol=1e-3)  # uT: single precision through a contact
-    np.testing.assert_allclose(one.std, many.std[2], rtol=1e-3)
+    single = process[0].predict(patches[2], force=np.linspace(0.5, 1.5, 6)[2])
+    assert single.mean.shape == single.std.shape == (15,)
+    # uT: single precision through a contact
+    np.testing.assert_allclose(single.mean, many.mean[2], rtol=1e-4, atol=1e-3)
+    np.testing.assert_allclose(single.std, many.std[2], rtol=1e-3)
     # The force left out is the default force.
     np.testing.assert_array_equal(process[0].predict(patches).mean, process[0].predict(patches, force=0.8).mean)
 
 
-def assert_same_predictions(one: Predictor, other: Predictor, patches: np.ndarray, **given: float) -> None:
-    before, after = one.predict(patches, **given), other.predict(patches, **given)
+def assert_same_predictions(first: Predictor, other: Predictor, patches: np.ndarray, **given: float) -> None:
+    before, after = first.predict(patches, **given), other.predict(patches, **given)
     np.testing.assert_array_equal(before.mean, after.mean)
     np.testing.assert_array_equal(before.std, after.std)
 
@@ -102,7 +103,7 @@ def baseline_predictors():
     patches, measured = rng.uniform(0, REACH, (30, 8, 8)), rng.uniform(0.5, 1.5, (30, 2))
     readings, pressure = rng.normal(size=(30, 6)), rng.uniform(0, 0.1, (30, 20, 20))
     fitted = fit_baselines(patches, measured, readings, np.arange(30) // 3, pressure)
-    return {name: Predictor(each, PATCH_WINDOW, REACH, 1.1, 0.3e-3, 1.4) for name, each in fitted.items()}
+    return {name: Predictor(model, PATCH_WINDOW, REACH, 1.1, 0.3e-3, 1.4) for name, model in fitted.items()}
 
 
 def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path):
@@ -111,11 +112,11 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
     """
     assert len(baseline_predictors) == 9
     patches = np.random.default_rng(4).uniform(0, REACH, (7, 8, 8))
-    for made in baseline_predictors.values():
-        predictor.save(tmp_path / "p", made)
+    for saved in baseline_predictors.values():
+        predictor.save(tmp_path / "p", saved)
         loaded = predictor.load_predictor(tmp_path / "p")
-        assert type(loaded.model) is type(made.model)
-        assert_same_predictions(loaded, made, patches, force=0.9, nearest=0.9e-3)
+        assert type(loaded.model) is type(saved.model)
+        assert_same_predictions(loaded, saved, patches, force=0.9, nearest=0.9e-3)
         many = loaded.predict(patches, nearest=0.9e-3)
         np.testing.assert_array_equal(many.mean, loaded.predict(patches, force=1.1, nearest=0.9e-3).mean)
         single = loaded.predict(patches[2], nearest=0.9e-3)
@@ -141,7 +142,7 @@ def test_the_board_of_the_training_is_kept(network, tmp_path, name):
     assert network.board is None
 
 
-def test_a_name_that_is_no_predictor_leads_to_the_ready_model(monkeypatch, tmp_path):
+def test_an_unknown_name_of_a_predictor_hints_at_the_ready_model(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for name in ("nominall", "Nominal", "NOMINAL/", "nominal/"):
         with pytest.raises(CheckpointError, match=r"holds no predictor .*; did you mean nominal\?"):
@@ -152,15 +153,15 @@ def test_a_name_that_is_no_predictor_leads_to_the_ready_model(monkeypatch, tmp_p
 
 @pytest.mark.full
 @pytest.mark.parametrize("which", ["process", "network", "on_pressure"])
-def test_what_is_saved_is_what_is_loaded(which, patches, request, tmp_path):
-    made = request.getfixturevalue(which)
-    made = made[0] if which == "process" else made
-    predictor.save(tmp_path / "p", made)
+def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_path):
+    original = request.getfixturevalue(which)
+    original = original[0] if which == "process" else original
+    predictor.save(tmp_path / "p", original)
     loaded = predictor.load_predictor(tmp_path / "p")
-    assert type(loaded.model) is type(made.model)
+    assert type(loaded.model) is type(original.model)
     fields = ("pressure", "window", "reach", "default_force", "default_depth", "std_scale", "metadata")
-    assert all(getattr(loaded, field) == getattr(made, field) for field in fields)
-    assert_same_predictions(loaded, made, patches, force=1.0, nearest=-1e-4)
+    assert all(getattr(loaded, field) == getattr(original, field) for field in fields)
+    assert_same_predictions(loaded, original, patches, force=1.0, nearest=-1e-4)
 
 
 @pytest.mark.parametrize(
@@ -196,9 +197,7 @@ def edit_metadata(folder, edit):
 @pytest.mark.parametrize(
     ("sign", "offset", "force"), [(1.0, 0.0, 0.8), (-1.0, 0.0, 0.8), (1.0, 1e-3, 0.8), (1.0, 0, -2)]
 )
-def test_a_predictor_of_before_knew_signs_and_is_refused_where_they_were_not_the_usual_ones(
-    patches, tmp_path, sign, offset, force
-):
+def test_an_old_predictor_with_unusual_sign_conventions_is_refused(patches, tmp_path, sign, offset, force):
     fitted, _ = fitted_gp(patches, 12)
     predictor.save(tmp_path / "p", replace(fitted, default_force=0.8))
 
@@ -218,14 +217,14 @@ def test_a_predictor_of_before_knew_signs_and_is_refused_where_they_were_not_the
 def test_any_board_is_predicted(patches):
     fitted, readings = fitted_gp(patches, 12)
     fields = network_fields(12, conditions=("force",), input="pressure", pixels=20)
-    for made in (fitted, replace(fitted, model=PressureNetwork(*fields, PRESSURE))):
-        assert "4 chips" in repr(made)
-        assert made.predict(patches[0]).mean.shape == (12,)
+    for candidate in (fitted, replace(fitted, model=PressureNetwork(*fields, PRESSURE))):
+        assert "4 chips" in repr(candidate)
+        assert candidate.predict(patches[0]).mean.shape == (12,)
     # With little noise a process comes back to the readings that it was conditioned on.
     assert np.corrcoef(fitted.predict(patches, force=0.8).mean.ravel(), np.ravel(readings))[0, 1] > 0.9
 
 
-def test_a_network_predicts_what_the_model_says(network, patches):
+def test_a_network_predicts_the_same_as_its_model(network, patches):
     """Through the user's door or straight from i2t.prediction.model: the same numbers."""
     params, cfg, norm = network.model.params, network.model.cfg, network.model.normalisation
     inputs = model.Inputs(jnp.asarray(patches[0]), jnp.array([1.2, -2e-4]))
@@ -264,19 +263,19 @@ AWAY = np.eye(4) + np.diag([0.0, 0, 1], 1)  # a metre above, looking up
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda *made: made[1].predict(np.zeros((4, 5))), "shape"),
-        (lambda *made: made[1].predict(np.full((48, 48), np.nan)), "NaN"),
-        (lambda *made: made[1].predict(FLAT, force=[1.0, 2.0]), "force"),
-        (lambda *made: made[1].predict(FLAT, force=np.nan), "force"),
-        (lambda *made: made[1].predict(FLAT, force=1.0), "nearest"),
-        (lambda *made: made[1].predict(np.zeros((20, 20)), force=1.0, nearest=0.0), "pixels"),
-        (lambda *made: made[2].predict(np.zeros((8, 8))), "needs nearest"),
-        (lambda *made: made[2].predict(np.zeros((9, 9)), nearest=0.0), "sees 8"),
-        (lambda *made: made[0].predict_touch(DOME, AWAY), "nothing lies in"),
-        (lambda *made: made[0].predict_touch(DOME, np.full((4, 4), np.nan)), "finite"),
+        (lambda *fixtures: fixtures[1].predict(np.zeros((4, 5))), "shape"),
+        (lambda *fixtures: fixtures[1].predict(np.full((48, 48), np.nan)), "NaN"),
+        (lambda *fixtures: fixtures[1].predict(FLAT, force=[1.0, 2.0]), "force"),
+        (lambda *fixtures: fixtures[1].predict(FLAT, force=np.nan), "force"),
+        (lambda *fixtures: fixtures[1].predict(FLAT, force=1.0), "nearest"),
+        (lambda *fixtures: fixtures[1].predict(np.zeros((20, 20)), force=1.0, nearest=0.0), "pixels"),
+        (lambda *fixtures: fixtures[2].predict(np.zeros((8, 8))), "needs nearest"),
+        (lambda *fixtures: fixtures[2].predict(np.zeros((9, 9)), nearest=0.0), "takes 8"),
+        (lambda *fixtures: fixtures[0].predict_touch(DOME, AWAY), "nothing lies in"),
+        (lambda *fixtures: fixtures[0].predict_touch(DOME, np.full((4, 4), np.nan)), "finite"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_sentence(process, network, baseline_predictors, call, words):
+def test_input_that_does_not_fit_is_refused_in_one_sentence(process, network, baseline_predictors, call, words):
     with pytest.raises(ValueError, match=words) as error:
         call(process[0], network, baseline_predictors["ridge-measured"])
     assert "\n" not in str(error.value)

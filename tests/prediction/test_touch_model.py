@@ -49,21 +49,21 @@ def anything(extra: Any = None) -> Anything:
     )
 
 
-def test_whatever_a_model_holds_comes_back(tmp_path):
-    made = anything()
-    save(tmp_path / "p", Predictor(made, 17e-3, 4e-3, 1.0, 3e-4))
+def test_all_fields_of_a_model_are_restored(tmp_path):
+    original = anything()
+    save(tmp_path / "p", Predictor(original, 17e-3, 4e-3, 1.0, 3e-4))
     back: Any = load_predictor(tmp_path / "p").model
     assert type(back) is Anything
-    assert (back.sizes, back.other, back.number) == (made.sizes, None, 2.5)
+    assert (back.sizes, back.other, back.number) == (original.sizes, None, 2.5)
     assert (back.rows.dtype, back.flags.dtype, back.tree["b"]["c"].dtype) == (np.int32, bool, np.int32)
     for name in ("rows", "flags", "empty"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(made, name))
-    np.testing.assert_array_equal(back.pair.second, made.pair.second)
-    np.testing.assert_array_equal(back.tree["b"]["c"], made.tree["b"]["c"])
+        np.testing.assert_array_equal(getattr(back, name), getattr(original, name))
+    np.testing.assert_array_equal(back.pair.second, original.pair.second)
+    np.testing.assert_array_equal(back.tree["b"]["c"], original.tree["b"]["c"])
 
 
 @pytest.mark.parametrize("extra", [[np.ones(2), np.ones(3)], {"a": "text"}, print, np.array(["a"]), np.array([2**40])])
-def test_what_no_file_holds_is_refused_in_one_sentence(extra):
+def test_fields_that_cannot_be_saved_are_refused_in_one_sentence(extra):
     with pytest.raises(ValueError, match=r"Anything\.extra cannot be kept on disk") as error:
         to_disk(anything(extra))
     assert "\n" not in str(error.value)

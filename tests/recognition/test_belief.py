@@ -66,7 +66,7 @@ def measured(reading, force, advance, contact) -> TouchObservation:
     return TouchObservation(jnp.float32(reading), jnp.float32(force), jnp.float32(advance), jnp.asarray(contact))
 
 
-def test_errors_are_whitened_and_a_density_of_a_reading_is_student_t():
+def test_the_density_of_a_whitened_reading_error_is_student_t():
     likelihood = like(dof=5, inflation=1.3)
     whiten = np.asarray(likelihood.whiten, np.float64)
     loss = 15 * EPS * np.linalg.cond(COVARIANCE)  # of factors in float32
@@ -108,7 +108,7 @@ def judged(outcome, error=0.0, *, likelihood=LIKE, mean=0.0, covariance=PRIOR, l
     ("std", "share", "rate", "deep"),
     [([POSITION], [1.0], 1e-12, 0), ([POSITION], [1.0], 1e-12, 0.3), ([5e-5, 2e-4, 1e-3], [0.6, 0.3, 0.1], 0.01, 0)],
 )
-def test_a_position_is_a_mixture_of_kalman_steps_and_outliers_that_leave_the_placement(std, share, rate, deep):
+def test_a_position_updates_the_pose_by_a_mixture_of_kalman_steps_and_outliers_do_not(std, share, rate, deep):
     """Density, mean and covariance by the mixture's components, in double precision; the error of a deep indentation
     adds to that of the position.
     """
@@ -117,24 +117,24 @@ def test_a_position_is_a_mixture_of_kalman_steps_and_outliers_that_leave_the_pla
     mean, covariance = rng.normal(scale=0.1e-3, size=(MANY, 6)), root @ root.swapaxes(1, 2)
     errors = np.resize([0.0, 0.3e-3, 1e-3, 0.5], MANY)  # half a metre
     likelihood = like(position_std=std, position_share=share, outlier_rate=rate, indentation_error=deep)
-    found = judged(outcome, errors, likelihood=likelihood, mean=mean, covariance=covariance)
+    compared = judged(outcome, errors, likelihood=likelihood, mean=mean, covariance=covariance)
     for i, error in enumerate(errors):
         P, slope = covariance[i], np.asarray(outcome.jacobian[i], np.float64)
         toward, surprise = P @ slope, error - slope @ mean[i]
         variance = slope @ toward + np.array(std) ** 2 + (deep * float(outcome.indentation[i, 1])) ** 2
         usual = np.array(share) * stats.norm.pdf(surprise, scale=np.sqrt(variance))
         joint = np.append((1 - rate) * usual, rate / STRAY)
-        assert float(found.spatial[i]) == pytest.approx(np.log(joint.sum()), abs=1e-3)
+        assert float(compared.spatial[i]) == pytest.approx(np.log(joint.sum()), abs=1e-3)
         weight = joint / joint.sum()
         gains = np.append(np.outer(1 / variance, toward), np.zeros((1, 6)), axis=0)
         step = weight @ gains * surprise
         off = gains * surprise - step
         mixed = P + np.einsum("c,ci,cj->ij", weight, off, off) - np.outer(weight @ gains, toward)
-        np.testing.assert_allclose(found.mean[i], mean[i] + step, atol=1e-7)
-        np.testing.assert_allclose(found.covariance[i], mixed, atol=1e-3 * P.max())
+        np.testing.assert_allclose(compared.mean[i], mean[i] + step, atol=1e-7)
+        np.testing.assert_allclose(compared.covariance[i], mixed, atol=1e-3 * P.max())
 
 
-def test_meeting_something_and_nothing_share_one():
+def test_probabilities_of_contact_and_of_none_sum_to_one_plus_outliers():
     rng = np.random.default_rng(5)
     outcome, hit = outcomes(rng, MANY), np.arange(MANY) % 3 != 0
     approach = np.where(hit, PAST + rng.normal(scale=2e-3, size=MANY), PAST)
@@ -152,21 +152,21 @@ def test_meeting_something_and_nothing_share_one():
     np.testing.assert_array_equal(missed.covariance, np.float32(PRIOR))
 
 
-def test_a_force_that_no_wrench_sensor_can_tell_is_the_least():
+def test_a_force_below_the_smallest_load_counts_as_that_load():
     outcome = outcomes(np.random.default_rng(60), MANY)
     force = np.tile([-0.1, 0.0, 1e-6, MIN_LOAD_N], MANY // 4)
     same = jax.tree.map(lambda x: jnp.repeat(x[::4], 4, axis=0), outcome)
     # Readings and indentations are those of the least load; the arm gives by the force that was measured.
     advance = np.asarray(same.approach_distance) + force / ARM_STIFFNESS_N_PER_M
     at = measured(np.asarray(same.reading)[:, 0] / 20, force, advance, np.ones(MANY, bool))
-    found = evidence(at, same, jnp.zeros((MANY, 6)), jnp.float32(PRIOR), LIKE)
-    for values in (found.tactile, found.spatial, found.mean):
+    compared = evidence(at, same, jnp.zeros((MANY, 6)), jnp.float32(PRIOR), LIKE)
+    for values in (compared.tactile, compared.spatial, compared.mean):
         values = np.asarray(values).reshape(MANY // 4, 4, -1)
         np.testing.assert_allclose(values, values[:, -1:].repeat(4, 1), rtol=1e-4, atol=1e-7)
-    assert np.isfinite(found.tactile).all()
+    assert np.isfinite(compared.tactile).all()
 
 
-def test_extremes_stay_finite():
+def test_evidence_of_extreme_touches_is_finite():
     outcome, covariance = outcomes(np.random.default_rng(6), MANY), PRIOR.copy()
     reading, force, advance = np.zeros((MANY, 15)), np.ones(MANY), np.zeros(MANY)
     reading[0], force[1], force[2], advance[3], advance[4] = 1e6, 0, 1e5, 1e3, -1e3
@@ -177,9 +177,9 @@ def test_extremes_stay_finite():
     for contact in (True, False):
         at = measured(reading, force, advance, np.full(MANY, contact))
         for likelihood in (LIKE, like(outlier_rate=1e-12)):
-            found = evidence(at, outcome, jnp.zeros((MANY, 6)), jnp.float32(covariance), likelihood)
-            assert all(np.isfinite(values).all() for values in found)
-            assert (np.linalg.eigvalsh(np.asarray(found.covariance, np.float64)) > -1e-6 * SPREAD.max() ** 2).all()
+            compared = evidence(at, outcome, jnp.zeros((MANY, 6)), jnp.float32(covariance), likelihood)
+            assert all(np.isfinite(values).all() for values in compared)
+            assert (np.linalg.eigvalsh(np.asarray(compared.covariance, np.float64)) > -1e-6 * SPREAD.max() ** 2).all()
 
 
 # --- particles --------------------------------------------------------------------------------------------------------
@@ -270,13 +270,13 @@ def middle() -> tuple[Belief, TouchObservation, PredictedTouch]:
     return now, measured(reading, 0.9, -1e-3, True), outcome
 
 
-def test_weights_leave_evidence_out_which_may_be_nan(middle):
+def test_evidence_without_weight_may_be_nan(middle):
     now, at, outcome = middle
 
     def apart(other: TouchObservation, **weights: float) -> float:
         """How far weights of particles come apart where another touch was measured."""
-        one, two = (update(now, touch, outcome, like(**weights)).log_weight for touch in (at, other))
-        return float(np.abs(one - two).max())
+        first, second = (update(now, touch, outcome, like(**weights)).log_weight for touch in (at, other))
+        return float(np.abs(first - second).max())
 
     felt, ended = at._replace(reading=at.reading + 30), at._replace(advance=at.advance + 1e-3)
     air, lost = at._replace(contact=jnp.asarray(False)), at._replace(reading=jnp.full(15, jnp.nan))
@@ -295,7 +295,7 @@ def test_weights_leave_evidence_out_which_may_be_nan(middle):
 
 
 @pytest.mark.full
-def test_the_zero_of_the_sensor_is_followed():
+def test_the_bias_of_the_sensor_is_tracked():
     rng = np.random.default_rng(11)
     offset, noise = rng.normal(scale=20, size=15), np.linalg.cholesky(np.cov(ERRORS.T))
 
@@ -324,7 +324,7 @@ def test_the_zero_of_the_sensor_is_followed():
 
 
 @pytest.mark.full
-def test_probabilities_are_those_of_being_right():
+def test_posterior_probabilities_are_frequencies_of_right_decisions():
     """All that happens is drawn from the model, which is known to be right then."""
     kinds, few, episodes, sites, shape = 3, 16, 1500, 6, (1500, 3)
     model, places = like(outlier_rate=1e-9, position_std=[0.5e-3]), belief.sample_particles(SPREAD, 16)
@@ -341,7 +341,7 @@ def test_probabilities_are_those_of_being_right():
     spread = np.sqrt(1 + np.asarray(model.growth) * now.variance[..., 1:2])
     t = rng.normal(size=(*shape, 15)) / np.sqrt(rng.chisquare(8, shape) / 8)[..., None]
     reading = now.reading[..., 1, :] + (spread * t) @ np.linalg.inv(np.asarray(model.whiten, np.float64)).T
-    off = rng.normal(size=(episodes, 1, 6)) * SPREAD * belief.PARTICLE_STD_RATIO
+    off = rng.normal(size=(episodes, 1, 6)) * SPREAD * 0.5
     advance = expected(now, 1) + (now.jacobian * off).sum(-1) + rng.normal(scale=0.5e-3, size=shape)
 
     def episode(at):

@@ -8,7 +8,7 @@ from i2t.recognition import calibrated, metrics
 from i2t.recognition.calibrated import TemperatureScaling
 
 
-def test_the_temperature_of_beliefs_that_count_touches_twice_is_found():
+def test_the_fitted_temperature_corrects_beliefs_that_count_touches_twice():
     """Right beliefs about normal readings, made too sure by a known temperature."""
     rng = np.random.default_rng(0)
     episodes, touches, classes = 4000, 6, 3
@@ -20,15 +20,15 @@ def test_the_temperature_of_beliefs_that_count_touches_twice_is_found():
         t = np.arange(1, touches + 1)
         sure = right * (wanted.initial * (1 + wanted.growth * (t - 1)))[None, :, None]
         p = np.exp(sure - logsumexp(sure, axis=-1, keepdims=True))
-        found = calibrated.fit_temperature(p, truth)
-        assert found.initial == pytest.approx(wanted.initial, abs=0.06)
-        assert found.growth == pytest.approx(wanted.growth, abs=0.03)
-        sober = calibrated.calibrated_beliefs(p, found)
+        fitted = calibrated.fit_temperature(p, truth)
+        assert fitted.initial == pytest.approx(wanted.initial, abs=0.06)
+        assert fitted.growth == pytest.approx(wanted.growth, abs=0.03)
+        sober = calibrated.calibrated_beliefs(p, fitted)
         assert (sober.argmax(-1) == p.argmax(-1)).mean() > 0.9999
         assert metrics.log_loss(sober, truth).mean() <= metrics.log_loss(p, truth).mean() + 1e-4
 
 
-def test_log_odds_with_a_wrong_slope_and_offset_are_put_right():
+def test_platt_scaling_corrects_slope_and_offset_of_log_odds():
     """Odds of normal signals about -1 and 1 (log odds 2x), told with a wrong slope and offset."""
     rng = np.random.default_rng(1)
     unknown = rng.random(4000) < 0.5
@@ -47,7 +47,7 @@ def test_log_odds_with_a_wrong_slope_and_offset_are_put_right():
     np.testing.assert_allclose(nothing, nothing[0, 0, 0])  # knows none from another
 
 
-def test_another_prior_of_the_unknown_class_is_bayes_rule():
+def test_changing_the_unknown_prior_follows_bayes_rule():
     p = np.array([[[0.3, 0.2]]])
     q, other = calibrated.with_unknown_prior(p, np.array([[0.5]]), 0.2, 0.5)  # odds 1/4 to 1: four times as likely
     np.testing.assert_allclose(np.append(q, other), np.array([0.3, 0.2, 2.0]) / 2.5)
@@ -57,7 +57,7 @@ def test_another_prior_of_the_unknown_class_is_bayes_rule():
         calibrated.with_unknown_prior(p, np.array([[0.5]]), 0.0, 0.5)
 
 
-def test_beliefs_that_are_not_finite_and_no_beliefs_are_refused():
+def test_empty_or_non_finite_beliefs_are_refused():
     p, truth = np.full((5, 3, 4), 0.25), np.zeros(5, int)
     wrong = np.where(np.arange(5)[:, None, None] == 3, np.nan, p)
     with pytest.raises(ValueError, match="log loss of these beliefs is not finite"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from helpers.environments import OBJECTS, SITES, random_environment
 
-from i2t.recognition.environment import HOME_HEIGHT_M, EnvironmentConfig, TouchAction, record
+from i2t.recognition.environment import EnvironmentConfig, TouchAction, record
 from i2t.simulation.touches import SimulationErrors
 
 QUIET = EnvironmentConfig(touches=4, errors=SimulationErrors.none())
@@ -25,9 +25,9 @@ def begun():
     return environment, params, environment.reset(jax.random.key(0), params)[1]
 
 
-def test_a_touch_is_that_of_the_table_and_its_reward_the_cross_entropy_of_the_prediction(begun):
+def test_a_step_looks_up_the_table_and_its_reward_is_the_negative_cross_entropy(begun):
     environment, params, state = begun
-    above = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, HOME_HEIGHT_M], [0, 0, 0, 1]]  # the origin, looking down
+    above = [[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 0.15], [0, 0, 0, 1]]  # the origin, looking down
     fresh, _ = environment.reset(jax.random.key(0), params)
     np.testing.assert_array_equal(fresh.T_w_t, np.float32(above))
     logits = np.array([1.0, -2.0, 0.5], np.float32)
@@ -57,7 +57,7 @@ def test_an_unsafe_touch_moves_nothing_and_costs_a_step(begun):
         assert reward == pytest.approx(float(before) - QUIET.refusal_cost)
 
 
-def test_an_episode_ends_when_its_touches_are_used_up_and_the_next_begins(begun):
+def test_an_episode_ends_after_its_last_touch_and_the_next_begins(begun):
     environment, params, state = begun
 
     def step(state, key):
@@ -81,7 +81,7 @@ def test_objects_and_pads_are_drawn_in_every_episode_and_held_out_pads_are_other
     assert some.response.linear.shape[0] == some.pads.gains.shape[0] == 1
 
 
-def test_touches_to_come_change_no_reading_of_those_made():
+def test_future_touches_do_not_change_past_readings():
     """The sensor remembers: a touch reads the same whether the episode goes on or not."""
     environment, params = random_environment(EnvironmentConfig(touches=4))
     _, state = environment.reset(jax.random.key(0), params)
@@ -90,12 +90,12 @@ def test_touches_to_come_change_no_reading_of_those_made():
         outcome = environment.touch(jax.random.key(site), state, jnp.int32(site), params)
         state = record(state, jnp.int32(site), outcome)
         readings.append(environment.measure(state, params).reading)
-    for made, reading in enumerate(readings[:2], 1):
-        np.testing.assert_array_equal(reading[:made], readings[2][:made])
+    for count, reading in enumerate(readings[:2], 1):
+        np.testing.assert_array_equal(reading[:count], readings[2][:count])
     assert not np.array_equal(readings[2][:3], state.made.reading[:3])  # which is that of an ideal skin
 
 
-def test_errors_of_the_sensor_are_none_of_a_press():
+def test_press_errors_exclude_those_of_the_sensor():
     """Worlds that differ in these alone share what is compiled."""
     none, usual = SimulationErrors.none(), SimulationErrors()
     assert EnvironmentConfig(usual).press_errors == replace(usual, noise=none.noise, faults=none.faults)

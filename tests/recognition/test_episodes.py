@@ -53,11 +53,11 @@ def recorded(heights: np.ndarray, codes: list[ReturnCode]) -> Dataset:
     T[:, 2, 3] = heights
     depth = np.where(np.array(codes) == ReturnCode.AIR, np.nan, 1e-3)
     images = {"patch": np.zeros((len(heights), 48, 48)), "wide": np.zeros((len(heights), 72, 72))}
-    made = touches(T, depth=depth, code=np.array(codes, np.int32), **images)
-    return Dataset(made, ("square",), ("pad",), ("session",), BOARD, "simulated")
+    recording = touches(T, depth=depth, code=np.array(codes, np.int32), **images)
+    return Dataset(recording, ("square",), ("pad",), ("session",), BOARD, "simulated")
 
 
-def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
+def test_the_site_of_a_touch_without_contact_lies_before_its_end():
     heights = np.array([TOP, TOP + 3e-3, TOP - 1e-3])
     data = recorded(heights, [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH])
     sites, episodes = episodes_from_dataset(data, ["square"], 3, overtravel=OVERTRAVEL)
@@ -65,23 +65,23 @@ def test_the_site_of_a_touch_that_met_air_lies_before_its_end():
     np.testing.assert_allclose(episodes.observations.advance[0], [0, OVERTRAVEL, 0])
     np.testing.assert_array_equal(episodes.observations.contact[0], [True, False, True])
     np.testing.assert_allclose(episodes.T_w_t[0, :, 2, 3], heights, atol=1e-8)
-    for names, count, said in (
-        (["hexagon"], 1, "no object to tell apart is called so"),
+    for names, count, message in (
+        (["hexagon"], 1, "no object to recognise has this name"),
         (["square"], 4, "no session has 4"),
     ):
-        with pytest.raises(DataError, match=said):
+        with pytest.raises(DataError, match=message):
             episodes_from_dataset(data, names, count)
 
 
-def test_each_kind_of_evidence_counts_by_itself_and_fused_is_all():
+def test_each_kind_of_evidence_has_its_own_weight_and_fused_has_all():
     for kind in EVIDENCE:
-        one = weigh_evidence(LIKELIHOOD, kind)
-        on = [bool(x > 0) for x in (one.tactile_weight, one.spatial_weight, one.presence_weight)]
+        weighed = weigh_evidence(LIKELIHOOD, kind)
+        on = [bool(x > 0) for x in (weighed.tactile_weight, weighed.spatial_weight, weighed.presence_weight)]
         assert on == [kind == "fused" or name in kind for name in ("readings", "position", "presence")]
 
 
 @pytest.mark.parametrize(("share", "together"), [(1, 2), (2, 3)])
-def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, together):
+def test_the_batch_size_of_episodes_does_not_change_beliefs(monkeypatch, share, together):
     """Each touch is judged by what was predicted at its own site, whichever episodes are taken together; a site that
     episodes share is imagined once, also where one more episode would fit.
     """
@@ -101,16 +101,16 @@ def test_believing_a_few_episodes_at_a_time_changes_nothing(monkeypatch, share, 
 
     monkeypatch.setattr(episodes_module, "predict_outcomes", predict)
     monkeypatch.setattr(episodes_module, "run_belief", judge)
-    monkeypatch.setattr(episodes_module, "BELIEVED_TOUCHES", 3 * together)
     observations = belief.TouchObservation(*(np.zeros((7, 3)) for _ in range(4)))
-    made = Episodes(np.arange(7), chosen, observations, np.zeros((7, 3, 4, 4), np.float32))
+    episodes = Episodes(np.arange(7), chosen, observations, np.zeros((7, 3, 4, 4), np.float32))
     model = create_autospec(BeliefModel, instance=True, kinds=("readings", "fused"))
-    found = inspect.unwrap(episodes_module.believe)(
-        [None, None], SitePool(jnp.asarray(T), np.zeros(30, int)), made, belief.sample_particles(np.full(6, 1e-3), 1),
-        {"": model, ", oracle": model}, overtravel=OVERTRAVEL, label="test",
+    beliefs = inspect.unwrap(episodes_module.believe)(
+        [None, None], SitePool(jnp.asarray(T), np.zeros(30, int)), episodes,
+        belief.sample_particles(np.full(6, 1e-3), 1),
+        {"": model, ", oracle": model}, overtravel=OVERTRAVEL, label="test", touches_at_a_time=3 * together,
     )  # fmt: skip
-    assert set(found) == {"readings", "fused", "readings, oracle", "fused, oracle"}
+    assert set(beliefs) == {"readings", "fused", "readings, oracle", "fused, oracle"}
     expected = np.repeat(heights[chosen][..., None], 2, -1) + np.arange(7)[:, None, None]
-    for p in found.values():
+    for p in beliefs.values():
         np.testing.assert_allclose(p, expected, rtol=1e-6)
     assert batches == [6 // share] * 4  # the last one is filled up

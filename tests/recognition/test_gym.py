@@ -13,11 +13,11 @@ from i2t.recognition import gym  # noqa: E402
 
 
 @pytest.mark.filterwarnings("ignore")  # of infinite bounds, which are meant
-def test_gymnasium_finds_nothing_wrong_with_one_environment():
+def test_the_environment_passes_the_checks_of_gymnasium():
     check_env(gym.SingleTouchEnv(*random_environment()), skip_render_check=True)
 
 
-def test_the_same_seed_is_the_same_episode_and_a_step_needs_a_reset():
+def test_a_seed_determines_the_episode_and_a_step_needs_a_reset():
     env = gym.SingleTouchEnv(*random_environment())
     with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
         env.step(env.action_space.sample())

@@ -15,13 +15,13 @@ def sharper(p, power):
 
 
 @pytest.mark.parametrize(("right", "n"), [(0, 10), (3, 10), (351, 400)])
-def test_intervals_are_those_of_scipy(right, n):
-    known = stats.beta(right + 0.5, n - right + 0.5)  # Jeffreys' posterior
-    found = intervals.rate_interval((np.arange(n) < right).astype(float))
-    assert_allclose(found, (right / n, known.ppf(0.025) if right else 0.0, known.ppf(0.975)), atol=1e-12)
+def test_intervals_equal_those_of_scipy(right, n):
+    expected = stats.beta(right + 0.5, n - right + 0.5)  # Jeffreys' posterior
+    interval = intervals.rate_interval((np.arange(n) < right).astype(float))
+    assert_allclose(interval, (right / n, expected.ppf(0.025) if right else 0.0, expected.ppf(0.975)), atol=1e-12)
     values = np.random.default_rng(0).normal(size=(6, 2))
-    known = stats.ttest_1samp(values, 0).confidence_interval(0.95)
-    assert_allclose(intervals.student_interval(values), (values.mean(0), known.low, known.high), rtol=1e-12)
+    expected = stats.ttest_1samp(values, 0).confidence_interval(0.95)
+    assert_allclose(intervals.student_interval(values), (values.mean(0), expected.low, expected.high), rtol=1e-12)
 
 
 # --- accuracy ---
@@ -41,11 +41,14 @@ def test_accuracy_by_hand():
     p[:, 0] = [0.9, 0.1]
     p[:, 1] = [[0.9, 0.1], [0.2, 0.8], [0.2, 0.8], [0.5, 0.5]]
     truth = np.array([0, 1, 1, 1])
-    found, mean = scores.accuracy(p, truth), scores.mean_accuracy(p, truth)
-    assert_allclose(found.mean, [1 / 4, 3.5 / 4])
-    assert_allclose((found.low[0], found.high[0]), stats.beta(1.5, 3.5).interval(0.95))
-    each = np.array([1, 0.5, 0.5, 0.25])  # scores of episodes
-    assert_allclose((mean.mean, mean.high - mean.mean), (each.mean(), stats.t.ppf(0.975, 3) * each.std(ddof=1) / 2))
+    accuracy, mean = scores.accuracy(p, truth), scores.mean_accuracy(p, truth)
+    assert_allclose(accuracy.mean, [1 / 4, 3.5 / 4])
+    assert_allclose((accuracy.low[0], accuracy.high[0]), stats.beta(1.5, 3.5).interval(0.95))
+    episode_scores = np.array([1, 0.5, 0.5, 0.25])  # scores of episodes
+    assert_allclose(
+        (mean.mean, mean.high - mean.mean),
+        (episode_scores.mean(), stats.t.ppf(0.975, 3) * episode_scores.std(ddof=1) / 2),
+    )
     assert_array_equal(scores.confusion(p[:, 1], truth), [[1, 0], [0.5, 2.5]])
 
 
@@ -53,10 +56,10 @@ def test_pairs_by_hand():
     # Last touch: right both 3, first only 5, second only 1, neither 1.
     hit = np.array([[1, 1]] * 3 + [[0, 1]] * 5 + [[1, 0]] + [[0, 0]], float)
     other = np.array([[1, 1]] * 3 + [[0, 0]] * 5 + [[1, 1]] + [[0, 0]], float)
-    found, swapped, same = (scores.compare_paired(*pair) for pair in ((hit, other), (other, hit), (hit, hit)))
-    known = stats.ttest_rel(hit.mean(1), other.mean(1))
-    assert_allclose(found.mean[1:], known.confidence_interval(0.95))
-    assert found.last.mean == pytest.approx(0.4)
+    difference, swapped, same = (scores.compare_paired(*pair) for pair in ((hit, other), (other, hit), (hit, hit)))
+    expected = stats.ttest_rel(hit.mean(1), other.mean(1))
+    assert_allclose(difference.mean[1:], expected.confidence_interval(0.95))
+    assert difference.last.mean == pytest.approx(0.4)
     assert swapped.last.mean == pytest.approx(-0.4)
     assert float(same.mean.high) == 0
     with pytest.raises(ValueError, match="same episodes"):
@@ -71,21 +74,21 @@ def test_bins_and_their_gap_by_hand():
     assert scores.calibration_error(sure, hit, 10).error == pytest.approx((0.05 + 0.85 + 2 * 0.07 + 0) / 5)
 
 
-def test_the_calibration_error_of_a_calibrated_forecaster_is_that_of_chance():
+def test_the_calibration_error_of_a_calibrated_forecaster_is_due_to_chance():
     p, truth = calibrated_forecaster(2, 4000)
     sure, hit = scores.confidence(p)[:, 2], scores.hits(p, truth)[:, 2]
-    found = scores.calibration_error(sure, hit)
+    calibration = scores.calibration_error(sure, hit)
     # The frequency of n decisions misses by 0.8 * 0.5 / sqrt(n) on average at most; 15 equal bins are the worst.
-    assert found.chance < 0.8 * 0.5 * np.sqrt(15 / 4000)
-    assert found.error < 1.5 * found.chance_high
+    assert calibration.chance < 0.8 * 0.5 * np.sqrt(15 / 4000)
+    assert calibration.error < 1.5 * calibration.chance_high
     # Odds to the power 2 are too sure of themselves, by a lot.
     worse = scores.calibration_error(scores.confidence(sharper(p, 2))[:, 2], hit)
     assert worse.error > 0.05 > worse.chance_high
     # Decisions that come in 40 clusters of 100, right or wrong together, miss by as much as 40 of them.
     forty = scores.calibration_error(sure, hit, cluster=np.arange(4000) // 100)
     few = scores.calibration_error(sure[::100], hit[::100])
-    assert forty.error == found.error
-    assert forty.chance > 3 * found.chance
+    assert forty.error == calibration.error
+    assert forty.chance > 3 * calibration.chance
     assert forty.chance < few.chance
 
 
@@ -104,22 +107,22 @@ def test_the_loss_is_proper_and_as_by_hand():
 def test_stopping_by_hand():
     p = np.array([[0.6, 0.96, 0.5], [0.7, 0.8, 0.9], [0.99, 0.2, 0.2], [0.5, 0.5, 0.5]])
     p = np.stack([p, 1 - p], -1)
-    found = scores.stopping(p, np.array([0, 1, 1, 0]), 0.05)
+    stopped = scores.stopping(p, np.array([0, 1, 1, 0]), 0.05)
     # Decided at touches 2, 3, 1, 3 with 0.96, 0.9, 0.99 and a tie: right, wrong, wrong, half right.
-    assert_allclose((found.error.mean, found.predicted_error), (2.5 / 4, (0.04 + 0.1 + 0.01 + 0.5) / 4))
-    assert (found.stopped.mean, found.stopped_error.mean, found.touches.mean) == (0.5, 0.5, 9 / 4)
-    assert found.stopped_predicted_error == pytest.approx(0.025)
+    assert_allclose((stopped.error.mean, stopped.predicted_error), (2.5 / 4, (0.04 + 0.1 + 0.01 + 0.5) / 4))
+    assert (stopped.stopped.mean, stopped.stopped_error.mean, stopped.touches.mean) == (0.5, 0.5, 9 / 4)
+    assert stopped.stopped_predicted_error == pytest.approx(0.025)
     never = scores.stopping(p[3:], np.array([0]), 0.01)
     assert np.isnan([never.stopped_predicted_error, float(never.stopped_error.mean)]).all()
 
 
 def test_a_calibrated_forecaster_stops_with_the_error_it_promises():
     p, truth = calibrated_forecaster(7, 20000, touches=8)
-    found = scores.stopping(p, truth, 0.1)
-    four_sigma = 4 * np.sqrt(0.25 / (20000 * found.stopped.mean))
-    assert abs(found.error.mean - found.predicted_error) < four_sigma
-    assert abs(found.stopped_error.mean - found.stopped_predicted_error) < four_sigma
-    assert found.stopped_predicted_error < 0.1
+    stopped = scores.stopping(p, truth, 0.1)
+    four_sigma = 4 * np.sqrt(0.25 / (20000 * stopped.stopped.mean))
+    assert abs(stopped.error.mean - stopped.predicted_error) < four_sigma
+    assert abs(stopped.stopped_error.mean - stopped.stopped_predicted_error) < four_sigma
+    assert stopped.stopped_predicted_error < 0.1
     hasty = scores.stopping(sharper(p, 2), truth, 0.1)
     assert hasty.stopped_error.low > hasty.stopped_predicted_error
 

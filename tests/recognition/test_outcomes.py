@@ -62,18 +62,18 @@ def test_a_flat_top_is_met_by_the_lowest_corner_of_the_skin():
     T_w_o = pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.1, 0.1, 3))
     places = [[*rng.uniform(-5e-3, 5e-3, 2), TOP + rng.uniform(-5e-3, 5e-3)] for _ in range(12)]
     sites = [pose(tilted(rng, 0.2), place) for place in places]
-    found = met(BLOCK, T_w_o, np.zeros(6), T_w_o[None] @ np.stack(sites))
-    assert found.hit.all()
+    contacts = met(BLOCK, T_w_o, np.zeros(6), T_w_o[None] @ np.stack(sites))
+    assert contacts.hit.all()
     for i, site in enumerate(sites):
         R, p = site[:3, :3], site[:3, 3]
         corner, cosine = -np.sign(R[2, :2]) * HALF, -R[2, 2]
         height = p[2] + R[2, :2] @ corner - TOP
-        assert found.approach_distance[i] == pytest.approx(height / cosine, abs=2 * DELTA)
+        assert contacts.approach_distance[i] == pytest.approx(height / cosine, abs=2 * DELTA)
         # A plane that moves up by v shortens the approach distance by v over the cosine; a turn w moves it up by w x q
         # at q.
         q = p + R[:, :2] @ corner + R[:, 2] * height / cosine
         slope = -np.array([0, 0, 1, q[1] / TWIST_LEVER_M, -q[0] / TWIST_LEVER_M, 0]) / cosine
-        np.testing.assert_allclose(found.jacobian[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
+        np.testing.assert_allclose(contacts.jacobian[i], slope, atol=1e-4)  # q moves by DELTA, of 9 mm
 
 
 def test_slopes_are_differences_of_approach_distances():
@@ -90,41 +90,41 @@ def test_slopes_are_differences_of_approach_distances():
     arm = 2 * RADIUS
     turns = np.array([0, 0, 0, 1, 1, 1])[:, None]
     for surface, site, facets in ((BLOCK, top, 0), (BALL, pole, 1)):
-        found = met(surface, T_w_o, places, T_w_o @ site)
-        assert found.hit.all()
-        assert np.abs(found.approach_distance).max() > 1e-4
-        apart = found.approach_distance[2:].reshape(6, 2, 2).astype(np.float64)  # (coordinate, sign, place)
+        contacts = met(surface, T_w_o, places, T_w_o @ site)
+        assert contacts.hit.all()
+        assert np.abs(contacts.approach_distance).max() > 1e-4
+        apart = contacts.approach_distance[2:].reshape(6, 2, 2).astype(np.float64)  # (coordinate, sign, place)
         difference = (apart[:, 1] - apart[:, 0]) / (2 * step)
-        bend = np.abs(apart.sum(1) - 2 * found.approach_distance[:2]) / step
+        bend = np.abs(apart.sum(1) - 2 * contacts.approach_distance[:2]) / step
         smooth = arm / TWIST_LEVER_M**3 * step**2 + DELTA / step  # of approach distances wrong by DELTA
         kink = 0.5 * facets * turns * (bend + arm / TWIST_LEVER_M**2 * step)
-        assert (np.abs(found.jacobian[:2].T - difference) < smooth + kink).all()
-        assert np.abs(found.jacobian).max() > 0.5
+        assert (np.abs(contacts.jacobian[:2].T - difference) < smooth + kink).all()
+        assert np.abs(contacts.jacobian).max() > 0.5
 
 
-def test_a_miss_is_all_zeros_and_no_nan():
+def test_a_miss_is_all_zeros_without_nan():
     # Beside the block; above it by a little more and a little less than the overtravel; below it, where an approach
     # that begins a millimetre below the bottom leads away from it.
     places = [60e-3, 0, TOP], *([0, 0, TOP + PAST + off] for off in (4 * DELTA, -4 * DELTA)), [0, 0, -STANDOFF - 1e-3]
-    found = met(BLOCK, np.eye(4), np.zeros(6), np.stack([pose(DOWN, place) for place in places]))
-    np.testing.assert_array_equal(found.hit, [False, False, True, False])
-    np.testing.assert_allclose(found.approach_distance, PAST, atol=5 * DELTA)
-    for values in (found.jacobian, found.indentation, found.newtons):
+    contacts = met(BLOCK, np.eye(4), np.zeros(6), np.stack([pose(DOWN, place) for place in places]))
+    np.testing.assert_array_equal(contacts.hit, [False, False, True, False])
+    np.testing.assert_allclose(contacts.approach_distance, PAST, atol=5 * DELTA)
+    for values in (contacts.jacobian, contacts.indentation, contacts.newtons):
         np.testing.assert_array_equal(values[[0, 1, 3]], 0)
-    assert all(np.isfinite(x).all() for x in found)
+    assert all(np.isfinite(x).all() for x in contacts)
 
 
 def test_the_skin_carries_the_load_and_sinks_deeper_with_it():
     flat, round_ = pose(DOWN, [0, 0, TOP]), pose(DOWN, [1e-3, 2e-3, 2 * RADIUS])
     for surface, site in ((BLOCK, flat), (BALL, round_)):
-        found = met(surface, np.eye(4), np.zeros(6), site)
-        assert found.newtons.min() >= 0
+        contacts = met(surface, np.eye(4), np.zeros(6), site)
+        assert contacts.newtons.min() >= 0
         # Rescaled to the load: 400 cells are summed in float32.
-        np.testing.assert_allclose(found.newtons.sum(-1), np.float32([LOADS_N]), rtol=400 * np.finfo(np.float32).eps)
-        assert (np.diff(found.indentation[0], prepend=0) > 0).all()
+        np.testing.assert_allclose(contacts.newtons.sum(-1), np.float32([LOADS_N]), rtol=400 * np.finfo(np.float32).eps)
+        assert (np.diff(contacts.indentation[0], prepend=0) > 0).all()
     # Where the ball is met is where it presses: its centre of pressure lies under the pole.
     x = (np.arange(CELL_GRID.cells) + 0.5) * CELL_GRID.spacing - HALF
-    newtons = found.newtons[0].reshape(-1, CELL_GRID.cells, CELL_GRID.cells)
+    newtons = contacts.newtons[0].reshape(-1, CELL_GRID.cells, CELL_GRID.cells)
     centre = np.einsum("lij,j->l", newtons, x) / LOADS_N, np.einsum("lij,i->l", newtons, x) / LOADS_N
     # The tool's x is the world's and its y is turned over; a cell wide, the centre is known to a part of it.
     np.testing.assert_allclose(centre, np.array([[-1e-3], [2e-3]]) * np.ones(3), atol=0.25e-3)
@@ -143,7 +143,7 @@ def outcome() -> PredictedTouch:
     return PredictedTouch(jnp.array(True), *values)
 
 
-def test_between_loads(outcome):
+def test_touches_are_interpolated_between_loads(outcome):
     force = np.geomspace(0.1, 8.1, 61)  # from a third of the least load to three times the largest, which are knots
     sunk, reading, variance = (np.asarray(x, np.float64) for x in interpolate_load(outcome, LOAD, jnp.float32(force)))
     knots = [np.argmin(np.abs(force - load)) for load in LOADS_N]

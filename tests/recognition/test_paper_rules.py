@@ -96,7 +96,7 @@ class Weight(TouchModel):
         return Reading(mean, np.ones_like(mean))
 
 
-def test_at_the_median_force_nothing_is_known_of_how_hard_a_touch_pressed():
+def test_at_the_median_force_predictions_ignore_the_measured_force():
     patch = np.zeros((2, 4, 4), np.float32)
     pressed = TouchBatch(patch, patch, 1e-3, np.array([0.1, 5.0]), np.zeros(2), np.zeros(2))
     told = Predictor(Weight(), 17e-3, 4e-3, default_force=1.5, default_depth=0.0, std_scale=2.0)
@@ -142,7 +142,7 @@ def fixed_scorer(touches: MeasuredTouches) -> np.ndarray:
 
 
 @pytest.mark.full
-def test_the_loop_touches_where_the_heuristic_says_on_hypotheses_sampled_from_its_own_votes(recorded):
+def test_the_loop_samples_hypotheses_from_its_votes_and_touches_by_the_heuristic(recorded):
     hypotheses = []
     for key in jax.random.split(jax.random.key(0), 30):
         result = run_loop(key, fixed_scorer, BEGUN, TWO_POOLS, POOL)
@@ -156,7 +156,7 @@ def test_the_loop_touches_where_the_heuristic_says_on_hypotheses_sampled_from_it
     assert 0.3 < share[2] < 0.7  # one vote each: an argmax would always take the first
 
 
-def test_hypotheses_follow_the_rule_that_is_asked_for(recorded):
+def test_hypotheses_follow_the_requested_rule(recorded):
     """By the product of likelihoods the second object has e^2 / (1 + e^2) = .88 after one touch and .73 after two."""
     share = np.mean(
         [

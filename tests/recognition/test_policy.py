@@ -80,27 +80,27 @@ def test_gains_are_mutual_information(prior):
     distances = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 20.0])
     bound = stats.bernoulli(prior).entropy()
     # What is not known about a place makes the approach distance unsure along its slope.
-    unsure = np.hypot(belief.PARTICLE_STD_RATIO * SPREAD[2], POSITION)
+    unsure = np.hypot(0.5 * SPREAD[2], POSITION)
     steep = touches(0.0, unsure * apart(distances))._replace(jacobian=jnp.broadcast_to(jnp.eye(6)[2], (*SHAPE, 6)))
     for likelihood, table in (
         (TACTILE, touches(NOISE * apart(distances))),
         (SPATIAL, touches(0.0, POSITION * apart(distances))),
         (SPATIAL, steep),
     ):
-        found = gains(jax.random.key(0), start(prior), table, likelihood)
+        gain = gains(jax.random.key(0), start(prior), table, likelihood)
         for i, distance in enumerate(distances):
             exact, sd = information(distance, prior)
             # Draws; how many of them each object gets, to one; and Student's degrees of freedom: 15^2 / 10^4 of a nat.
             loose = SIGMAS * sd / np.sqrt(DRAWS) + 1 / DRAWS + 15**2 / 1e4 * exact
-            assert float(found.object[i]) == pytest.approx(exact, abs=loose + 1e-4)
-        assert (np.diff(found.object) > 0).all()  # all sites see the same draws
-        assert (found.object < bound + 1e-4).all()
+            assert float(gain.object[i]) == pytest.approx(exact, abs=loose + 1e-4)
+        assert (np.diff(gain.object) > 0).all()  # all sites see the same draws
+        assert (gain.object < bound + 1e-4).all()
         # Places feel alike here: nothing is learned of them, and the two are estimates of one number.
-        np.testing.assert_allclose(found.both, found.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
+        np.testing.assert_allclose(gain.both, gain.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
 
 
 @pytest.mark.full
-def test_errors_are_imagined_with_the_distributions_of_the_likelihood():
+def test_simulated_errors_follow_the_distributions_of_the_likelihood():
     """Readings of a multivariate Student's t, and positions of a mixture and its outliers."""
     heavy = NORMAL._replace(
         position_std=jnp.float32([0.1e-3, 1e-3]), position_share=jnp.float32([0.8, 0.2]),
@@ -125,42 +125,44 @@ def test_information_on_the_object_and_on_the_place():
     hit = np.ones(kinds.shape, bool)
     hit[-1, 1] = False  # the other object is not there at all
     table = touches(20 * NOISE * (kinds - 7.5) / 2, 0.0, hit)
-    found = gains(jax.random.key(1), start(), table, TACTILE)
+    information = gains(jax.random.key(1), start(), table, TACTILE)
     close = partial(np.testing.assert_allclose, atol=1e-3)
-    close(found.object, np.log([1, 2, 2, 1, 1, 2]))
-    close(found.both, np.log([8, 2, 16, 1, 2, 2]))
+    close(information.object, np.log([1, 2, 2, 1, 1, 2]))
+    close(information.both, np.log([8, 2, 16, 1, 2, 2]))
 
     # Where the place is known, all information is on the object; and where the object is, all of the place.
     placed = start()._replace(log_weight=jnp.where(jnp.arange(COUNT)[None] == 5, start().log_weight, -jnp.inf))
-    found = gains(jax.random.key(2), placed, table, TACTILE)
-    close(found.object, np.log([1, 2, 2, 1, 1, 2]))
-    close(found.both, np.log([1, 2, 2, 1, 1, 2]))
+    information = gains(jax.random.key(2), placed, table, TACTILE)
+    close(information.object, np.log([1, 2, 2, 1, 1, 2]))
+    close(information.both, np.log([1, 2, 2, 1, 1, 2]))
     named = start()._replace(log_weight=jnp.zeros((OBJECTS, COUNT)).at[1].set(-jnp.inf))
-    found = gains(jax.random.key(3), named, table, TACTILE)
-    close(found.object, 0)
-    close(found.both, np.log([8, 1, 8, 1, 2, 1]))
+    information = gains(jax.random.key(3), named, table, TACTILE)
+    close(information.object, 0)
+    close(information.both, np.log([8, 1, 8, 1, 2, 1]))
 
 
-def test_what_is_imagined_is_what_is_expected_plus_its_noise():
+def test_a_simulated_observation_is_the_prediction_plus_noise():
     outcome = jax.tree.map(lambda x: x[0, 0, 0], touches(3.0, 1e-3))
     outcome = outcome._replace(jacobian=jnp.arange(6.0), variance=jnp.full(3, 0.02))
     off, noise = jnp.full(6, 1e-4), (jnp.arange(17.0) - 8).at[15:].set(jnp.array([7 * POSITION, -2.0]))
     likelihood = NORMAL._replace(inflation=jnp.float32(2), indentation_error=jnp.float32(0.25))
-    imagine = jax.jit(policy.imagine_observation)
+    simulate = jax.jit(policy.simulate_observation)
     limits = {"likelihood": likelihood, "skin_change": CHANGE, "force": 8.0}
-    found = imagine(outcome, off, noise, **limits)
-    assert float(found.force) == pytest.approx(AT, rel=1e-5)
-    assert found.contact
+    observation = simulate(outcome, off, noise, **limits)
+    assert float(observation.force) == pytest.approx(AT, rel=1e-5)
+    assert observation.contact
     advance = 1e-3 + 15e-4 + 1e-4 * AT * (1 - 2 * 0.25) + AT / ARM_STIFFNESS_N_PER_M + POSITION * 7
-    assert float(found.advance) == pytest.approx(advance, rel=1e-5)
+    assert float(observation.advance) == pytest.approx(advance, rel=1e-5)
     # Errors are those of the likelihood: twice the noise of 0.1, and the GP's variance of 1 uT^2 times 0.02.
     sd = 2 * np.sqrt(NOISE**2 + 0.02)
-    np.testing.assert_allclose(found.reading - outcome.reading[1], sd * np.asarray(noise[:15]), atol=1e-4 * sd * 25)
-    assert not imagine(outcome, 4 * off, noise, **limits).contact  # after 7 mm
-    assert not imagine(outcome, 3.2 * off, noise, **limits).contact  # after 5.8 mm, and 0.7 mm of error
-    assert imagine(outcome, 3.2 * off, noise.at[15].set(0.0), **limits).contact
-    assert not imagine(outcome._replace(hit=jnp.array(False)), off, noise, **limits).contact
-    weak = imagine(outcome, off, noise, **limits | {"force": 0.5})
+    np.testing.assert_allclose(
+        observation.reading - outcome.reading[1], sd * np.asarray(noise[:15]), atol=1e-4 * sd * 25
+    )
+    assert not simulate(outcome, 4 * off, noise, **limits).contact  # after 7 mm
+    assert not simulate(outcome, 3.2 * off, noise, **limits).contact  # after 5.8 mm, and 0.7 mm of error
+    assert simulate(outcome, 3.2 * off, noise.at[15].set(0.0), **limits).contact
+    assert not simulate(outcome._replace(hit=jnp.array(False)), off, noise, **limits).contact
+    weak = simulate(outcome, off, noise, **limits | {"force": 0.5})
     assert float(weak.force) == pytest.approx(0.5)
 
 
@@ -174,7 +176,7 @@ def probable(*probability: float) -> Belief:
     return now._replace(log_weight=jnp.broadcast_to(share, (3, COUNT)))
 
 
-def test_permitted_sites_are_safe_on_what_is_possible():
+def test_allowed_sites_are_safe_on_the_possible_objects():
     now = probable(0.9, 0.06, 0.03)
     safe = jnp.array([[1, 1, 1], [1, 1, 0], [1, 0, 1], [1, 0, 0], [0, 1, 1]], bool)
     np.testing.assert_array_equal(policy.safe_sites_mask(now, safe), [True, True, False, False, False])
@@ -192,6 +194,6 @@ def test_permitted_sites_are_safe_on_what_is_possible():
         ((0, 0, 0, 0), {}, policy.NO_SITE),
     ],
 )
-def test_the_most_informative_of_the_allowed_sites_is_chosen_and_none_where_none_is(allowed, weight, chosen):
+def test_the_most_informative_allowed_site_is_chosen_if_any(allowed, weight, chosen):
     gain = InformationGain(jnp.array([0.3, 0.5, 0.45, 0.1]), jnp.array([0.4, 0.5, 1.5, 3.0]))
     assert policy.choose_site(gain, jnp.array(allowed, bool), **weight) == chosen

@@ -89,12 +89,12 @@ def touch(recognizer: ObjectRecognizer, site: ChosenSite, truth: int, key: jax.A
     row = jax.tree.map(lambda x: x[site.number, truth, POSE], recognizer.table)
     # Errors of the channels, of the position (m), and of the indentation.
     noise = jax.random.normal(key, (CHANNELS + 2,)).at[-2].multiply(POSITION_STD_M)
-    found = jax.jit(policy.imagine_observation)(
+    observation = jax.jit(policy.simulate_observation)(
         row, jnp.zeros(6), noise, likelihood=recognizer.likelihood, skin_change=25.0, force=8.0
     )
     T_w_t = site.T_w_t.copy()
-    T_w_t[:3, 3] += float(found.advance) * site.T_w_t[:3, 2]
-    return np.asarray(found.reading), float(found.force), T_w_t, bool(found.contact)
+    T_w_t[:3, 3] += float(observation.advance) * site.T_w_t[:3, 2]
+    return np.asarray(observation.reading), float(observation.force), T_w_t, bool(observation.contact)
 
 
 @pytest.mark.full
@@ -113,8 +113,8 @@ def test_an_object_is_recognised_by_chosen_touches(recognizer, truth):
     assert recognizer.stop_reason(state) == "an object is 95% probable"
     assert len(set(sites)) == len(sites) == state.touches
     # It stands where the true particle lies, to the width of the particles.
-    found = recognizer.object_pose(state, NAMES[truth])
-    assert np.linalg.norm(found[:3, 3] - recognizer.T_w_o[:3, 3]) < 5e-3
+    pose = recognizer.object_pose(state, NAMES[truth])
+    assert np.linalg.norm(pose[:3, 3] - recognizer.T_w_o[:3, 3]) < 5e-3
 
 
 @pytest.mark.full
@@ -142,7 +142,7 @@ def test_only_sites_are_chosen_that_are_safe_as_the_object_stands(leaning):
     assert cautious.choose_touch(leaning.init()) is None
 
 
-def test_it_stops_when_sure_but_not_before_the_least_number_of_touches(leaning):
+def test_it_stops_when_certain_but_not_before_the_minimum_number_of_touches(leaning):
     three = copy(leaning)
     three.config = replace(leaning.config, max_touches=5, min_touches=3)
     state = three.init()._replace(probability=np.array([1.0, 0.0]))
@@ -152,19 +152,19 @@ def test_it_stops_when_sure_but_not_before_the_least_number_of_touches(leaning):
     assert three.stop_reason(state._replace(touches=2)) == "an object is 95% probable"
 
 
-def test_what_a_touch_in_air_tells_is_where_objects_would_have_been_met(leaning):
+def test_a_touch_without_contact_is_evidence_against_objects_in_its_way(leaning):
     some = copy(leaning)
     hit = np.zeros(leaning.table.hit.shape, bool)
     hit[0, 0, :], hit[0, 1, :1] = True, True  # in every pose of one object, and in one pose of the other
     some.table = leaning.table._replace(hit=jnp.asarray(hit))
     state = some.init()
-    found = some.contact_probability(state, 0)
+    probability = some.contact_probability(state, 0)
     weight = np.exp(np.asarray(state.belief.log_weight[1]))
-    np.testing.assert_allclose(found, [1.0, weight[0] / weight.sum()], rtol=1e-5)
+    np.testing.assert_allclose(probability, [1.0, weight[0] / weight.sum()], rtol=1e-5)
     np.testing.assert_array_equal(some.contact_probability(state, 1), 0)
 
 
-def test_sites_that_could_not_be_touched_count_as_no_touches(leaning):
+def test_excluded_sites_do_not_count_as_touches(leaning):
     two = copy(leaning)
     two.config = replace(leaning.config, max_touches=2, max_excluded=3)
     state = two.exclude(two.exclude(two.init(), 0), 1)
@@ -191,13 +191,13 @@ def test_an_update_makes_a_new_state(leaning):
     np.testing.assert_array_equal(after.touched, np.arange(given.SITES) == 2)
 
 
-def test_an_advance_is_how_far_the_tool_went_along_the_approach_of_its_site(leaning):
+def test_the_advance_is_the_distance_along_the_approach_of_the_site(leaning):
     site = ChosenSite(3, leaning.site_pose(3))
     end = site.T_w_t @ np.array([[1, 0, 0, 2e-3], [0, 1, 0, -1e-3], [0, 0, 1, 5e-3], [0, 0, 0, 1]])
-    found = leaning.observe(site, np.arange(float(CHANNELS)), force=-0.1, T_w_t=end, contact=True)
-    assert (found.number, float(found.touch.force), bool(found.touch.contact)) == (3, 0.0, True)
-    assert float(found.touch.advance) == pytest.approx(5e-3, abs=1e-8)
-    np.testing.assert_array_equal(found.touch.reading, np.arange(CHANNELS))
+    observation = leaning.observe(site, np.arange(float(CHANNELS)), force=-0.1, T_w_t=end, contact=True)
+    assert (observation.number, float(observation.touch.force), bool(observation.touch.contact)) == (3, 0.0, True)
+    assert float(observation.touch.advance) == pytest.approx(5e-3, abs=1e-8)
+    np.testing.assert_array_equal(observation.touch.reading, np.arange(CHANNELS))
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_an_advance_is_how_far_the_tool_went_along_the_approach_of_its_site(lean
         ({"reading": np.zeros(CHANNELS + 3)}, "reading: has the shape"),
     ],
 )
-def test_a_measurement_that_is_none_is_refused_before_anything_is_learned(leaning, given, why):
+def test_an_invalid_measurement_is_refused_before_an_update(leaning, given, why):
     site = ChosenSite(3, leaning.site_pose(3))
     right = {"reading": np.zeros(CHANNELS), "force": 1.0, "T_w_t": site.T_w_t, "contact": True}
     with pytest.raises(ValueError, match=why):
@@ -220,13 +220,13 @@ def test_a_measurement_that_is_none_is_refused_before_anything_is_learned(leanin
 
 
 @pytest.mark.full
-def test_a_prior_is_what_is_believed_at_first(recognizer):
+def test_the_first_belief_is_the_prior(recognizer):
     info = recognizer.info(recognizer.init(np.array([2.0, 1.0])))
     np.testing.assert_allclose([*info.probability, info.unknown], [0.6, 0.3, 0.1], rtol=1e-5)
     assert info.name == NAMES[0]
 
 
-def test_what_makes_no_sense_is_refused(pad_model):
+def test_impossible_options_are_refused(pad_model):
     with pytest.raises(ValueError, match="prior_unknown is 1"):
         RecognizerConfig(prior_unknown=1.0)
     with pytest.raises(ValueError, match="num_surrogates is 0"):

@@ -16,19 +16,19 @@ from i2t.types import ReturnCode
 MUG = Mesh(np.array([[0, 0, 0], [0, 0.02, 0], [0.02, 0, 0], [0, 0, 0.02]]), np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1]]))
 
 
-def test_recorded_touches_are_seen_from_the_object():
+def test_poses_of_recorded_touches_are_in_the_frame_of_the_object():
     dataset = recorded_presses()
     rows = np.ones(len(dataset), bool)
     rows[:4] = False
     touches = dataset.touches
-    known = recorded_touches(dataset, rows, {"mug": MUG}, "DATA")
-    assert len(known.dataset) == known.rows.sum() == 36
+    selected = recorded_touches(dataset, rows, {"mug": MUG}, "DATA")
+    assert len(selected.dataset) == selected.rows.sum() == 36
     T_o_t = np.linalg.inv(touches.T_w_o[rows]) @ touches.T_w_t[rows]
-    np.testing.assert_allclose(known.dataset.touches.T_w_t, T_o_t, atol=1e-6)
-    np.testing.assert_array_equal(known.dataset.touches.T_w_o, np.broadcast_to(np.eye(4), (36, 4, 4)))
-    np.testing.assert_array_equal(known.dataset.touches.reading, touches.reading[rows])
-    assert list(known.surfaces) == ["star", "mug"]
-    assert known.made_from == "DATA"
+    np.testing.assert_allclose(selected.dataset.touches.T_w_t, T_o_t, atol=1e-6)
+    np.testing.assert_array_equal(selected.dataset.touches.T_w_o, np.broadcast_to(np.eye(4), (36, 4, 4)))
+    np.testing.assert_array_equal(selected.dataset.touches.reading, touches.reading[rows])
+    assert list(selected.surfaces) == ["star", "mug"]
+    assert selected.made_from == "DATA"
 
 
 def test_objects_without_a_mesh_are_left_out_or_named():
@@ -64,7 +64,7 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"code": np.full(40, ReturnCode.AIR)}, "no press among the training touches was ended by the skin"),
         ({"force": np.full(40, np.nan)}, "no press among the training touches has a measured force, depth and pose"),
@@ -76,13 +76,13 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
         ),
     ],
 )
-def test_why_touches_make_no_pad_model(changed, said):
+def test_touches_unsuitable_for_a_pad_model_are_refused_with_the_reason(changed, message):
     dataset = recorded_presses(objects=("star", "hammer"), **changed)
-    with pytest.raises(DataError, match=said):
+    with pytest.raises(DataError, match=message):
         recorded_touches(dataset, np.ones(len(dataset), bool), {}, "DATA")
 
 
-def test_a_rig_says_how_far_objects_may_be_off():
+def test_the_rig_sets_the_uncertainty_of_placements():
     errors = with_placement(SimulationErrors(), np.diag([4e-6] * 3 + [(0.05 * TWIST_LEVER_M) ** 2] * 3))
     assert errors.placement == pytest.approx(2e-3)
     assert errors.placement_angle == pytest.approx(0.05)

@@ -20,9 +20,9 @@ K, LOADS = 4, 3
 
 def _with_predictions(params):
     """The table's first placement in place of all, and as the prediction of every particle."""
-    made = jax.tree.map(lambda x: jnp.repeat(x[:, :, :1], x.shape[2], axis=2), params.table.touches)
-    params = params._replace(table=params.table._replace(touches=made))
-    first = jax.tree.map(lambda x: jnp.moveaxis(x[:, :, 0], 1, 2), made)  # pads, sites, objects, ...
+    touches = jax.tree.map(lambda x: jnp.repeat(x[:, :, :1], x.shape[2], axis=2), params.table.touches)
+    params = params._replace(table=params.table._replace(touches=touches))
+    first = jax.tree.map(lambda x: jnp.moveaxis(x[:, :, 0], 1, 2), touches)  # pads, sites, objects, ...
     spread = jax.tree.map(lambda x: jnp.repeat(x[:, :, :, None], K, 3), first)
     loads = jnp.float32([0.5, 1.0, 2.0])
     predicted = PredictedTouch(
@@ -41,7 +41,7 @@ def _with_predictions(params):
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", POLICIES)
-def test_every_policy_touches_nothing_twice_in_episodes_longer_than_its_sites(name):
+def test_no_policy_touches_a_site_twice_even_in_episodes_longer_than_its_sites(name):
     environment, params = random_environment(EnvironmentConfig(touches=SITES + 1))
     params = _with_predictions(params)
 
@@ -66,21 +66,21 @@ def test_every_policy_touches_nothing_twice_in_episodes_longer_than_its_sites(na
 
 
 @pytest.mark.full
-def test_episodes_side_by_side_are_those_of_the_environment():
+def test_parallel_episodes_equal_those_of_the_environment():
     """The readings, the belief and the end of an episode are those that its own steps give."""
     environment, params = random_environment(EnvironmentConfig(touches=3))
     params = _with_predictions(params)
     truth, pad = np.arange(4) % OBJECTS, np.array([0, 1, 1, 0])
-    made, posterior = rollout.rollout(jax.random.key(0), environment, params, POLICIES["random"], truth, pad)
+    episodes, posterior = rollout.rollout(jax.random.key(0), environment, params, POLICIES["random"], truth, pad)
     running = begin_episodes(jax.random.split(jax.random.key(0))[0], environment, params, truth, pad)
     step = jax.jit(partial(environment.step_env, params=params))
     for e in range(len(truth)):
         state = jax.tree.map(lambda x, e=e: jnp.asarray(x[e]), running.states)
         for i in range(3):
-            obs, state, _, done, _ = step(jax.random.key(0), state, TouchAction(jnp.int32(made.site[e, i])))
-            np.testing.assert_allclose(obs.reading, made.observations.reading[e, i], atol=1e-4)
+            obs, state, _, done, _ = step(jax.random.key(0), state, TouchAction(jnp.int32(episodes.site[e, i])))
+            np.testing.assert_allclose(obs.reading, episodes.observations.reading[e, i], atol=1e-4)
             np.testing.assert_allclose(obs.posterior, posterior[e, i], atol=1e-4)
-            np.testing.assert_allclose(obs.T_w_t, made.T_w_t[e, i], atol=1e-7)
+            np.testing.assert_allclose(obs.T_w_t, episodes.T_w_t[e, i], atol=1e-7)
         assert done
 
 
@@ -99,11 +99,11 @@ def test_methods_share_the_touches_that_both_make(monkeypatch):
     first, second = np.array([[0, 1], [2, 3], [3, 0]]), np.array([[0, 2], [2, 3], [1, 0]])
     shared: dict = {}
     episodes = []
-    for chosen, known in ((second, None), (first, shared), (second, shared)):
+    for chosen, reused in ((second, None), (first, shared), (second, shared)):
         running = begun
         for step in range(2):
-            running = advance(running, chosen[:, step : step + 1], shared=known)
-            if known is not None:
+            running = advance(running, chosen[:, step : step + 1], shared=reused)
+            if reused is not None:
                 shared |= running.new
         episodes.append(episodes_of(running))
     assert batches == [3, 3, 3, 3, 1, 1]  # the third only where the second method touches elsewhere

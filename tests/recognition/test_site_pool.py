@@ -33,7 +33,7 @@ def test_no_two_touches_share_a_site(surfaces):
         assert np.asarray(check(surface, plan.sites.T_w_t))[plan.sites.owner == i].all()
 
 
-def test_some_episodes_may_share_their_sites_and_no_others(surfaces, monkeypatch):
+def test_only_episodes_of_one_pool_share_sites(surfaces, monkeypatch):
     drawn = iter(range(100))
 
     def draw(key, surface, count, limits, name):
@@ -50,7 +50,7 @@ def test_some_episodes_may_share_their_sites_and_no_others(surfaces, monkeypatch
 
 @pytest.mark.full
 def test_joined_pools_number_their_own_sites_pool_by_pool(surfaces):
-    pools = site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, each=6, limits=RECOGNITION_LIMITS)
+    pools = site_pool.sample_pools(jax.random.key(0), surfaces, NAMES, pools=4, per_object=6, limits=RECOGNITION_LIMITS)
     assert pools.T_w_t.shape == (4, 2, 6, 4, 4)
     assert len(np.unique(pools.T_w_t[:, :, :, :3, 3].reshape(-1, 3), axis=0)) == 4 * 2 * 6
     joined = pools.joined()
@@ -59,9 +59,9 @@ def test_joined_pools_number_their_own_sites_pool_by_pool(surfaces):
     assert joined.owner[number] == 1
 
 
-def test_the_heuristic_is_of_each_pool_by_itself_and_plans_touches_there():
-    found = site_pool.pool_informativeness(TWO_POOLS)
-    np.testing.assert_allclose(found, [[[0, 1], [0, 1]], [[1, 0], [1, 0]]], atol=1e-6)
+def test_the_heuristic_plans_touches_in_each_pool_separately():
+    weights = site_pool.pool_informativeness(TWO_POOLS)
+    np.testing.assert_allclose(weights, [[[0, 1], [0, 1]], [[1, 0], [1, 0]]], atol=1e-6)
     plan = site_pool.plan_informative_touches(jax.random.key(0), TWO_POOLS, np.array([0, 1, 1]), 20)
     at = np.asarray(plan.sites.T_w_t)[plan.chosen][:, :, 0, 3]
     np.testing.assert_allclose(at, [[1e-2] * 20, [0] * 20, [0] * 20], atol=1e-8)
@@ -73,4 +73,6 @@ def test_an_object_without_safe_sites_is_named(surfaces, monkeypatch):
     none = touch_sites.Sites(jax.numpy.zeros((256, 4, 4)), jax.numpy.zeros(256, bool))
     monkeypatch.setattr(site_pool, "_draw_batch", lambda *_: none)
     with pytest.raises(ValueError, match="square has too few safe sites: 0 among"):
-        site_pool.sample_pools(jax.random.key(0), surfaces[:1], NAMES[:1], pools=1, each=1, limits=RECOGNITION_LIMITS)
+        site_pool.sample_pools(
+            jax.random.key(0), surfaces[:1], NAMES[:1], pools=1, per_object=1, limits=RECOGNITION_LIMITS
+        )

@@ -22,17 +22,17 @@ QUIET = EnvironmentConfig(
 
 
 @pytest.fixture(scope="module")
-def made():
+def world():
     """Two prisms, two pads, six sites, without errors of the arm."""
     return make_environment(("star", "hexagon"), config=QUIET, sites=6, pads=2)
 
 
 @pytest.mark.full
-def test_a_press_is_that_of_the_whole_physics_within_the_noise(made):
+def test_a_linear_press_equals_the_full_physics_within_the_noise(world):
     """Without friction: force within 8 %, travel within 20 um, and reading within 3 uT of those of cells of 0.5 mm and
     displaced dipoles.
     """
-    _, params = made
+    _, params = world
     params = params._replace(pads=params.pads._replace(friction=jnp.zeros_like(params.pads.friction)))
     whole_world = TouchEnvironment(replace(QUIET, law=press_pad))
 
@@ -60,8 +60,8 @@ def test_a_press_is_that_of_the_whole_physics_within_the_noise(made):
 
 
 @pytest.mark.full
-def test_a_row_of_the_table_is_the_touch_pressed(made):
-    environment, params = made
+def test_a_row_of_the_table_equals_the_simulated_touch(world):
+    environment, params = world
     table = tabulate(jax.random.key(1), environment, params, 2).table
     for pad, which, site in ((0, 0, 2), (1, 1, 5)):
         state = environment.begin(jax.random.key(0), jax.random.key(1), which, pad, params)
@@ -86,5 +86,5 @@ def test_a_table_has_the_touches_of_each_object_next_to_each_other(monkeypatch):
     table = tabulate(jax.random.key(0), environment, params, 2).table
     np.testing.assert_array_equal(table.touches.force[1, :, 1, 4], np.arange(OBJECTS))
     assert table.touches.force.shape == (PADS, OBJECTS, 2, SITES)
-    with pytest.raises(ValueError, match="give one of each"):
+    with pytest.raises(ValueError, match="give at least one of each"):
         make_environment(())

@@ -42,7 +42,7 @@ def touched():
 
 
 @pytest.mark.parametrize("policy", POLICY_NAMES)
-def test_only_what_is_safe_is_chosen_and_nothing_where_nothing_is(policy, touched):
+def test_only_safe_sites_are_chosen_and_none_if_none_is_safe(policy, touched):
     model, state, estimate = touched
     for seed, min_cos in ((0, 1.0), *((seed, 0.5) for seed in range(4))):
         config = _config(policy=policy, limits=SiteLimits(min_cos=min_cos))
@@ -59,12 +59,12 @@ def test_only_what_is_safe_is_chosen_and_nothing_where_nothing_is(policy, touche
 def test_sites_lie_on_the_surface_and_look_into_it():
     model = _balls()
     estimate = estimate_surface(model, init(model)[0])
-    found = exploration.propose_sites(estimate, np.random.default_rng(0), config=_config(limits=AROUND_LIMITS))
-    offset = found.T_o_t[:, :3, 3] - CENTRE
+    proposals = exploration.propose_sites(estimate, np.random.default_rng(0), config=_config(limits=AROUND_LIMITS))
+    offset = proposals.T_o_t[:, :3, 3] - CENTRE
     away = offset / np.linalg.norm(offset, axis=-1, keepdims=True)
     np.testing.assert_allclose(np.linalg.norm(offset, axis=-1), RADII.mean(), atol=1e-3)
-    assert ((found.T_o_t[:, :3, 2] * away).sum(-1) < -0.97).all()
-    assert found.safe.all()
+    assert ((proposals.T_o_t[:, :3, 2] * away).sum(-1) < -0.97).all()
+    assert proposals.safe.all()
 
 
 def test_a_site_below_an_overhang_or_whose_overtravel_meets_the_table_is_not_safe():
@@ -95,19 +95,19 @@ def test_a_site_below_an_overhang_or_whose_overtravel_meets_the_table_is_not_saf
         (lambda: SiteLimits(flange=np.nan), "sites.flange"),
     ],
 )
-def test_options_that_would_loosen_what_is_safe_are_refused(make, problem):
+def test_options_that_would_loosen_safety_are_refused(make, problem):
     with pytest.raises(ValueError, match=problem):
         make()
 
 
-def test_uncertainty_goes_where_it_is_greatest(touched):
+def test_the_uncertainty_policy_chooses_the_least_certain_site(touched):
     model, state, estimate = touched
     config = _config(policy="uncertainty", limits=AROUND_LIMITS)
     unsure = choose_touch(model, state, config=config, estimate=estimate)
     assert unsure.score == pytest.approx(unsure.proposals.std.max())
 
 
-def test_the_expected_reduction_is_what_a_measurement_takes_off_the_variance():
+def test_the_expected_reduction_equals_that_of_the_variance_by_a_measurement():
     """Against a measurement that is made: the regression with one more point."""
     model = _balls(free_tolerance=1.0)
     seen = CENTRE + 25e-3 * np.array([[0, 0, 1.0], [1.0, 0, 0]])

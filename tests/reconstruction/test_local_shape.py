@@ -39,7 +39,7 @@ def press(model):
 
 
 @pytest.mark.full
-def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, library):
+def test_a_press_finds_the_true_patch_in_the_library(press, model, library):
     posterior = INFER(*press, model=model, library=library, samples=64)
     assert int(jnp.argmax(posterior.weight)) == TRUE
     assert float(posterior.weight[TRUE]) > 0.99
@@ -51,23 +51,23 @@ def test_the_library_holds_the_truth_and_the_press_finds_it(press, model, librar
 
 
 @pytest.mark.parametrize("lost", [np.nan, np.inf])
-def test_a_stop_of_unknown_force_or_reading_counts_as_not_made(press, model, library, lost):
+def test_a_stop_of_unknown_force_or_reading_is_ignored(press, model, library, lost):
     reading, force, travel = press
     alone = INFER(reading[0], force[0], travel[0], model=model, library=library)
     unread = INFER(reading.at[1, 2].set(lost), force, travel, model=model, library=library)
     unweighed = INFER(reading, force.at[1].set(lost), travel, model=model, library=library)
     nothing = INFER(reading, force * lost, travel, model=model, library=library)
-    for found in (unread, unweighed):
-        np.testing.assert_allclose(found.weight, alone.weight, atol=1e-6)
-        np.testing.assert_allclose(found.centre, alone.centre, atol=1e-6)
+    for posterior in (unread, unweighed):
+        np.testing.assert_allclose(posterior.weight, alone.weight, atol=1e-6)
+        np.testing.assert_allclose(posterior.centre, alone.centre, atol=1e-6)
     np.testing.assert_allclose(nothing.weight, 1 / 24, atol=1e-6)
 
 
-def test_the_marginal_likelihood_is_that_of_dense_matrices(press, model):
+def test_the_marginal_likelihood_equals_that_of_dense_matrices(press, model):
     """Nuisances are integrated out as a covariance that is written down whole and inverted."""
     reading, force, travel = press
     reading, travel = reading + 3.0, travel + 2e-5
-    found = JUDGE(reading, force, travel, model=model)
+    log_likelihood = JUDGE(reading, force, travel, model=model)
     what, loads = model.likelihood, np.asarray(model.loads)
     expected = []
     for i in range(model.reading.shape[-1]):
@@ -94,7 +94,7 @@ def test_the_marginal_likelihood_is_that_of_dense_matrices(press, model):
         log_det = np.linalg.slogdet(covariance)[1] - 2 * np.log(scale).sum()
         freedom = what.dof + len(residual)
         expected.append(-0.5 * log_det - 0.5 * freedom * np.log1p(distance / what.dof))
-    np.testing.assert_allclose(found, expected, rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(log_likelihood, expected, rtol=2e-3, atol=2e-3)
 
 
 @pytest.mark.full
@@ -110,7 +110,7 @@ def test_a_slant_is_no_evidence_against_a_patch(press, model):
 
 
 @pytest.mark.full
-def test_what_was_not_measured_counts_as_not_made(press, model, library):
+def test_missing_measurements_are_ignored(press, model, library):
     reading, force, travel = press
     once = INFER(reading[0], force[0], travel[0], model=model, library=library, samples=16)
     broken = (reading.at[1, 0].set(jnp.nan), force, travel)
@@ -127,16 +127,16 @@ def test_no_touch_is_certain_while_the_prior_has_a_share_and_samples_come_in_pro
     np.testing.assert_allclose(np.bincount(drawn, minlength=4), [10, 60, 0, 30], atol=1)
 
 
-def test_a_blurred_mask_has_the_variance_of_the_blur_and_keeps_what_is_even():
+def test_a_blurred_mask_has_the_variance_of_the_blur_and_keeps_constant_masks():
     mask = np.zeros((31, 31))
     mask[15, 15] = 1
-    found, at = np.asarray(_blurred(jnp.float32(mask), 2.0)), np.arange(31) - 15
-    np.testing.assert_allclose([found.sum(), found.sum(0) @ at**2, found.sum(1) @ at**2], [1, 4, 4], rtol=1e-4)
+    blurred, at = np.asarray(_blurred(jnp.float32(mask), 2.0)), np.arange(31) - 15
+    np.testing.assert_allclose([blurred.sum(), blurred.sum(0) @ at**2, blurred.sum(1) @ at**2], [1, 4, 4], rtol=1e-4)
     np.testing.assert_allclose(_blurred(jnp.ones((9, 9)), 3.0), 1, rtol=1e-6)
 
 
 @pytest.mark.full
-def test_imagined_readings_are_those_of_the_full_physics():
+def test_predicted_readings_equal_those_of_the_full_physics():
     """On cells of 1 mm and with loose tolerances, within a fifth of presses on cells of half a millimetre."""
     surface = i2t.prepare_surface(i2t.make_object("stamp-cross").mesh)
     contacts, objects = sample_contacts(jax.random.key(0), [surface], 3)

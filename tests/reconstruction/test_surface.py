@@ -30,12 +30,12 @@ from i2t.reconstruction.surface import (
     SurfaceConfig,
     condition_on,
     estimate_surface,
-    few_of_many,
     init,
     likeliest,
     posterior_covariance,
     predict,
     regress,
+    subsample,
     surface_model,
     update,
     weighted_prior,
@@ -59,16 +59,16 @@ def _smooth(**changes):
 
 
 def test_the_signed_distance_of_a_ball_is_its_closed_form_and_its_mesh_has_its_volume():
-    found = signed_distance_grid(_ball(30e-3, subdivisions=3), GRID)
+    distance = signed_distance_grid(_ball(30e-3, subdivisions=3), GRID)
     true = np.linalg.norm(GRID.points(), axis=-1) - 30e-3
-    assert np.abs(found - true)[np.abs(true) < 8e-3].max() < 0.25e-3  # chords lie 0.16 mm within the ball
-    assert np.abs(found - true).max() < 0.8e-3
-    assert ((found < 0) == (true < 0))[np.abs(true) > 0.3e-3].all()
+    assert np.abs(distance - true)[np.abs(true) < 8e-3].max() < 0.25e-3  # chords lie 0.16 mm within the ball
+    assert np.abs(distance - true).max() < 0.8e-3
+    assert ((distance < 0) == (true < 0))[np.abs(true) > 0.3e-3].all()
     mesh = extract_mesh(GRID, true.astype(np.float32))
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces)
     assert solid.is_watertight
     assert solid.volume == pytest.approx(4 / 3 * np.pi * 30e-3**3, rel=0.05)  # it looks outward
-    assert extract_mesh(GRID, 1 + 0 * found).faces.shape == (0, 3)  # where nothing is inside
+    assert extract_mesh(GRID, 1 + 0 * distance).faces.shape == (0, 3)  # where nothing is inside
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=-1), 30e-3, atol=0.6e-3)
 
 
@@ -96,12 +96,12 @@ def test_shapes_of_the_library_are_the_meshes_on_all_sides_turned_and_mirrored(o
         assert np.abs(field - wanted)[near].max() < 1.5e-3  # where the field bends, heights are interpolated
         assert np.abs(field - wanted)[near].mean() < 0.25e-3
         rows = np.flatnonzero(near)[::50]
-        found = model.library.near(model.points[rows] + 0.2e-3, number // 6)[:, number % 6]
-        np.testing.assert_allclose(found, field[rows], atol=1e-6)
+        values = model.library.near(model.points[rows] + 0.2e-3, number // 6)[:, number % 6]
+        np.testing.assert_allclose(values, field[rows], atol=1e-6)
     assert len(np.unique(np.round(fields, 4), axis=1).T) == 48
 
 
-def test_what_a_pad_swept_is_free_and_nothing_else_is_carved():
+def test_swept_space_is_free_and_nothing_else_is_carved():
     model = _balls()
     state, _ = init(model)
     state, _ = update(model, state, contact_evidence(from_above(0.0), hit=False, swept=0.1))  # down to the middle
@@ -114,7 +114,7 @@ def test_what_a_pad_swept_is_free_and_nothing_else_is_carved():
     np.testing.assert_allclose(state.evidence[0].region.lower_bound(at), [4e-3, 2e-3])
 
 
-def test_only_what_was_swept_is_free_and_a_pose_that_is_not_known_is_refused():
+def test_only_swept_space_is_free_and_an_invalid_pose_is_refused():
     short = contact_evidence(from_above(0.0), swept=4e-3)
     assert (short.free[:, 2] < 4e-3).all()
     assert (short.free_bound > 0).all()
@@ -125,11 +125,11 @@ def test_only_what_was_swept_is_free_and_a_pose_that_is_not_known_is_refused():
             contact_evidence(pose, swept=swept)
     with pytest.raises(ValueError, match="is not a rigid motion"):
         contact_evidence(np.diag([-1.0, 1, 1, 1]))
-    with pytest.raises(ValueError, match="points of a touch must be finite"):
+    with pytest.raises(ValueError, match="give one or more surface points of a touch"):
         with_surface_points(short, np.zeros((1, 3)), np.array([np.nan]))
 
 
-def test_what_lies_outside_the_box_of_the_surface_is_refused():
+def test_contacts_outside_the_box_of_the_surface_are_refused():
     model = _balls()
     with pytest.raises(ValueError, match="outside the box of the surface"):
         update(model, init(model)[0], contact_evidence(from_above(3.0)))
@@ -165,7 +165,7 @@ def _turned(axis, height):
     return T
 
 
-def test_the_regression_is_the_textbooks():
+def test_the_regression_equals_the_textbook_formula():
     """Rasmussen and Williams, Gaussian Processes for Machine Learning, equations 2.23 and 2.24, in double precision."""
     model = _smooth(smooth_residual=10e-3, smooth_length=20e-3, band_floor=0.0)
     rng = np.random.default_rng(0)
@@ -191,7 +191,7 @@ def test_the_regression_is_the_textbooks():
     np.testing.assert_allclose(posterior_covariance(model, posterior, asked, asked), cov, atol=0.01 * cov.max())
 
 
-def test_a_floor_is_what_no_touch_takes_away():
+def test_no_touch_reduces_the_floor_of_the_band():
     top = np.array([[0.0, 0.0, 20e-3]])
 
     def spread(floor):
@@ -207,9 +207,9 @@ def test_a_floor_is_what_no_touch_takes_away():
     np.testing.assert_allclose(spread(2e-3), np.hypot(bare, 2e-3), rtol=1e-5)
 
 
-def test_points_that_a_touch_felt_are_points_of_the_surface():
+def test_felt_points_become_points_of_the_surface():
     model = _balls()
-    x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
+    x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
     cap = np.stack([x, y, np.sqrt(25e-3**2 - x**2 - y**2)], -1)
     evidence = with_surface_points(
         contact_evidence(from_above(25e-3)), cap * (1, -1, -1) + (0, 0, 25e-3), np.full(25, 0.1e-3)
@@ -219,35 +219,35 @@ def test_points_that_a_touch_felt_are_points_of_the_surface():
     assert abs(predict(model, regress(model, state), cap[[6]])[0][0]) < 1e-3
 
 
-def test_a_reading_says_where_in_its_square_the_pad_met_the_surface_and_what_is_free_before_it(library, model):
+def test_a_reading_locates_the_contact_in_the_square_and_the_free_space_in_front(library, model):
     """Of planes that tilt: the lowest corner is met, the opposite one is free."""
     posterior = summarize(jnp.zeros(24).at[0].set(1.0), jnp.float32(1.0), library=library)  # nearest where x is least
     T_o_t = from_above(20e-3)
-    touch, found = contact_evidence(T_o_t), reading_evidence(T_o_t, posterior)
+    touch, felt = contact_evidence(T_o_t), reading_evidence(T_o_t, posterior)
     met = T_o_t[:3, :3] @ np.append(posterior.centre, 0.0) + T_o_t[:3, 3]
-    np.testing.assert_allclose(found.points[0], met, atol=1e-6)
-    np.testing.assert_allclose(found.points[1], met - [0, 0, 3e-3], atol=1e-6)
-    np.testing.assert_array_equal(found.values, [0, -3e-3])
-    more = (found.free[len(touch.free) :] - T_o_t[:3, 3]) @ T_o_t[:3, :3]
+    np.testing.assert_allclose(felt.points[0], met, atol=1e-6)
+    np.testing.assert_allclose(felt.points[1], met - [0, 0, 3e-3], atol=1e-6)
+    np.testing.assert_array_equal(felt.values, [0, -3e-3])
+    more = (felt.free[len(touch.free) :] - T_o_t[:3, 3]) @ T_o_t[:3, :3]
     assert len(more)
     depth = 1e-3 * (more[:, 0] / 8.5e-3 + 1)  # of the plane
     assert (more[:, 2] < depth).all()
     assert (more[:, 2] > 0.3 * depth).all()
 
 
-def test_few_shapes_stand_for_many_by_their_weight():
+def test_a_subsample_of_shapes_keeps_their_weights():
     rng = np.random.default_rng(0)
     for spread in (0.0, 1.0, 4.0):
         weight = np.exp(spread * rng.normal(size=2000))
         weight /= weight.sum()
-        shapes, weights = few_of_many(weight, 100)
+        shapes, weights = subsample(weight, 100)
         assert len(set(shapes)) == len(shapes) == 100
         assert weights.sum() == pytest.approx(1)
         heavy = np.flatnonzero(weight > 0.02)
-        np.testing.assert_allclose([weights[shapes == each].sum() for each in heavy], weight[heavy], rtol=1e-5)
+        np.testing.assert_allclose([weights[shapes == index].sum() for index in heavy], weight[heavy], rtol=1e-5)
         below = np.arange(2000) < 1000  # in number and in weight, those drawn are as the rest
         assert weights[below[shapes]].sum() == pytest.approx(weight[below].sum(), abs=0.02)
-    shapes, weights = few_of_many(np.array([0.2, 0.5, 0.3]), 3)
+    shapes, weights = subsample(np.array([0.2, 0.5, 0.3]), 3)
     np.testing.assert_allclose(weights[np.argsort(shapes)], [0.2, 0.5, 0.3], rtol=1e-6)
 
 
@@ -257,7 +257,7 @@ def test_the_likeliest_shapes_share_all_weight():
     assert sorted(shapes) == [1, 3]
 
 
-def test_a_view_shows_a_surface_and_carves_what_it_looked_through():
+def test_a_view_gives_surface_points_and_carves_the_space_before_them():
     ball = _ball(25e-3, subdivisions=3)
     T_o_c = from_above(0.25)
     camera = Camera(80, 60, 120.0, 120.0, 39.5, 29.5)
