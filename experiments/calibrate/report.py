@@ -16,7 +16,7 @@ from i2t.recordings.diagnose.changes import CHANGED_SKIN, REPEATED_ROWS
 from i2t.viz import style
 
 COLOURS = {
-    MEAN: style.PINK, NEIGHBOURS: style.GREY, PLAIN: style.ORANGE, CALIBRATED: style.RED,
+    MEAN: style.Colour.PINK, NEIGHBOURS: style.Colour.GREY, PLAIN: style.Colour.ORANGE, CALIBRATED: style.Colour.RED,
 }  # fmt: skip
 
 
