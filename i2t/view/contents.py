@@ -109,7 +109,7 @@ def read_contents(
         skin: Name of the skin, if several were read in each touch.
 
     Returns:
-        The contents.
+        The contents, for `write_page` and `write_recording`.
 
     Raises:
         DataError: There are no touches, a file is damaged, or there are several skins and none is named.

@@ -45,7 +45,7 @@ def plot_clusters(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     readings, label, examples = np.asarray(readings), touch_map.label, np.asarray(touch_map.examples)
     k, e = examples.shape

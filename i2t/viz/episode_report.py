@@ -104,7 +104,7 @@ def plot_episode(
         max_candidates: Maximum number of candidates shown.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     touches = np.unique(np.linspace(0, len(record.p) - 1, max_touches).round().astype(int)).tolist()
     candidates = _shown_candidates(record.p, record.truth, max_candidates)

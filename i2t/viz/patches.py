@@ -78,7 +78,7 @@ def plot_patches(
         reach: Largest depth (m) of a patch.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     depth = np.asarray(depth)
     n = len(depth)

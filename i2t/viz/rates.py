@@ -21,7 +21,7 @@ def plot_confusions(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     n = len(counts)
     figure = Picture(figsize=(3.1 * n + 0.9, 4.2), layout="constrained")
@@ -57,7 +57,7 @@ def plot_rates(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     methods = list(dict.fromkeys(method for values in groups.values() for method in values))
     figure = Picture(figsize=(1.2 * len(groups) + 4.2, 4.2), layout="constrained")
@@ -92,7 +92,7 @@ def plot_intervals(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(6, 0.34 * len(values) + 1.2), layout="constrained")
     axes = figure.subplots()

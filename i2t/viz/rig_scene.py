@@ -39,7 +39,7 @@ def plot_rig(scene: RigScene, title: str) -> Picture:
         title: Title of the figure.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(13, 6.5), layout="constrained")
     lab, close = (figure.add_subplot(1, 2, i + 1, projection="3d") for i in range(2))

@@ -101,7 +101,7 @@ def plot_object(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(6.5, 5.4), layout="constrained")
     axes = figure.subplots()

@@ -96,7 +96,7 @@ def plot_readings(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     values = [np.asarray(part) for part in sets.values()]
     n = len(labels)
@@ -154,7 +154,7 @@ def plot_press(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(11, 3.9), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
@@ -189,7 +189,7 @@ def plot_skin_map(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(5, 4.2), layout="constrained")
     axes = figure.subplots()

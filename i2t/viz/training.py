@@ -39,7 +39,7 @@ def plot_predicted_touches(
         reach: Largest depth (m) of a patch.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     n = len(patches)
     figure = Picture(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
@@ -72,7 +72,7 @@ def plot_training_curves(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(5, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -104,7 +104,7 @@ def plot_predictions(
         simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(4.8, 4.4), layout="constrained")
     axes = figure.subplots()
