@@ -39,9 +39,9 @@ STEADY_S = 0.5
 
 
 def patches(small: bool) -> Iterator[Contest]:
-    """Patches against warp's, where it is installed."""
+    """Compare patches with those of warp, if it is installed."""
     if find_spec("warp") is None:
-        print("patches are left out, as their peer is not installed: pip install warp-lang")
+        print("patches are skipped, because their peer is not installed: pip install warp-lang")
         return
     batch = 4 if small else 4096
     for name, mesh in {
@@ -63,28 +63,28 @@ def patches(small: bool) -> Iterator[Contest]:
 
 
 def rates(small: bool) -> Iterator[Contest]:
-    """Contacts, simulated and imagined touches, examples of trainings with many seeds, and steps of environments."""
+    """Yield rates of contacts, simulated and predicted touches, training examples, and environment steps."""
     steady = 0.0 if small else STEADY_S
     for about in (contacts, touches, imagined, trainings, environments):
-        for name, call, made in about(small):
-            yield Contest(name, call, our_calls=1 / made, unit="1/s", steady=steady)
+        for name, call, count in about(small):
+            yield Contest(name, call, our_calls=1 / count, unit="1/s", steady=steady)
 
 
-Rate: TypeAlias = tuple[str, Work, int]  # what, a call, and how many it makes
+Rate: TypeAlias = tuple[str, Work, int]  # name, function, and number of items that one call computes
 
 
 def contacts(small: bool) -> Iterator[Rate]:
-    """Contacts of the default layer, with the arithmetic that their convolutions take."""
+    """Solve contacts of the default layer, and count the arithmetic of their convolutions."""
     count, pad = (8, 4096)[not small], i2t.nominal_pad()
     heights, depths = jax.device_put(skin.touches(GRID, list(skin.SHAPES), count))
     run = jax.jit(jax.vmap(lambda height, depth: solve(pad, height, depth, GRID)))
-    one = jax.jit(convolve).lower(compliance(pad, GRID), heights[0]).compile().cost_analysis() or {}
-    flops = float(np.mean(run(heights, depths).steps)) * one.get("flops", 0.0)
+    cost = jax.jit(convolve).lower(compliance(pad, GRID), heights[0]).compile().cost_analysis() or {}
+    flops = float(np.mean(run(heights, depths).steps)) * cost.get("flops", 0.0)
     yield f"contacts, {flops / 1e6:.2g} Mflop each, batch of {count}", partial(finish, run, heights, depths), count
 
 
 def touches(small: bool) -> Iterator[Rate]:
-    """Touches of one object with a lab's errors, before the sensor's."""
+    """Simulate touches of one object with the errors of a lab, without those of the sensor."""
     count, pad, errors = (4, 2048)[not small], i2t.nominal_pad(), SimulationErrors()
     surface, T_w_t = _sites(count)
 
@@ -93,14 +93,14 @@ def touches(small: bool) -> Iterator[Rate]:
     def run(seed: jax.Array, T_w_t: jax.Array) -> Touches:
         key_session, key_touches = jax.random.split(jax.random.key(seed))
         session = sample_session_errors(key_session, errors)
-        one = partial(simulate_touch, session=session, pad=pad, errors=errors, limits=PressLimits())
-        return jax.vmap(one, (0, None, None, 0))(jax.random.split(key_touches, count), surface, jnp.eye(4), T_w_t)
+        simulate = partial(simulate_touch, session=session, pad=pad, errors=errors, limits=PressLimits())
+        return jax.vmap(simulate, (0, None, None, 0))(jax.random.split(key_touches, count), surface, jnp.eye(4), T_w_t)
 
     yield f"simulated touches, batch of {count}", partial(finish, run, jnp.uint32(0), T_w_t), count
 
 
 def imagined(small: bool) -> Iterator[Rate]:
-    """Touches on an object in many poses, as the belief asks for them."""
+    """Predict touches on an object in many poses, as the belief needs them."""
     sites, poses = (2, 2) if small else (64, 64)
     surface, T_w_t = _sites(sites)
     twists = sample_particles(placement_std(1e-3, np.radians(1)), poses).twist
@@ -111,7 +111,7 @@ def imagined(small: bool) -> Iterator[Rate]:
 
 
 def trainings(small: bool) -> Iterator[Rate]:
-    """Examples that an epoch of the paper's network sees, of one seed and of many at once."""
+    """Train the paper's network for an epoch, with one seed and with many at once."""
     setup = paper_training.SMALL if small else paper_training.Setup()
     batch = jax.device_put(paper_training.random_touches(setup))
     for seeds in (1, 2) if small else (1, 8, 32):

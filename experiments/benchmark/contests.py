@@ -1,4 +1,4 @@
-"""Measurement of speeds: contenders in turns in one run, on the same machine."""
+"""Measurement of speeds: contenders take turns in one run, on the same machine."""
 
 import statistics
 import time
@@ -9,7 +9,7 @@ import jax
 
 Work: TypeAlias = Callable[[], Any]
 
-REST_S = 0.1
+REST_S = 0.1  # pause in which the threads of the previous contender stop
 FROM_SECONDS: dict[str, Callable[[float], float]] = {
     "ms": lambda seconds: 1e3 * seconds,
     "1/s": lambda seconds: 1 / seconds,
@@ -17,56 +17,56 @@ FROM_SECONDS: dict[str, Callable[[float], float]] = {
 
 
 class Contest(NamedTuple):
-    """A piece of work, done by us, and by a peer or within a goal."""
+    """A piece of work, done by us and by a peer, or measured against a goal."""
 
     work: str
     ours: Work
     peer_name: str = ""
     peer: Work | None = None
-    our_calls: float = 1.0  # of ours, that do the work: a share where one call does it many times
+    our_calls: float = 1.0  # number of our calls that do the work once; below 1 if one call does it many times
     peer_calls: float = 1.0
     unit: str = "s"  # seconds are turned into ms and 1/s
-    goal: float | None = None  # in that unit
-    steady: float = 0.0  # s that each contender works in each turn, after a rest and a call that is not counted
-    measured: bool = False  # both calls return what is compared, which need not be a time, and are not warmed up
+    goal: float | None = None  # in the same unit
+    steady: float = 0.0  # s, duration of each contender's turn, after a pause and a call that is not counted
+    measured: bool = False  # whether the calls return the compared value themselves, without a warm-up
 
 
 class BenchmarkRow(NamedTuple):
-    """What a piece of work took."""
+    """Result of a contest."""
 
     section: str
     work: str
     unit: str
     ours: float  # median over the turns
-    least: float  # of ours
-    most: float
+    least: float  # minimum of ours
+    most: float  # maximum of ours
     peer_name: str
     peer: float | None  # median over the turns
-    ratio: float | None  # median over the turns of the peer's time through ours
+    ratio: float | None  # median over the turns of the peer's time divided by ours
     goal: float | None
 
 
 def finish(run: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a compiled function, and wait for what it computes.
+    """Call a compiled function, and wait for its result.
 
     Args:
-        run: What to call.
-        arguments: Its.
+        run: The function.
+        arguments: Its arguments.
 
     Returns:
-        Its result.
+        The result of the function.
     """
     return jax.block_until_ready(run(*arguments))
 
 
 def interleave(contenders: dict[str, Work], turns: int, steady: float = 0.0) -> dict[str, list[float]]:
-    """Time contenders one after the other, turn after turn, so that a disturbance meets all of them.
+    """Time contenders one after the other, turn after turn, so that a disturbance affects all of them.
 
     Args:
-        contenders: What to call, by name.
-        turns: How often each is timed; a first turn more, which compiles and warms up, is not counted.
-        steady: s; above 0, each call is repeated for that long after a rest and a call that is not counted, in which
-            the threads of the contender before come to rest and its own wake up, and the mean counts.
+        contenders: Functions to call, by name.
+        turns: Number of timed turns. An additional first turn, which compiles and warms up, is not counted.
+        steady: Duration (s) for which each call is repeated, and the mean taken, if above 0. A pause and a call that is
+            not counted come first, so that the previous contender's threads stop and its own start.
 
     Returns:
         Seconds of each contender in each turn.
@@ -87,15 +87,15 @@ def interleave(contenders: dict[str, Work], turns: int, steady: float = 0.0) -> 
 
 
 def measure(section: str, contest: Contest, turns: int) -> BenchmarkRow:
-    """Hold a contest.
+    """Measure a contest.
 
     Args:
-        section: Of the benchmark.
-        contest: Who does what.
-        turns: How often each is timed.
+        section: Section of the benchmark.
+        contest: The contest.
+        turns: Number of timed turns.
 
     Returns:
-        Medians and the range of ours, and the median of the turns' ratios.
+        The medians, the range of ours, and the median of the turns' ratios.
     """
     contenders = {"ours": contest.ours} | ({} if contest.peer is None else {"peer": contest.peer})
     if contest.measured:

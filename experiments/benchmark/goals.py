@@ -1,6 +1,6 @@
-"""Sections `latency` and `simulation`: what a robot waits for, and simulated touches a second.
+"""Sections `latency` and `simulation`: what a robot waits for, and simulated touches per second.
 
-No library does the same, so rows have goals in place of peers.
+No other library does the same, so the rows have goals instead of peers.
 """
 
 from collections.abc import Iterator
@@ -21,25 +21,25 @@ from i2t.skin_models.likelihood import fit_likelihood
 from i2t.skin_models.reading_model import LOADS_N
 
 TOUCHES_PER_SECOND = 370.0
-LATENCY_S = 0.5  # each is repeated for so long in each turn
+LATENCY_S = 0.5  # duration for which each call is repeated in a turn
 
 
 def simulation(small: bool) -> Iterator[Contest]:
-    """Touches of two objects in sessions of 36, by a random pad, with the errors of a lab."""
+    """Simulate touches of two objects in sessions of 36, on a random pad, with the errors of a lab."""
     surfaces = [i2t.prepare_surface(i2t.make_object(name).mesh) for name in ("hexagon", "star")]
-    pad, each = i2t.sample_pad(jax.random.key(0)), 36 if small else 360
+    pad, per_object = i2t.sample_pad(jax.random.key(0)), 36 if small else 360
     ends = {"": PressLimits(), ", last press on the fine grid": PressLimits(final=FINE_GRID)}
-    for how, limits in list(ends.items())[: 1 if small else 2]:
+    for ending, limits in list(ends.items())[: 1 if small else 2]:
         touches = partial(
-            i2t.simulate_touches, jax.random.key(1), surfaces, pad, SimulationErrors(), each, limits=limits
+            i2t.simulate_touches, jax.random.key(1), surfaces, pad, SimulationErrors(), per_object, limits=limits
         )
-        goal = None if how else TOUCHES_PER_SECOND
-        yield Contest(f"simulated touches{how}", touches, our_calls=1 / (2 * each), unit="1/s", goal=goal)
+        goal = None if ending else TOUCHES_PER_SECOND
+        yield Contest(f"simulated touches{ending}", touches, our_calls=1 / (2 * per_object), unit="1/s", goal=goal)
 
 
 def latency(small: bool) -> Iterator[Contest]:
-    """What a robot asks for between two touches, by the ready models: a prediction on a mesh and of a patch, an update
-    of the belief about five objects, and the next site, also of many.
+    """Time what a robot needs between two touches with the ready models: predictions on a mesh and of a patch, an
+    update of the belief about five objects, and the choice of the next site, also from a large pool.
     """
     names = ("star", "square", "flower", "cylinder", "hammer")[: 2 if small else 5]
     meshes = {name: i2t.make_object(name).mesh for name in names}
@@ -67,7 +67,7 @@ def latency(small: bool) -> Iterator[Contest]:
 
 
 def _decision(sites: int, objects: int, particles: int) -> Work:
-    """The choice of a site by expected information, from predicted touches that are none of any object."""
+    """Make a function that chooses a site by expected information, from random predicted touches."""
     rng, loads = np.random.default_rng(0), np.array(LOADS_N)
     shape, channels = (sites, objects, particles), 15
     table = PredictedTouch(

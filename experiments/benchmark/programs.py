@@ -81,7 +81,7 @@ class ProgramRecorder:
         Args:
             dump: Folder of XLA's dump, where programs of one name are numbered in their order.
         """
-        files = sorted((int(found[1]), found[2], path) for path in dump.iterdir() if (found := DUMP.match(path.name)))
+        files = sorted((int(match[1]), match[2], path) for path in dump.iterdir() if (match := DUMP.match(path.name)))
         sizes: dict[str, list[int]] = {}
         for _, name, path in files:
             sizes.setdefault(name, []).append(path.read_text(errors="replace").count(" = "))
@@ -91,7 +91,7 @@ class ProgramRecorder:
 
 
 def _asking_line() -> str:
-    """The innermost line of the checkout that is being run, but for those that pass it on."""
+    """Find the innermost line of the checkout that is running, apart from the modules that only pass programs on."""
     for frame, line in traceback.walk_stack(None):
         path = Path(frame.f_code.co_filename)
         if path.is_relative_to(ROOT) and path not in THROUGH and "site-packages" not in path.parts:
@@ -100,26 +100,26 @@ def _asking_line() -> str:
 
 
 def table(programs: Sequence[Program]) -> str:
-    """The programs that take longest, and the sum of the others.
+    """Format the programs that take longest, and the sum of the others.
 
     Args:
-        programs: In any order.
+        programs: The programs in any order.
 
     Returns:
-        Its lines.
+        The table as text.
     """
-    ordered = sorted(programs, key=lambda each: -each.seconds)
+    ordered = sorted(programs, key=lambda program: -program.seconds)
     shown, others = ordered[:SHOWN], ordered[SHOWN:]
     rows = [
         (
-            *(each.name, each.line, str(each.instructions)),
-            *(f"{s:.2f}" for s in (each.traced, each.lowered, each.compiled)),
+            *(program.name, program.line, str(program.instructions)),
+            *(f"{s:.2f}" for s in (program.traced, program.lowered, program.compiled)),
         )
-        for each in shown
+        for program in shown
     ]
-    for title, some in ((f"{len(others)} others", others), (f"all {len(ordered)}", ordered)):
-        sums = (sum(getattr(each, stage) for each in some) for stage in STAGES.values())
-        rows.append((title, "", str(sum(each.instructions for each in some)), *(f"{s:.2f}" for s in sums)))
+    for title, group in ((f"{len(others)} others", others), (f"all {len(ordered)}", ordered)):
+        sums = (sum(getattr(program, stage) for program in group) for stage in STAGES.values())
+        rows.append((title, "", str(sum(program.instructions for program in group)), *(f"{s:.2f}" for s in sums)))
     return text_table(("program", "asked for in", "instructions", "traced s", "lowered s", "compiled s"), rows)
 
 
@@ -145,7 +145,7 @@ def main(words: Sequence[str]) -> None:
         shutil.rmtree(dump, ignore_errors=True)
         print(f"\n{table(recorder.programs)}", flush=True)
         if path := os.environ.get(PROGRAMS_FILE):
-            Path(path).write_text(json.dumps([asdict(each) for each in recorder.programs]))
+            Path(path).write_text(json.dumps([asdict(program) for program in recorder.programs]))
 
     atexit.register(report)
     if words[0] == "-m":

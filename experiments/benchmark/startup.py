@@ -104,7 +104,7 @@ def cells(row: StartupRow) -> tuple[str, ...]:
 
 def _row(command: TimedCommand, turns: Sequence[tuple[tuple[float, float], tuple[float, float]]]) -> StartupRow:
     """A command's row from (wall, processor) seconds of the first and second time in each turn."""
-    (first, first_cpu), (second, second_cpu) = (zip(*each, strict=True) for each in zip(*turns, strict=True))
+    (first, first_cpu), (second, second_cpu) = (zip(*runs, strict=True) for runs in zip(*turns, strict=True))
     return StartupRow(
         *(command.line, statistics.median(first), (min(first), max(first)), statistics.median(first_cpu)),
         command.first_goal,
@@ -138,6 +138,6 @@ def _run(command: TimedCommand, place: Path, compiled: Path) -> tuple[float, flo
     if not enough:
         wall = time.perf_counter() - begin
         if process.returncode or command.until:
-            said = log.read_text()[-2000:]
-            raise RuntimeError(f"python {command.line} ended with exit code {process.returncode}: {said}")
+            output = log.read_text()[-2000:]
+            raise RuntimeError(f"python {command.line} ended with exit code {process.returncode}: {output}")
     return wall, usage.ru_utime + usage.ru_stime

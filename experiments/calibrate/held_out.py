@@ -11,7 +11,7 @@ import numpy as np
 
 from experiments.calibrate.arguments import Preset
 from i2t.dataset import same_places, square_blocks
-from i2t.dataset.splits import PLACE_M
+from i2t.dataset.splits import SAME_PLACE_M
 from i2t.intervals import MIN_CLUSTERS
 from i2t.recordings.presses import LoadedPresses
 
@@ -116,7 +116,7 @@ def _clusters_of(position_mm: np.ndarray, block_mm: float) -> PressClusters:
 def _about_one_place(position_mm: np.ndarray, load_kind: str) -> str:
     """What presses at positions (n, 2) cannot show where more than half of them lie at one place."""
     n = len(position_mm)
-    close = np.linalg.norm(position_mm - np.median(position_mm, axis=0), axis=1) <= 1e3 * PLACE_M
+    close = np.linalg.norm(position_mm - np.median(position_mm, axis=0), axis=1) <= 1e3 * SAME_PLACE_M
     share = f"all {n} presses" if close.all() else f"more than half of the {n} presses"
     return (
         f"{share} lie at one place, so leaving places out is impossible: the figures say how well other {load_kind}s "

@@ -15,7 +15,7 @@ from i2t.recordings.diagnose import Finding, FindingName
 from i2t.viz import style
 
 COLOURS = {
-    MEAN: style.PINK, NEIGHBOURS: style.GREY, PLAIN: style.ORANGE, CALIBRATED: style.RED,
+    MEAN: style.Colour.PINK, NEIGHBOURS: style.Colour.GREY, PLAIN: style.Colour.ORANGE, CALIBRATED: style.Colour.RED,
 }  # fmt: skip
 
 

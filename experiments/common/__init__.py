@@ -1,1 +1,1 @@
-"""Code that experiments share: run folders."""
+"""Code that experiments share: commands, options, run folders, tasks and tables."""

@@ -1,4 +1,4 @@
-"""Checks of several commands before they import anything large: data sets, and objects to tell apart."""
+"""Checks that several commands run before slow imports: of data sets, and of objects to distinguish."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,15 +9,15 @@ from i2t.objects.named import require_object
 
 
 def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> None:
-    """Refuse a data set that is not there, or a file of another kind; what is in it, `i2t.load_dataset` judges.
+    """Refuse a data set that does not exist, or a file of another kind. `i2t.load_dataset` checks the contents.
 
     Args:
-        flag: The option that names it.
-        path: A folder or a file; None where the option was left out.
-        tables: Whether the command reads other files than those of touches too.
+        flag: The option that names the data set.
+        path: A folder or a file; None if the option was omitted.
+        tables: Whether the command also reads files that are not touches.
 
     Raises:
-        ValueError: There is nothing, an empty folder, or a file of another kind.
+        ValueError: The path does not exist, is an empty folder, or is a file of another kind.
     """
     if path is None:
         return
@@ -30,20 +30,20 @@ def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> No
 
 
 def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, catalogue: bool = True) -> None:
-    """Refuse objects that are not there, that share a name, or that are too few.
+    """Refuse objects that do not exist, that share a name, or that are too few.
 
     Args:
-        paths: Of --objects: names of the catalogue or mesh files; none where the option was left out.
-        unit: Of the files' lengths.
-        least: How many there must be.
-        catalogue: Whether names of the catalogue are welcome.
+        paths: Values of --objects: names of the catalogue or mesh files; empty if the option was omitted.
+        unit: Unit of the files' lengths.
+        least: Minimum number of objects.
+        catalogue: Whether names of the catalogue are allowed.
 
     Raises:
-        ValueError: Any of these, or a file without a unit.
+        ValueError: The objects are refused, or a file has no unit.
     """
     if not paths:
         if unit is not None:
-            raise ValueError("--unit is of the mesh files of --objects; pass both, or leave --unit out")
+            raise ValueError("--unit is the unit of the mesh files of --objects; pass both, or omit --unit")
         return
     for path in paths:
         require_object(str(path), unit, flag="--objects", catalogue=catalogue)

@@ -1,8 +1,8 @@
-"""Commands of the experiments: options are read and checked before anything large is imported.
+"""Commands of the experiments, which read and check their options before slow imports.
 
 An experiment is a folder with `arguments.py`, a dataclass of its options that imports neither JAX nor NumPy, and
-`run.py`, whose docstring is the command's help and whose `run` does the work. So `--help` is there at once, and so is
-the answer to a wrong name or number. Its `__main__.py` names the two:
+`run.py`, whose docstring is the command's help and whose `run` does the work. `--help` and refusals of wrong options
+therefore come at once. The experiment's `__main__.py` names both:
 
     main = command(TrainArgs, "experiments.train.run")
 """
@@ -18,18 +18,19 @@ from typing import Any, TypeAlias
 from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, folder_of, pictures_in
 from i2t.cli.options import check_options, docstring_of, read_options
 
-Main: TypeAlias = Callable[..., int]  # takes the command line, by default the process's, and gives the exit code
+# Function from the command line (by default that of the process) to the exit code.
+Main: TypeAlias = Callable[..., int]
 
 
 def command(kind: type[Any], module: str) -> Main:
-    """A command.
+    """Make the `main` function of a command.
 
     Args:
-        kind: The dataclass of its options; it may have a method `check` that refuses what does not go together.
+        kind: The dataclass of its options. It may have a method `check` that refuses wrong combinations.
         module: Name of the module whose docstring is the help, and whose `run` takes the options.
 
     Returns:
-        Its `main`.
+        The command's `main` function.
     """
     program = f"python -m {module.removesuffix('.run').removesuffix('.__main__')}"
 
@@ -42,15 +43,15 @@ def command(kind: type[Any], module: str) -> Main:
 def command_of_parts(
     package: str, parts: Mapping[str, tuple[type[Any], str]], by_option: Mapping[str, str] = MappingProxyType({})
 ) -> Main:
-    """A command whose first word names one of its parts; without such a word it is the first part.
+    """Make the `main` function of a command whose first word names one of its parts; the first part is the default.
 
     Args:
-        package: The command's, such as `experiments.registration`.
-        parts: Options and module of each, as `command` takes them, by name.
-        by_option: Parts that an option names in place of the first, by the option.
+        package: Package of the command, such as `experiments.registration`.
+        parts: Options and module of each part, as `command` takes them, by name.
+        by_option: Parts that an option selects instead of the first part, by the option.
 
     Returns:
-        Its `main`.
+        The command's `main` function.
     """
     first = next(iter(parts))
 
@@ -70,7 +71,7 @@ def _words(argv: Sequence[str] | None) -> list[str]:
 
 
 def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str, about: str = "") -> int:
-    """Read options, check them, and only then import what does the work; the exit code."""
+    """Read and check the options, then import and run the module that does the work, and return the exit code."""
     renamed = partial(refuse_renamed, getattr(kind, "FORMER_NAMES", {}), words)
     if code := exit_code_of_run(renamed):
         return code
@@ -96,24 +97,24 @@ def refuse_renamed(former_names: Mapping[str, str], words: Sequence[str]) -> Non
     """Refuse options by their former names.
 
     Args:
-        former_names: Of options, and their names now.
+        former_names: Current names of options by their former names.
         words: The command line.
 
     Raises:
-        ValueError: One is among them; the message tells its name now.
+        ValueError: The command line has a former name; the message gives the current one.
     """
     for word in words:
         flag = word.partition("=")[0].replace("_", "-")
         if flag in former_names:
-            raise ValueError(f"{flag} is called {former_names[flag]} now; pass that, as --help explains it")
+            raise ValueError(f"{flag} is called {former_names[flag]} now; pass that option, which --help explains")
 
 
 def say_where(out: Path | None, next_command: str) -> None:
-    """Print where a finished run's results are, the names of its pictures, and what to try next.
+    """Print where the results of a finished run are, the names of its pictures, and what to try next.
 
     Args:
-        out: Folder of the run; nothing is said of one that is not there, or not finished.
-        next_command: The whole command; "" where none suggests itself.
+        out: Folder of the run. Nothing is printed if it does not exist or the run is not finished.
+        next_command: The whole command to try next; empty if there is none.
     """
     if out is None or not (out / METRICS).exists():
         return

@@ -1,4 +1,4 @@
-"""The number of clusters that an interval of some width needs."""
+"""Number of clusters that an interval of a given width needs."""
 
 import math
 
@@ -6,15 +6,15 @@ from scipy import stats
 
 
 def clusters_needed(half: float, clusters: int, wanted: float) -> int | None:
-    """Number of clusters, such as pads, at which an interval of Student's t is as narrow as wanted.
+    """Compute how many clusters, such as pads, make an interval of Student's t as narrow as wanted.
 
     Args:
         half: Half of the width of a 95 % interval over clusters.
-        clusters: Number of these; their standard deviation is taken to stay.
-        wanted: Half of the width that is asked for.
+        clusters: Number of these clusters. Their standard deviation is assumed to stay the same.
+        wanted: Half of the wanted width.
 
     Returns:
-        The least number, at least 3; None where there is no interval.
+        The minimum number of clusters, at least 3, or None if there is no interval.
     """
     if clusters < 3 or not math.isfinite(half):
         return None

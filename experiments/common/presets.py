@@ -1,12 +1,12 @@
-"""Presets by one set of names, whichever experiment.
+"""Presets, which have the same names in all experiments.
 
-  debug    everything once: too small to mean anything; mostly the time to compile, so quicker the second time
+  debug    everything once, too small for meaningful results; mostly compilation, so faster the second time
   short    the main result in a fraction of the time
-  paper    what the README and the docs print; the default
+  paper    the results in the README and the docs; the default
   study    several pads and seeds, for intervals
 
-An experiment keeps a dict of those it has, `PRESETS: dict[str, Config]`, and states their names in the type of its
-`--preset`, so that `--help` lists them.
+An experiment has a dict of its presets, `PRESETS: dict[str, Config]`, and the type of its `--preset` lists their
+names, so that `--help` shows them.
 """
 
 from collections.abc import Mapping
@@ -17,18 +17,18 @@ Config = TypeVar("Config")
 
 
 def choose_preset(presets: Mapping[str, Config], name: str, **changes: Any) -> Config:
-    """The preset of a name, with the changes a user asked for.
+    """Choose a preset by its name, and apply the user's changes.
 
     Args:
         presets: An experiment's presets, frozen dataclasses by name.
-        name: One of them.
-        changes: Fields and their values; None leaves the preset's.
+        name: Name of the preset.
+        changes: Values by field; None keeps the preset's value.
 
     Returns:
         The changed preset.
 
     Raises:
-        ValueError: The experiment has no such preset.
+        ValueError: The experiment has no preset of this name.
     """
     if name not in presets:
         raise ValueError(f"--preset {name} is none of {', '.join(presets)}")

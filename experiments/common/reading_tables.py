@@ -280,7 +280,7 @@ def rows_of_labels(table: ReadingTable) -> list[Int[np.ndarray, " k"]]:
         Row numbers in the order of the file, for each pair that occurs.
     """
     pair = table.group * len(table.labels) + table.label
-    return [np.flatnonzero(pair == each) for each in np.unique(pair)]
+    return [np.flatnonzero(pair == value) for value in np.unique(pair)]
 
 
 def with_outliers(p: Float[np.ndarray, "n labels"]) -> Float[np.ndarray, "n labels"]:

@@ -1,5 +1,5 @@
-"""Folders of runs: begun once, resumed if unfinished, never overwritten by accident; JSON and parts of results that
-appear whole or not at all.
+"""Folders of runs, which are started once, resumed if unfinished, and never overwritten by accident; and JSON files and
+parts of results that are written atomically.
 """
 
 import atexit
@@ -20,21 +20,18 @@ from i2t.cli.options import require_writable
 from i2t.files.writing import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
-LOG = ".log"  # of what a worker printed (`experiments.common.tasks`)
-MAX_PICTURES_NAMED = 6
-PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # whose versions a run notes
-NO_SETTINGS = ("out", "resume", "overwrite", "workers")  # options that change no result
-CONFIG_KEYS = {"args", "versions", "experiment"}  # by which a config.json is known to be ours
-# Of arrays, or of such dicts: what an experiment made of one pad and seed. Its names are the experiment's own words,
-# methods and conditions, which `i2t.files.serialization` cannot hold: that is for NamedTuples whose type is known.
+LOG = ".log"  # extension of a worker's log (`experiments.common.tasks`)
+PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # packages whose versions config.json lists
+# Nested dict of arrays: results of an experiment for one pad and seed. Its keys are names of methods and conditions,
+# which `i2t.files.serialization` cannot store, because it stores NamedTuples of known types.
 Part = dict[str, Any]
-BETWEEN = "/"  # names of a part's levels on disk
+BETWEEN = "/"  # separator of a part's levels in its file
 
 
 def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
-    """The exit code of an experiment's work: what its user can mend is said in one sentence, and after Ctrl-C where a
-    `resumable` run left its finished parts. A run that made nothing leaves nothing behind, nor does it take an earlier
-    one's place.
+    """Run an experiment's work and return its exit code. A user's mistake is explained in one sentence, and Ctrl-C
+    tells where a `resumable` run left its finished parts. A run without results is removed and does not replace an
+    earlier one.
     """
     try:
         return exit_code_of(work, lambda: _interrupted(resumable))
@@ -47,16 +44,17 @@ def _interrupted(resumable: Path | None) -> str:
     if not any(_made_something(out) for out in _BEGUN):
         return "interrupted; nothing was made"
     if resumable is None:
-        return "interrupted; what was made is no complete run: the same command with --overwrite begins again"
+        return "interrupted; the run is incomplete: pass --overwrite to start again"
     return f"interrupted; finished parts are in {resumable}, go on with --resume"
 
 
 def settings(args: Any) -> dict[str, Any]:
-    """Options of a run, from a dataclass, what the files that they name hold, and package versions; where results go,
-    workers and resuming are no settings.
+    """Collect the options of a run from a dataclass, digests of the files that they name, and package versions. Options
+    that do not affect results, such as the output folder and the workers, are left out.
     """
-    kept = {name: value for name, value in asdict(args).items() if name not in NO_SETTINGS}
-    named = [each for value in kept.values() for each in (value if isinstance(value, tuple) else (value,))]
+    no_settings = ("out", "resume", "overwrite", "workers")
+    kept = {name: value for name, value in asdict(args).items() if name not in no_settings}
+    named = [item for value in kept.values() for item in (value if isinstance(value, tuple) else (value,))]
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
         "files": {str(path): _digest(path) for path in named if isinstance(path, Path) and path.is_file()},
@@ -70,16 +68,16 @@ def _digest(path: Path) -> str:
 
 
 def folder_of(args: Any) -> Path | None:
-    """The folder of a run by its options: their `folder`, or `out`; None where nothing is written."""
+    """Find the folder of a run from its options: `folder`, or `out`; None if nothing is written."""
     folder: Path | None = getattr(args, "folder", getattr(args, "out", None))
     return folder
 
 
 def begin(args: Any, experiment: Any) -> None:
-    """Make the folder of a run, or refuse one that is in use (ValueError); note what is run and with which versions.
+    """Create the folder of a run and record its settings and package versions; refuse a used folder (ValueError).
 
-    An unfinished run of the same settings goes on with `args.resume`, where the experiment has that option; what is
-    there is replaced with `args.overwrite`, once this run has made something.
+    With `args.resume`, if the experiment has that option, an unfinished run with the same settings is continued. With
+    `args.overwrite`, an earlier run is replaced as soon as this run has results.
 
     Args:
         args: The options, a dataclass.
@@ -105,8 +103,8 @@ def begin(args: Any, experiment: Any) -> None:
 
 
 def check_out(args: Any, out: Path) -> None:
-    """Refuse a folder that a run of these options may not use (ValueError), as one that holds a run of others; makes
-    nothing, and imports nothing large.
+    """Refuse a folder that a run with these options may not use (ValueError), such as one that holds another run. This
+    creates nothing and has no slow imports.
     """
     check_folder(out)
     path = out / CONFIG
@@ -128,15 +126,15 @@ def check_out(args: Any, out: Path) -> None:
 
 
 def check_folder(out: Path) -> None:
-    """Refuse a folder for results that is a file, is below one, or may not be written (ValueError)."""
+    """Refuse an output folder that is a file, is below a file, or is not writable (ValueError)."""
     if out.is_file():
         raise ValueError(f"--out {out}: {out} is a file; name a folder")
     require_writable("--out", out)
 
 
 def settle_begun() -> None:
-    """Take back folders that runs of this process began and made nothing in, with those above them that were made for
-    them, and put what they were to replace in its place again; remove what was replaced for good.
+    """Remove run folders of this process that hold no results, with the parent folders created for them, and restore
+    the runs that they were to replace. Delete replaced runs if there are results.
     """
     while _BEGUN:
         out, made_above = _BEGUN.popitem()
@@ -145,7 +143,7 @@ def settle_begun() -> None:
             shutil.rmtree(out, ignore_errors=True)
             if aside.exists():
                 aside.rename(out)
-            with contextlib.suppress(OSError):  # something else has come into one of them
+            with contextlib.suppress(OSError):  # another process has put something into one of them
                 for folder in made_above:
                     folder.rmdir()
         elif aside.exists():
@@ -153,30 +151,31 @@ def settle_begun() -> None:
 
 
 def _made_something(out: Path) -> bool:
-    """Test whether a folder that was begun holds more than the note of its beginning and the workers' logs."""
+    """Test whether a run folder holds more than its config.json and the workers' logs."""
     return any(path.is_file() and path != out / CONFIG and path.suffix != LOG for path in out.rglob("*"))
 
 
-_BEGUN: dict[Path, list[Path]] = {}  # folders that this process writes runs into; of each, those made above it
-atexit.register(settle_begun)  # for runs that no command line began
+_BEGUN: dict[Path, list[Path]] = {}  # run folders of this process, with the parent folders created for each
+atexit.register(settle_begun)  # for runs that were not started by a command
 
 
 def _aside(out: Path) -> Path:
-    """Path of a replaced run until another has taken its place."""
+    """Return the path at which a replaced run is kept until the new run has results."""
     return out.with_name(f".{out.name}.replaced")
 
 
 def _is_ours(config: Path, kind: str) -> bool:
-    """Test whether a config.json was written by `begin` for options of this kind; early versions noted no kind."""
+    """Test whether `begin` wrote a config.json for options of this kind. Early versions did not record the kind."""
     try:
         about = json.loads(config.read_text())
     except (OSError, ValueError):
         return False
-    return isinstance(about, dict) and about.keys() >= CONFIG_KEYS and about.get("kind", kind) == kind
+    ours = isinstance(about, dict) and about.keys() >= {"args", "versions", "experiment"}
+    return ours and about.get("kind", kind) == kind
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:
-    """Write at once or not at all; NaN becomes null."""
+    """Write JSON atomically; NaN becomes null."""
 
     def clean(node: Any) -> Any:
         if isinstance(node, dict):
@@ -190,20 +189,20 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
 
 
 def pictures_in(out: Path) -> str:
-    """Names of a run's figures, the first few."""
+    """List the names of a run's first few figures."""
     names = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.suffix in (".png", ".html", ".svg"))
-    return ", ".join(names[:MAX_PICTURES_NAMED]) + (" ..." if len(names) > MAX_PICTURES_NAMED else "")
+    return ", ".join(names[:6]) + (" ..." if len(names) > 6 else "")
 
 
 def save_part(path: Path, part: Part) -> None:
-    """Write a part whole or not at all, for a resumed run to find.
+    """Write a part atomically, so that a resumed run can load it.
 
     Args:
         path: An npz file for nested dicts of arrays, or a JSON file.
-        part: What to write.
+        part: The part.
 
     Raises:
-        DataError: It cannot be written.
+        DataError: The part cannot be written.
     """
     if path.suffix == ".json":
         write_json(path, part)
@@ -215,10 +214,10 @@ def save_part(path: Path, part: Part) -> None:
 
 
 def load_part(path: Path) -> Part:
-    """Read what `save_part` wrote.
+    """Read a part that `save_part` wrote.
 
     Args:
-        path: Its file.
+        path: Path of its file.
 
     Returns:
         The same nested dicts.
@@ -232,14 +231,14 @@ def load_part(path: Path) -> Part:
         for key, array in file.items():
             *above, name = key.split(BETWEEN)
             level = part
-            for each in above:
-                level = level.setdefault(each, {})
+            for key in above:
+                level = level.setdefault(key, {})
             level[name] = array
     return part
 
 
 def _flat(part: Part, prefix: str = "") -> dict[str, Any]:
-    """Arrays by their levels' names, joined."""
+    """Flatten nested dicts to arrays by their joined names."""
     arrays: dict[str, Any] = {}
     for name, value in part.items():
         if isinstance(value, dict):

@@ -1,8 +1,8 @@
-"""Parts of a study that do not need one another, such as its pads and seeds, made by this process or by several.
+"""Independent parts of a study, such as its pads and seeds, computed by this process or by several.
 
-A task makes one file, whole or not at all, and is finished when that file is there; so a run that was stopped goes on
-with what is missing, whoever made the rest. With `--workers N` processes of this machine make them, each with its share
-of the cores; what a worker prints goes to a log next to the task's file. This module imports nothing large.
+A task writes one file atomically, and is finished when that file exists. A run that was stopped therefore resumes with
+the missing files, whichever process wrote the others. With `--workers N`, processes of this machine share the tasks and
+the cores. The output of a worker goes to a log next to the task's file. This module has no slow imports.
 """
 
 import os
@@ -23,26 +23,26 @@ class Task(NamedTuple):
     """A part of a study."""
 
     name: str
-    finished: Path  # the file that it makes
-    work: Callable[[], Any]  # makes it; workers get it pickled
+    finished: Path  # the file that the task writes
+    work: Callable[[], Any]  # function that writes the file; it is pickled for workers
 
     @property
     def log(self) -> Path:
-        """File of a worker's output."""
+        """Path of the worker's log."""
         return self.finished.parent / f"{self.name}.log"
 
 
 def run_tasks(tasks: Sequence[Task], workers: int = 1, *, bar: str | None = None) -> None:
-    """Make what is missing.
+    """Run the tasks whose file is missing.
 
     Args:
-        tasks: In the order in which they are begun.
-        workers: Processes that make them side by side; 1 is this one.
-        bar: What a bar calls them while this process makes them; without it there is none.
+        tasks: Tasks in the order in which they are started.
+        workers: Number of processes; 1 means this process.
+        bar: Label of the progress bar while this process runs the tasks; there is no bar by default.
 
     Raises:
         ChildProcessError: A worker died.
-        Exception: What a task raised; the others end.
+        Exception: A task raised this exception, and the other tasks were ended.
     """
     missing = [task for task in tasks if not task.finished.exists()]
     if workers == 1 or len(missing) < 2:
@@ -53,13 +53,13 @@ def run_tasks(tasks: Sequence[Task], workers: int = 1, *, bar: str | None = None
 
 
 def make_parts(makers: Mapping[Path, Callable[[], Part]], workers: int = 1, *, bar: str | None = None) -> list[Part]:
-    """Make the parts of a run that are missing, each kept at once in its file, and read all.
+    """Compute the missing parts of a run, save each in its file at once, and load all parts.
 
     Args:
-        makers: What makes each part, by its file: .npz for nested dicts of arrays, .json for anything JSON holds;
-            workers get them pickled.
-        workers: As of `run_tasks`.
-        bar: As of `run_tasks`.
+        makers: Function that computes each part, by the part's file: .npz for nested dicts of arrays, .json for other
+            values. The functions are pickled for workers.
+        workers: Number of processes, as in `run_tasks`.
+        bar: Label of the progress bar, as in `run_tasks`.
 
     Returns:
         The parts, as `load_part` reads them.
@@ -74,13 +74,13 @@ def _keep_part(make: Callable[[], Part], path: Path) -> None:
 
 
 def _make(tasks: Sequence[Task], workers: int) -> None:
-    """Make all tasks in processes of their own."""
-    import multiprocessing  # here, as one process needs neither
+    """Run all tasks in separate processes."""
+    import multiprocessing  # imported late, because a single process does not need it
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from concurrent.futures.process import BrokenProcessPool
 
     print(f"{len(tasks)} tasks, {workers} at a time", flush=True)
-    context = multiprocessing.get_context("spawn")  # a fork would share JAX's threads, and hang
+    context = multiprocessing.get_context("spawn")  # a forked process would share JAX's threads and hang
     places = context.Value("i", 0)
     pool = ProcessPoolExecutor(workers, context, initializer=_begin_worker, initargs=(places, workers, os.getcwd()))
     try:
@@ -95,14 +95,16 @@ def _make(tasks: Sequence[Task], workers: int) -> None:
             f"a worker died, perhaps for want of memory ({logs}); finished parts stay: go on with --resume, and fewer "
             "--workers"
         ) from error
-    finally:  # at once: what workers write is whole or not there
+    finally:  # workers may be killed at once, because they write files atomically
         for process in list((pool._processes or {}).values()):
             process.kill()
 
 
 def _begin_worker(places: Any, workers: int, folder: str) -> None:
-    """Set up a worker with its share of the cores, which ends with the process that began it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all of a terminal; who began us ends us
+    """Set up a worker with its share of the cores. It ends with the process that started it."""
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C reaches all processes of a terminal; the parent ends the workers
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.chdir(folder)
     if hasattr(os, "sched_setaffinity"):
@@ -123,7 +125,7 @@ def _end_with_parent() -> None:
 
 
 def _attempt(task: Task) -> None:
-    """Make a task in a worker."""
+    """Run a task in a worker."""
     task.log.parent.mkdir(parents=True, exist_ok=True)
     with task.log.open("a") as log, redirect_stdout(log), redirect_stderr(log):
         task.work()

@@ -188,7 +188,7 @@ def draw_posteriors(trial: Trial, library: PatchLibrary) -> Figure:
     for number, row in enumerate(axes):
         press, patch = element(trial.presses, number), trial.truth.patch[number]
         posterior = jax.device_get(infer(press.reading, press.force, press.travel))
-        for stop, colour in zip(press.reading, (style.BLUE, style.ORANGE), strict=False):
+        for stop, colour in zip(press.reading, (style.Colour.BLUE, style.Colour.ORANGE), strict=False):
             row[0].plot(np.arange(len(stop)), stop, color=colour, lw=1, marker=".", ms=4)
         row[0].set_xticks([])
         row[0].tick_params(labelsize=7)
@@ -199,9 +199,11 @@ def draw_posteriors(trial: Trial, library: PatchLibrary) -> Figure:
         mask = row[5].imshow(posterior.mask_probability, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1)
         at, met = np.linspace(extent[0], extent[1], len(patch)), patch <= CONTACT_TOLERANCE_M
         if met.any() and not met.all():
-            row[5].contour(at, at, patch, levels=[CONTACT_TOLERANCE_M], colors=style.RED, linewidths=1)
+            row[5].contour(at, at, patch, levels=[CONTACT_TOLERANCE_M], colors=style.Colour.RED, linewidths=1)
         pressed = trial.truth.contact[number].reshape(CELL_GRID.cells, -1)
-        row[1].contour(1e3 * CELL_GRID.centres, 1e3 * CELL_GRID.centres, pressed, [0.5], colors=style.RED, linewidths=1)
+        row[1].contour(
+            1e3 * CELL_GRID.centres, 1e3 * CELL_GRID.centres, pressed, [0.5], colors=style.Colour.RED, linewidths=1
+        )
         row[1].set(xlim=extent[:2], ylim=extent[2:])
         for axis in row[1:]:
             axis.set(xticks=[], yticks=[], xlabel="", ylabel="")

@@ -15,7 +15,7 @@ from i2t.reconstruction.evidence import SurfaceEvidence, Sweep
 from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import SurfaceEstimate
 from i2t.types import Array
-from i2t.viz.style import COLOURS, GREY, Picture, titled
+from i2t.viz.style import COLOURS, Colour, Picture, titled
 
 COMPARED_POLICIES = (CONDITIONS[READING], CONDITIONS["uncertainty"])  # with random sites and the oracle
 Episodes = dict[str, dict[int, Episode]]  # by condition, and by the number of the object
@@ -110,7 +110,7 @@ def draw_errors(report: dict[str, Any]) -> Picture:
         rows = np.array([found["after"][str(count)]["chamfer_mm"] for count in touches])
         axes.plot(touches, rows[:, 0], "o-", color=colour, label=name, ms=4)
         axes.fill_between(touches, rows[:, 1], rows[:, 2], color=colour, alpha=0.12, lw=0)
-    axes.axhline(report["grid_floor_mm"], color=GREY, ls=":", lw=1)
+    axes.axhline(report["grid_floor_mm"], color=Colour.GREY, ls=":", lw=1)
     axes.set(xlabel="touches", ylabel="Chamfer distance, mm", ylim=(0, None), xticks=touches)
     axes.legend(fontsize=8)
     figure.suptitle(titled("Distance to the true surface, 95 % intervals; dotted: the grid's floor", True), fontsize=11)

@@ -46,7 +46,7 @@ from i2t.errors import DataError
 from i2t.intervals import mean_interval, rate_interval
 from i2t.recognition.calibrated import TemperatureScaling, calibrated_beliefs, fit_temperature
 from i2t.recognition.metrics import calibration_error, confidence, confusion, hits, log_loss, to_json
-from i2t.viz.style import BLUE, Picture
+from i2t.viz.style import Colour, Picture
 
 SHARE, BLOCKS = 0.6, 5  # of a label's rows that teach; parts of these, of which the last ones judge in turn
 JUDGED = (2, 3, 4)
@@ -323,8 +323,8 @@ def _plot_paths(paths: Float[np.ndarray, "classes k p"], labels: Sequence[str]) 
     figure = Picture(figsize=(1.6 * columns + 0.6, 1.7 * lines + 0.6), layout="constrained")
     panels = figure.subplots(lines, columns, squeeze=False, sharex=True, sharey=True).flat
     for axes, path, label in zip(panels, paths, labels, strict=False):
-        axes.plot(path[:, 0], path[:, -1], ".-", color=BLUE, ms=3, lw=1)
-        axes.plot(path[0, 0], path[0, -1], "o", color=BLUE, ms=5)
+        axes.plot(path[:, 0], path[:, -1], ".-", color=Colour.BLUE, ms=3, lw=1)
+        axes.plot(path[0, 0], path[0, -1], "o", color=Colour.BLUE, ms=5)
         axes.set_title(label, fontsize=9)
         axes.set_aspect("equal")
         axes.tick_params(labelsize=6)

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from i2t._version import __version__
 from i2t.dataset import Dataset
 from i2t.dataset.card import write_card
-from i2t.dataset.sets import AXIS_NAMES, INDICES
+from i2t.dataset.sets import AXIS_NAMES, INDEX_FIELDS
 from i2t.errors import DataError, require_extra
 from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
@@ -102,7 +102,7 @@ def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
     if dataset.touches.truth is not None:
         fields |= {f"truth_{name}": values for name, values in dataset.touches.truth._asdict().items()}
     columns = {
-        NAMED_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDICES else values
+        NAMED_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDEX_FIELDS else values
         for name, values in fields.items()
         if values is not None and not (name == "wide" and np.isnan(values).all())
     }

@@ -1,8 +1,8 @@
-"""Touches on disk: recorded ones, one immutable file each, and packed sets, behind one reader. NumPy and h5py only;
-importing it imports no JAX.
+"""Data sets of touches on disk, read and written with NumPy and h5py alone, without JAX.
 
-`sets` says what a data set is, `files` how a file survives a power cut and proves its contents, `store` writes and
-reads, `splits` holds touches out. The schema is described in docs/data.md.
+A recorded touch is one immutable file, and a packed set holds many touches in one file; one reader serves both. `sets`
+defines a data set, `files` makes files atomic and verifiable, `store` reads and writes them, and `splits` holds touches
+out. docs/data.md describes the schema.
 """
 
 from i2t.dataset.sets import Dataset, concatenate, holds_simulated, missing_context, source_words, validate

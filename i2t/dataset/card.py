@@ -1,4 +1,4 @@
-"""The card of a data set: README.md in its folder, which says to a person what is there. No reader depends on it."""
+"""The card of a data set: a README.md in its folder for people. Readers of the data set ignore it."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,67 +10,64 @@ from i2t.errors import printable
 from i2t.files.writing import replacing
 
 CARD = "README.md"
-MAX_NAMES = 20  # listed of each kind
-MAX_NOTES = 40
-MAX_TEXT = 1000  # characters of a remark, which ends at a word
-FINDINGS_KEY, NOTES_KEY, RIG_KEY = "unknowns of ", "notes", "rig"  # of a data set's meta; notes say the findings
-NOTES_BETWEEN = " | "  # notes in one text
 
 
-def card_of(dataset: Dataset, *, board_name: str = "") -> str:
-    """Card of a data set, as a page of Markdown.
+def card_of(dataset: Dataset, *, board_name: str = "", max_notes: int = 40) -> str:
+    """Write the card of a data set as a page of Markdown.
 
     Args:
-        dataset: Any.
-        board_name: Of its board, where it has one (`i2t.skin.boards.name_of_board`).
+        dataset: The data set.
+        board_name: Name of its board (`i2t.skin.boards.name_of_board`), if it has one.
+        max_notes: Maximum number of notes listed.
 
     Returns:
-        The text: whether simulated or real, how many touches of what, which skins, which board, which rig, and what was
-        measured; notes; and how it was made.
+        The text of the card: whether the touches are simulated or real, how many there are, objects, skins, board, rig,
+        measured quantities, notes and provenance.
     """
-    said, n = dataset.summary(), len(dataset)
+    summary, n, meta = dataset.summary(), len(dataset), dict(dataset.meta)
+    rig, notes = meta.pop("rig", ""), [note for note in meta.pop("notes", "").split(" | ") if note]
     chips = ", ".join(f"({1e3 * x:.1f}, {1e3 * y:.1f})" for x, y in np.asarray(dataset.board.chips)[:, :2])
     board = f"{board_name or 'one without a name'}: {dataset.board.num_chips} chips"
-    patches = f"{said['patch_pixels']} x {said['patch_pixels']} pixels over {1e3 * dataset.window:g} mm"
-    known = {name: n - count for name, count in said["missing"].items() if name != "chips" and count < n}
+    patches = f"{summary['patch_pixels']} x {summary['patch_pixels']} pixels over {1e3 * dataset.window:g} mm"
+    measured = {name: n - count for name, count in summary["missing"].items() if name != "chips" and count < n}
     contents = {
-        "objects": _counted(said["objects"]),
-        "skins": _counted(said["pads"]),
-        "sessions": _counted(said["sessions"]),
+        "objects": _counted(summary["objects"]),
+        "skins": _counted(summary["pads"]),
+        "sessions": _counted(summary["sessions"]),
         "board": f"{board}, at {chips} mm from the skin's centre",
         "patches": f"{patches}, to {1e3 * dataset.reach:g} mm behind the nearest point",
-        "rig": dataset.meta.get(RIG_KEY) or "not stated",
-        "measured": _counted({"readings": n, **known}),
+        "rig": rig or "not stated",
+        "measured": _counted({"readings": n, **measured}),
     }
     blocks = [
         f"# {n} touches, {source_words(dataset.source)}",
         f"Written by i2t; `i2t.load_dataset` reads the folder. {_source_sentence(dataset.source)}",
         _table(contents),
     ]
-    notes = [f"- {_plain(note)}" for note in dataset.meta.get(NOTES_KEY, "").split(NOTES_BETWEEN) if note]
     if notes:
-        more = [f"- and {len(notes) - MAX_NOTES} more, in the set's `meta`"] if len(notes) > MAX_NOTES else []
-        blocks += ["## Notes", "\n".join(notes[:MAX_NOTES] + more)]
-    told = (NOTES_KEY, RIG_KEY)
-    others = {k: v for k, v in dataset.meta.items() if v and k not in told and not k.startswith(FINDINGS_KEY)}
+        lines = [f"- {_plain(note)}" for note in notes[:max_notes]]
+        more = [f"- and {len(notes) - max_notes} more, in the set's `meta`"] if len(notes) > max_notes else []
+        blocks += ["## Notes", "\n".join(lines + more)]
+    # The notes already state the findings on a session's unknowns.
+    others = {key: text for key, text in meta.items() if text and not key.startswith("unknowns of ")}
     if others:
         blocks += ["## How it was made", _table(others)]
     return "\n\n".join(blocks) + "\n"
 
 
 def write_card(folder: Path | str, dataset: Dataset, *, board_name: str = "") -> Path:
-    """Write the card of a data set, in place of an earlier one.
+    """Write the card of a data set; an earlier one is replaced.
 
     Args:
-        folder: Of the data set.
-        dataset: What it holds.
-        board_name: Of its board, where it has one.
+        folder: Folder of the data set.
+        dataset: The data set.
+        board_name: Name of its board, if it has one.
 
     Returns:
-        The file.
+        The path of the card.
 
     Raises:
-        DataError: It cannot be written.
+        DataError: The card cannot be written.
     """
     path = Path(folder) / CARD
     with replacing(path) as temporary:
@@ -84,11 +81,11 @@ def _source_sentence(source: str) -> str:
     return f"All of it is **{source}**."
 
 
-def _counted(counts: Mapping[str, int]) -> str:
-    """Names with their numbers of touches."""
-    said = [f"{_plain(name)} ({count})" for name, count in counts.items() if count]
-    more = f", and {len(said) - MAX_NAMES} more" if len(said) > MAX_NAMES else ""
-    return ", ".join(said[:MAX_NAMES]) + more
+def _counted(counts: Mapping[str, int], max_names: int = 20) -> str:
+    """List names with their numbers of touches."""
+    names = [f"{_plain(name)} ({count})" for name, count in counts.items() if count]
+    more = f", and {len(names) - max_names} more" if len(names) > max_names else ""
+    return ", ".join(names[:max_names]) + more
 
 
 def _table(rows: Mapping[str, str]) -> str:
@@ -96,7 +93,7 @@ def _table(rows: Mapping[str, str]) -> str:
     return "\n".join(["| | |", "| --- | --- |", *lines])
 
 
-def _plain(text: str) -> str:
-    """A text that ends no line and no cell of a table, of at most so many characters."""
+def _plain(text: str, max_characters: int = 1000) -> str:
+    """Make a text fit into one cell of a table: one line, without |, cut at the end of a word."""
     plain = printable(" ".join(str(text).split()).replace("|", "/"))
-    return plain if len(plain) <= MAX_TEXT else plain[:MAX_TEXT].rsplit(" ", 1)[0] + " ..."
+    return plain if len(plain) <= max_characters else plain[:max_characters].rsplit(" ", 1)[0] + " ..."

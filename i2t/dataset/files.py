@@ -1,16 +1,18 @@
-"""One HDF5 file that either exists whole or not at all, and that proves its contents.
+"""HDF5 files that are written atomically and verified when they are read.
 
-The first 512 bytes (an HDF5 user block, which every HDF5 reader skips) hold one line of text,
+The first 512 bytes are an HDF5 user block, which every HDF5 reader skips. They hold one line of text, padded with
+zeros:
 
     i2t-touches <schema version> sha256 <64 hexadecimal digits>
 
-filled up with zeros; the digest covers every byte after them, and the line must be exactly this, so that any changed,
-missing or added byte is found before the HDF5 library sees it. Anybody can write such a line, so what a file holds is
-looked over as well before anything of it is read: groups and arrays in the file itself, packed by gzip at most, that
-unpack to what the file's size allows; no links to elsewhere, no arrays kept in other files.
+The digest covers all bytes after the block, and the line must match exactly, so that any changed, missing or added byte
+is detected before the HDF5 library reads the file. A hostile file may have a valid digest. Its contents are therefore
+inspected before they are read: groups and arrays must be in the file itself, compressed by gzip at most, and unpack to
+no more than the file's size allows, without links and without arrays in other files.
 
-A file is written under a hidden temporary name in the same folder, synchronised to the disk, renamed, and the folder
-synchronised: a process killed at any moment leaves a hidden leftover at worst, never a half-written touch.
+A file is written under a hidden temporary name in the same folder, synchronised to the disk and renamed, and then the
+folder is synchronised. A process that is killed at any moment leaves at worst a hidden temporary file, never a partial
+touch.
 """
 
 import hashlib
@@ -19,6 +21,7 @@ import os
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,36 +34,39 @@ from i2t.files.reading import open_regular
 from i2t.files.writing import replacing, unwritable
 
 SCHEMA = "i2t-touches"
-SCHEMA_VERSION = 2  # sessions, which version 1 called runs
-READABLE_SCHEMAS = (1, 2)
+SCHEMA_VERSION = 2  # version 1, which is still read, called sessions runs
 ENDING = ".h5"
 HEADER_BYTES = 512
-MAX_OBJECTS = 4096  # groups and arrays in a file; a touch has 60
-MAX_LEVELS = 6  # of groups in groups; a touch has 3
-MAX_H5_GROWTH = 200  # times its size, that a file may unpack to: patches of a flat object pack well
-MAX_TEXT_GROWTH_BYTES = 2**28  # that texts which share their characters may come to
-PLAIN_FILTERS = (h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32)
 
-_HEADER = re.compile(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+")
+
+@dataclass(frozen=True)
+class _H5Limits:
+    """Largest contents of a file that are accepted, far above those of real files."""
+
+    entries: int = 4096  # groups and arrays; a touch has 60
+    levels: int = 6  # nested groups; a touch has 3
+    growth: int = 200  # unpacked size relative to the file's size; patches of a flat object compress well
+    text_bytes: int = 2**28  # total size of a variable-length text array, whose texts may share their characters
+
+
+_LIMITS = _H5Limits()
 
 
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
     """Write a new HDF5 file of this schema, atomically and durably; an existing file is replaced.
 
-    It is made in memory first, so that a full disk meets a plain write: the HDF5 library, which closes an open file
-    with what it could not write, takes the process down where there is no room.
-
     Args:
-        path: Of the file.
-        fill: Writes the contents into the open file.
+        path: Path of the file.
+        fill: Function that writes the contents into the open file.
 
     Returns:
-        The path.
+        The path of the file.
 
     Raises:
-        DataError: The folder cannot be written; FullDiskError if the disk is full, or failed.
+        DataError: The folder cannot be written. It is a FullDiskError if the disk is full or failed.
     """
     with replacing(path) as temporary:
+        # The HDF5 library aborts the process if it cannot write to a full disk, so the file is made in memory first.
         image = io.BytesIO()
         with h5py.File(image, "w", userblock_size=HEADER_BYTES) as file:
             file.attrs["schema"] = SCHEMA
@@ -79,10 +85,10 @@ def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a rename durable (where the system can synchronise folders; Windows cannot and need not).
+    """Make a rename durable on systems that can synchronise folders; Windows cannot and need not.
 
     Args:
-        folder: In which something was renamed.
+        folder: The folder in which a file was renamed.
     """
     if os.name == "posix":
         descriptor = os.open(folder, os.O_RDONLY)
@@ -94,16 +100,16 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def verified(path: Path) -> Iterator[h5py.File]:
-    """Open a file of this schema for reading, after proving that no byte of it changed.
+    """Open a file of this schema for reading, after verifying that no byte of it changed.
 
     Args:
-        path: Of the file.
+        path: Path of the file.
 
     Yields:
         The open file.
 
     Raises:
-        DataError: It cannot be read, or has changed.
+        DataError: The file cannot be read or was changed.
     """
     try:
         with open_regular(path) as raw:
@@ -123,89 +129,89 @@ def verified(path: Path) -> Iterator[h5py.File]:
         except DataError as error:
             raise DataError(f"{path}: {error}; write it with i2t.dataset.save_dataset") from None
         except (RuntimeError, OSError, ValueError, KeyError, TypeError) as error:
-            raise DataError(f"{path}: is no HDF5 file that can be read ({error}); restore it from a copy") from error
+            raise DataError(f"{path}: is not a readable HDF5 file ({error}); restore it from a copy") from error
         yield file
 
 
 class _Inspection:
-    """Looks over a file before anything of it is read: whether all is in the file itself, and how large it is.
+    """Inspection of a file before it is read: all contents must be in the file itself and must not be too large.
 
     Args:
-        size: Of the file, in bytes.
+        size: Size of the file in bytes.
     """
 
     def __init__(self, size: int) -> None:
-        self._size, self._left, self._objects = size, READ_LIMITS.unpacked_spare_bytes + MAX_H5_GROWTH * size, 0
+        self._size, self._left, self._entries = size, READ_LIMITS.unpacked_spare_bytes + _LIMITS.growth * size, 0
 
     def group(self, group: h5py.Group, level: int) -> None:
-        """Raise DataError, without the file's name, for what no file of this schema holds."""
-        if level > MAX_LEVELS:
-            raise DataError("its groups are nested too deep")
+        """Raise DataError, without the file's name, for contents that no file of this schema has."""
+        if level > _LIMITS.levels:
+            raise DataError("its groups are nested too deeply")
         self._attributes(group)
         for name in group:
-            self._objects += 1
-            if self._objects > MAX_OBJECTS:
-                raise DataError(f"holds more than {MAX_OBJECTS} groups and arrays")
+            self._entries += 1
+            if self._entries > _LIMITS.entries:
+                raise DataError(f"it holds more than {_LIMITS.entries} groups and arrays")
             link = group.get(name, getlink=True)
             if not isinstance(link, h5py.HardLink):
                 kind = "another file" if isinstance(link, h5py.ExternalLink) else "another place"
-                raise DataError(f"{name!r} is a link to {kind}, which is not followed")
-            found = group[name]
-            if isinstance(found, h5py.Group):
-                self.group(found, level + 1)
-            elif isinstance(found, h5py.Dataset):
-                self._attributes(found)
-                self._array(name, found)
+                raise DataError(f"{name!r} is a link to {kind}, and links are not followed")
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                self.group(item, level + 1)
+            elif isinstance(item, h5py.Dataset):
+                self._attributes(item)
+                self._array(name, item)
             else:
                 raise DataError(f"{name!r} is neither a group nor an array")
 
     def _array(self, name: str, array: h5py.Dataset) -> None:
         if array.external or array.is_virtual:
-            raise DataError(f"the values of {name!r} lie in another file, which is not read")
+            raise DataError(f"the values of {name!r} are in another file, which is not read")
         layout = array.id.get_create_plist()
         filters = [layout.get_filter(i)[0] for i in range(layout.get_nfilters())]
-        if not set(filters) <= set(PLAIN_FILTERS):
-            raise DataError(f"{name!r} is packed in a way that i2t does not use")
+        if not set(filters) <= {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}:
+            raise DataError(f"{name!r} has a compression that i2t does not use")
         if array.dtype.hasobject and h5py.check_string_dtype(array.dtype) is None:
             raise DataError(f"{name!r} holds neither numbers nor text")
         chunk = int(np.prod(array.chunks or (1,), dtype=object)) * array.dtype.itemsize
         whole = int(np.prod(array.shape or (), dtype=object)) * array.dtype.itemsize
         self._left -= max(whole, chunk)
         if self._left < 0:
-            raise DataError(f"{name!r} says that it holds {whole} bytes, more than a file of {self._size} can")
+            raise DataError(f"{name!r} claims to hold {whole} bytes, more than a file of {self._size} bytes can")
         if array.dtype.hasobject and array.size:
             self._texts(name, array)
 
     def _texts(self, name: str, array: h5py.Dataset) -> None:
-        """Texts may share their characters, so that a small file holds many long ones: a few at a time are counted."""
+        """Check the total length of texts a few at a time: they may share characters, so a small file can hold many."""
         flat, total = int(array.size), 0
         if array.ndim > 1:
-            raise DataError(f"{name!r} is a table of texts, which no file of this schema holds")
-        step = max(1, MAX_TEXT_GROWTH_BYTES // max(self._size, 1))
+            raise DataError(f"{name!r} is a table of texts, which the schema does not have")
+        step = max(1, _LIMITS.text_bytes // max(self._size, 1))
         for start in range(0, flat, step):
-            some: Any = array[start : start + step] if array.ndim else [array[()]]
-            total += sum(len(text) for text in some)
-            if total > MAX_TEXT_GROWTH_BYTES:
+            texts: Any = array[start : start + step] if array.ndim else [array[()]]
+            total += sum(len(text) for text in texts)
+            if total > _LIMITS.text_bytes:
                 raise DataError(f"the texts of {name!r} are longer than a file of {self._size} bytes can hold")
 
     def _attributes(self, item: h5py.Group | h5py.Dataset) -> None:
         for name in item.attrs:
-            about = item.attrs.get_id(name)
-            count = int(np.prod(about.shape or (), dtype=object))
-            shared = about.dtype.hasobject and count > 1 and count * self._size > 8 * MAX_TEXT_GROWTH_BYTES
-            if shared or count * about.dtype.itemsize > READ_LIMITS.unpacked_spare_bytes:
-                raise DataError(f"the attribute {name!r} says that it holds {count} values, more than any does")
+            attribute = item.attrs.get_id(name)
+            count = int(np.prod(attribute.shape or (), dtype=object))
+            shared = attribute.dtype.hasobject and count > 1 and count * self._size > 8 * _LIMITS.text_bytes
+            if shared or count * attribute.dtype.itemsize > READ_LIMITS.unpacked_spare_bytes:
+                raise DataError(f"the attribute {name!r} claims to hold {count} values, more than any attribute has")
 
 
 def _header(path: Path, block: bytes) -> str:
-    match = _HEADER.fullmatch(block)
+    match = re.fullmatch(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+", block)
     if match is None or len(block) != HEADER_BYTES:
         raise DataError(
             f"{path}: not an {SCHEMA} file; move it out of the data set, or convert it with python -m i2t.convert"
         )
-    if int(match[1]) not in READABLE_SCHEMAS:
+    if int(match[1]) > SCHEMA_VERSION:
         raise DataError(
-            f"{path}: written in schema version {int(match[1])}, and this program reads {SCHEMA_VERSION}; "
+            f"{path}: written in schema version {int(match[1])}, but this program reads at most {SCHEMA_VERSION}; "
             "install a newer i2t"
         )
     return match[2].decode()

@@ -1,7 +1,7 @@
-"""Data sets: touches as NumPy arrays, the names their indices point to, and what holds for all of them.
+"""Data sets: touches as NumPy arrays, the names that their indices refer to, and what all touches have in common.
 
-Everything here is NumPy; arrays of another library (JAX) are taken over on construction. Floats are float32 and indices
-int32.
+All arrays are NumPy's; arrays of other libraries, such as JAX, are converted on construction. Floats are float32 and
+indices int32.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,38 +14,33 @@ from i2t.errors import DataError
 from i2t.patches.dimensions import PATCH_WINDOW, REACH, WIDE_PIXELS
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 
-NOT_STATED = "not stated"  # source of recordings in a layout that does not say whether they are real
-SIMULATED_SOURCES = ("simulated", "mixed")
-SOURCES = (*SIMULATED_SOURCES, "real", NOT_STATED)
-INDICES = ("object", "pad", "session", "code")
-OPTIONAL = ("truth", "time")  # fields of touches that are None where there is none
-MEASURED = tuple(name for name in Touches._fields if name not in OPTIONAL)
+NOT_STATED = "not stated"  # source of recordings whose format does not tell whether they are real
+SOURCES = ("simulated", "mixed", "real", NOT_STATED)
+INDEX_FIELDS = ("object", "pad", "session", "code")
+REQUIRED_FIELDS = tuple(name for name in Touches._fields if name not in Touches._field_defaults)
 AXIS_NAMES = ("x", "y", "z")
-ROTATION_TOLERANCE = (
-    1e-4  # float32 leaves 1e-6 and quaternions printed with four decimals 1e-4: beyond it is no rotation
-)
 
 
 @dataclass(frozen=True, repr=False)
 class Dataset:
-    """Touches with their names: `touches.object[i]` indexes `objects`, `pad` and `session` likewise; rows are in the
-    order of time.
+    """Touches with their names. `touches.object[i]` is an index into `objects`, and `pad` and `session` likewise. Rows
+    are in order of time.
 
     Example:
         dataset = i2t.load_dataset("DATA")
-        train = dataset.select(dataset.touches.session > 0)  # all but the first session
+        train = dataset.select(dataset.touches.session > 0)  # without the first session
         dataset.touches.reading, dataset.objects[dataset.touches.object[0]]
     """
 
     touches: Touches
     objects: tuple[str, ...]
     pads: tuple[str, ...]
-    sessions: tuple[str, ...]  # a session: a recording with one placement of an object
+    sessions: tuple[str, ...]  # names of sessions, each a recording with one placement of an object
     board: Board
-    source: str  # "simulated", "real", "mixed" (some of it simulated) or "not stated"
+    source: str  # "simulated", "real", "mixed" (partly simulated) or "not stated"
     window: float = PATCH_WINDOW  # m, edge of the square that a patch covers
-    reach: float = REACH  # m, a patch is clipped to it
-    meta: Mapping[str, str] = field(default_factory=dict)  # provenance, in words
+    reach: float = REACH  # m, largest depth of a patch
+    meta: Mapping[str, str] = field(default_factory=dict)  # provenance
 
     def __repr__(self) -> str:
         return (
@@ -55,8 +50,10 @@ class Dataset:
 
     def __post_init__(self) -> None:
         def numpy(name: str, values: Any) -> np.ndarray:
-            # Unix time in float32 would be in steps of two minutes.
-            return np.asarray(values, np.int32 if name in INDICES else np.float64 if name == "time" else np.float32)
+            # Unix time in float32 would have steps of two minutes.
+            return np.asarray(
+                values, np.int32 if name in INDEX_FIELDS else np.float64 if name == "time" else np.float32
+            )
 
         object.__setattr__(self, "touches", _map(numpy, self.touches))
         object.__setattr__(self, "board", Board(*(np.asarray(value, np.float32) for value in self.board)))
@@ -72,18 +69,18 @@ class Dataset:
         session: str = "session",
         meta: Mapping[str, str] | None = None,
     ) -> "Dataset":
-        """The data set of `i2t.simulate_touches`, which says that it is simulated.
+        """Make a data set, marked as simulated, from the result of `i2t.simulate_touches`.
 
         Args:
-            touches: With one pad, as simulated.
-            objects: Names of the objects, in the order in which they were given.
-            pad: That touched.
-            pad_name: Its name.
-            session: What sessions are called, before their numbers.
-            meta: Provenance, in words.
+            touches: Simulated touches of one pad.
+            objects: Names of the objects, in the order of the simulated surfaces.
+            pad: The simulated pad.
+            pad_name: Name of the pad.
+            session: Prefix of the names of sessions, which are numbered.
+            meta: Provenance.
 
         Returns:
-            The data set.
+            The data set of the simulated touches.
         """
         sessions = tuple(f"{session} {i:03d}" for i in range(int(np.max(touches.session)) + 1))
         return cls(
@@ -95,21 +92,21 @@ class Dataset:
         return len(self.touches.reading)
 
     def select(self, rows: Any) -> "Dataset":
-        """The touches of some rows, with all names kept.
+        """Select some of the touches, and keep all names.
 
         Args:
-            rows: A boolean mask (n,), an array of row numbers or a slice.
+            rows: A boolean mask (n,), an array of row numbers, or a slice.
 
         Returns:
-            A data set of these touches.
+            A data set of the selected touches.
         """
         rows = np.arange(len(self))[rows]
         touches = _map(lambda _, values: _rows(values, rows), self.touches)
         return replace(self, touches=touches)
 
     def summary(self) -> dict[str, Any]:
-        """Counts, statistics of the readings (uT, by chip axis) and missing values, as plain numbers that JSON can hold
-        (unknown is None).
+        """Count touches and missing values, and compute statistics of the readings (uT, by chip axis). All values can
+        be written to JSON, and unknown ones are None.
         """
         touches = self.touches
         by_axis = touches.reading.reshape(-1, self.board.num_chips, 3).astype(np.float64)
@@ -122,15 +119,15 @@ class Dataset:
             "sessions": _counts(touches.session, self.sessions),
             "codes": {code.name.lower(): int(np.sum(touches.code == code)) for code in ReturnCode},
             "reading_uT": {
-                axis: _statistics(known[np.isfinite(known)])
-                for axis, known in zip(AXIS_NAMES, by_axis.reshape(-1, 3).T, strict=True)
+                axis: _statistics(values[np.isfinite(values)])
+                for axis, values in zip(AXIS_NAMES, by_axis.reshape(-1, 3).T, strict=True)
             },
             "reading_norm_uT": _statistics(np.sqrt(np.nansum(by_axis**2, axis=(1, 2)))),
             "force_N": _statistics(touches.force[finite["force"]].astype(np.float64)),
             "depth_m": _statistics(touches.depth[finite["depth"]].astype(np.float64)),
             "nearest_m": _statistics(touches.nearest[finite["nearest"]].astype(np.float64)),
             "missing": {
-                **{name: int(np.sum(~known)) for name, known in finite.items()},
+                **{name: int(np.sum(~mask)) for name, mask in finite.items()},
                 "chips": int(np.isnan(touches.reading).any(1).sum()),
                 "wide": int(sum(np.isnan(view).any() for view in touches.wide)),
                 "T_w_t": int(np.isnan(touches.T_w_t).any((1, 2)).sum()),
@@ -154,7 +151,7 @@ def holds_simulated(source: str) -> bool:
     Returns:
         True for "simulated" and "mixed"; False for "real" and "not stated".
     """
-    return source in SIMULATED_SOURCES
+    return source in ("simulated", "mixed")
 
 
 def source_words(source: str) -> str:
@@ -170,37 +167,37 @@ def source_words(source: str) -> str:
 
 
 def _common_source(sources: set[str]) -> str:
-    """The source of a data set whose parts have these."""
+    """Find the source of a data set that joins parts with the given sources."""
     if len(sources) == 1:
         return next(iter(sources))
     return "mixed" if any(map(holds_simulated, sources)) else NOT_STATED
 
 
 def missing_context(touches: int, pixels: int = WIDE_PIXELS) -> np.ndarray:
-    """The `wide` of touches whose surroundings were not recorded.
+    """Make the `wide` patches of touches whose surroundings were not recorded.
 
     Args:
-        touches: number of touches.
-        pixels: along each edge.
+        touches: Number of touches.
+        pixels: Number of pixels along each edge.
 
     Returns:
-        NaN of shape (touches, pixels, pixels) that takes no memory (read-only).
+        Read-only NaN array of shape (touches, pixels, pixels), which shares one value and takes no memory.
     """
     return np.broadcast_to(np.float32(np.nan), (touches, pixels, pixels))
 
 
 def concatenate(datasets: Sequence[Dataset]) -> Dataset:
-    """One data set of all touches in the given order, with the names merged.
+    """Join data sets in the given order, and merge their names.
 
     Args:
-        datasets: at least one. The truth is kept where every part has it, times where any has; meta entries that differ
-            are joined by "; ".
+        datasets: At least one data set. The truth is kept if every part has it, and times if any part has them. Entries
+            of `meta` that differ are joined by "; ".
 
     Returns:
-        The data set.
+        The joined data set.
 
     Raises:
-        DataError: window, reach or board differ.
+        DataError: Windows, reaches or boards differ.
     """
     if not datasets:
         raise DataError("no data set given; name at least one")
@@ -212,7 +209,7 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
         for kind in ("objects", "pads", "sessions")
     }
     columns: dict[str, Any] = {}
-    for column in MEASURED:
+    for column in REQUIRED_FIELDS:
         parts = [getattr(d.touches, column) for d in datasets]
         if (kind := column + "s") in names:
             parts = [_renumbered(part, getattr(d, kind), names[kind]) for d, part in zip(datasets, parts, strict=True)]
@@ -233,52 +230,53 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
 
 
 def times_of(dataset: Dataset) -> np.ndarray:
-    """Time of each touch.
+    """Read the time of each touch.
 
     Args:
-        dataset: Of n touches.
+        dataset: Data set of n touches.
 
     Returns:
-        (n,) s, as the recording counts; NaN where it is not known.
+        `(n,)` times (s) on the clock of the recording; NaN where unknown.
     """
     time = dataset.touches.time
     return np.full(len(dataset), np.nan) if time is None else np.asarray(time, np.float64)
 
 
-def _require_joinable(one: Dataset, other: Dataset) -> None:
-    """Refuse patches of another size or place, and readings of another board."""
-    alike = np.isclose((other.window, other.reach), (one.window, one.reach), rtol=1e-6, atol=0).all()
-    shapes = [(d.touches.patch.shape[1:], d.touches.wide.shape[1:]) for d in (one, other)]
+def _require_joinable(first: Dataset, other: Dataset) -> None:
+    """Refuse patches of different sizes and readings of different boards."""
+    alike = np.isclose((other.window, other.reach), (first.window, first.reach), rtol=1e-6, atol=0).all()
+    shapes = [(d.touches.patch.shape[1:], d.touches.wide.shape[1:]) for d in (first, other)]
     if not alike or shapes[0] != shapes[1]:
-        both = f"{_geometry(one)} and of {_geometry(other)}"
+        both = f"{_geometry(first)} and of {_geometry(other)}"
         raise DataError(f"patches of {both} cannot be joined; convert them with one window and one reach")
     if not all(
-        a.shape == b.shape and np.allclose(a, b, rtol=0, atol=1e-6) for a, b in zip(one.board, other.board, strict=True)
+        a.shape == b.shape and np.allclose(a, b, rtol=0, atol=1e-6)
+        for a, b in zip(first.board, other.board, strict=True)
     ):
         raise DataError("readings of different boards cannot be joined; keep them in separate data sets")
 
 
 def _renumbered(numbers: np.ndarray, names: Sequence[str], all_names: Sequence[str]) -> np.ndarray:
-    """Indices of names in a part as indices of the same names in the whole."""
+    """Convert indices into the names of a part to indices into the names of the whole."""
     place = {name: i for i, name in enumerate(all_names)}
     return np.array([place[name] for name in names], np.int32)[numbers]
 
 
 def validate(dataset: Dataset) -> None:
-    """Find the first thing that no touch can be: a wrong shape, an index without a name, a patch that is not finite ...
+    """Check that a data set is valid: shapes, indices, finite patches, rigid poses and the like.
 
     Args:
-        dataset: to check. Readings must have three values for each chip of its board; those of a chip that did not
-            answer are NaN.
+        dataset: The data set. Readings must have three values for each chip of its board, which are NaN if the chip did
+            not answer.
 
     Raises:
-        DataError: one sentence that names the field and the first bad row.
+        DataError: One sentence that names the first invalid field and its first bad row.
     """
     _check_shapes(dataset)
     _check_values(dataset)
     for name in ("object", "pad", "session"):
         names, value = getattr(dataset, name + "s"), getattr(dataset.touches, name)
-        _require(len(set(names)) == len(names), f"{name} names repeat")
+        _require(len(set(names)) == len(names), f"{name} names are not unique")
         _require_rows(name, (value >= 0) & (value < len(names)), f"is not an index into the {len(names)} {name} names")
     _require_rows("code", np.isin(dataset.touches.code, [int(code) for code in ReturnCode]), "is not a return code")
 
@@ -296,7 +294,7 @@ def _check_shapes(dataset: Dataset) -> None:
     }
     _require_shape("board/chips", dataset.board.chips, (chips, 3))
     _require_shape("board/rotations", dataset.board.rotations, (chips, 3, 3))
-    for name in MEASURED:
+    for name in REQUIRED_FIELDS:
         _require_shape(name, getattr(touches, name), shapes.get(name, (n,)))
     if touches.truth is not None:
         for name, value in touches.truth._asdict().items():
@@ -313,22 +311,22 @@ def _check_values(dataset: Dataset) -> None:
         "window and reach must be positive lengths in metres",
     )
     _require_rows("patch", np.isfinite(touches.patch).all((1, 2)), "is not finite")
-    slack = 1e-6 * dataset.reach  # rounding of the reach to float32
+    slack = 1e-6 * dataset.reach  # float32 rounds the reach
     _require_rows(
         "patch",
         (touches.patch >= -slack).all((1, 2)) & (touches.patch <= dataset.reach + slack).all((1, 2)),
-        "leaves 0 to the reach",
+        "is outside the range from 0 to the reach",
     )
     fields = touches.reading.reshape(n, dataset.board.num_chips, 3)
-    whole = np.isfinite(fields).all(2) | np.isnan(fields).all(2)  # a chip is there with all its axes, or missing
-    _require_rows("reading", whole.all(1), "is not finite, or a part of a chip is missing")
-    _require_rows("reading", np.isfinite(touches.reading).any(1) | (n == 0), "has no chip")
+    whole = np.isfinite(fields).all(2) | np.isnan(fields).all(2)  # a chip has all its axes or none
+    _require_rows("reading", whole.all(1), "is infinite, or has only some of the axes of a chip")
+    _require_rows("reading", np.isfinite(touches.reading).any(1) | (n == 0), "has no values")
     for name in ("force", "depth"):
-        _require_rows(name, ~np.isinf(getattr(touches, name)), "is infinite; unknown is NaN")
-    _require_rows("time", ~np.isinf(times_of(dataset)), "is infinite; unknown is NaN")
-    _require_rows("nearest", touches.nearest != -np.inf, "is minus infinite; unknown is NaN")
+        _require_rows(name, ~np.isinf(getattr(touches, name)), "is infinite; write NaN if it is unknown")
+    _require_rows("time", ~np.isinf(times_of(dataset)), "is infinite; write NaN if it is unknown")
+    _require_rows("nearest", touches.nearest != -np.inf, "is minus infinity; write NaN if it is unknown")
     for name in ("T_w_t", "T_w_o"):
-        _require_rows(name, _rigid_or_unknown(getattr(touches, name)), "is no rigid transform")
+        _require_rows(name, _rigid_or_unknown(getattr(touches, name)), "is not a rigid transform")
     _require_rows(
         "board/rotations",
         _orthonormal(dataset.board.rotations).astype(bool),
@@ -365,16 +363,17 @@ def _require_rows(name: str, good: np.ndarray, problem: str, row: str = "row") -
 
 def _orthonormal(rotations: np.ndarray) -> np.ndarray:
     product = rotations.astype(np.float64) @ rotations.astype(np.float64).swapaxes(-1, -2)
-    return np.abs(product - np.eye(3)).max((-1, -2)) < ROTATION_TOLERANCE
+    # Rounding to float32 causes errors of 1e-6, and quaternions printed with four decimals errors of 1e-4.
+    return np.abs(product - np.eye(3)).max((-1, -2)) < 1e-4
 
 
 def _rigid_or_unknown(transforms: np.ndarray) -> np.ndarray:
     unknown = np.isnan(transforms).all((1, 2))
-    known = np.where(unknown[:, None, None], np.eye(4, dtype=np.float32), transforms)
-    known = np.where(np.isfinite(known), known, 0)  # a partly known transform fails below
-    proper = np.linalg.det(known[:, :3, :3].astype(np.float64)) > 0
+    T = np.where(unknown[:, None, None], np.eye(4, dtype=np.float32), transforms)
+    T = np.where(np.isfinite(T), T, 0)  # a partly unknown transform fails below
+    proper = np.linalg.det(T[:, :3, :3].astype(np.float64)) > 0
     complete = np.isfinite(transforms).all((1, 2)) | unknown
-    return unknown | (complete & _orthonormal(known[:, :3, :3]) & proper & (known[:, 3] == (0, 0, 0, 1)).all(1))
+    return unknown | (complete & _orthonormal(T[:, :3, :3]) & proper & (T[:, 3] == (0, 0, 0, 1)).all(1))
 
 
 def _rows(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -390,7 +389,7 @@ def _joined(parts: list[np.ndarray]) -> np.ndarray:
 
 
 def _takes_no_memory(values: np.ndarray) -> bool:
-    """Test whether these are views made by `missing_context`."""
+    """Test whether an array was made by `missing_context`."""
     return values.ndim == 3 and values.size > 0 and not any(values.strides)
 
 

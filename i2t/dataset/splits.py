@@ -1,7 +1,7 @@
-"""Choice of touches to hold out. Every function returns a boolean mask of the touches held out, or labels to split by.
+"""Selection of touches to hold out, as boolean masks, and labels of groups that a split must keep together.
 
-Neighbouring touches of one object share what they feel, and those of one session share their errors: rows are therefore
-never shuffled singly, but held out by object, by pad, by session, by block of space, or from some time on.
+Neighbouring touches of an object have similar contacts, and touches of a session share their errors. Single rows are
+therefore never shuffled: touches are held out by object, pad, session, spatial block, or from some time on.
 
     from i2t.dataset import holdout_blocks, holdout_names, load_dataset
 
@@ -18,21 +18,19 @@ import numpy as np
 from i2t.dataset.sets import Dataset
 from i2t.errors import DataError
 
-# Of a block: a regular grid of presses may fall on block edges, and rounding must not scatter it to both sides.
-EDGE_SLACK = 1e-3
-PLACE_M = 0.2e-3  # largest distance between presses at one place
+SAME_PLACE_M = 0.2e-3  # maximum distance between presses at the same place
 
 
 @dataclass(frozen=True)
 class Split:
-    """Touches to train on, to choose by and to test on, as masks (n,).
+    """Masks (n,) of the touches to train on, to choose between methods on, and to test on.
 
     Attributes:
-        train: To fit to.
-        validation: To choose between methods by.
-        test: To report on.
-        groups: (n,) session, spatial block or stretch of time of each touch, which is never torn apart.
-        how: In words, what is held out.
+        train: Touches to fit to.
+        validation: Touches on which to choose between methods.
+        test: Touches on which to report.
+        groups: `(n,)` session, spatial block or stretch of time of each touch. A split never divides a group.
+        how: Description of what is held out.
 
     Example:
         session = dataset.touches.session
@@ -48,83 +46,85 @@ class Split:
 
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
-    """The rows of each label.
+    """Group the rows by their label.
 
     Args:
-        labels: (n,) integers: an index array of the touches, or block numbers.
+        labels: `(n,)` integers, such as an index array of touches, or block numbers.
 
     Returns:
-        Row numbers by label, in row order.
+        Ascending row numbers of each label.
     """
     return {int(label): np.flatnonzero(labels == label) for label in np.unique(labels)}
 
 
 def square_blocks(position: np.ndarray, edge: float, *, origin: tuple[float, float] | None = None) -> np.ndarray:
-    """The square block in which each position lies. An edge belongs to the block above it.
+    """Assign positions to square blocks. A position on an edge belongs to the block above it.
 
     Args:
-        position: (n, 2) m.
-        edge: m, of a block.
-        origin: (2,) m, a corner of blocks; by default the least position on each axis.
+        position: `(n, 2)` positions (m).
+        edge: Edge (m) of a block.
+        origin: Corner (x, y) of a block, in m; by default the minimum of the positions on each axis.
 
     Returns:
-        Block number (n,) of each position, counted from 0.
+        `(n,)` block numbers of the positions, counted from 0.
     """
     if not len(position):
         return np.zeros(0, np.int64)
-    cell = np.floor((position - (position.min(0) if origin is None else np.array(origin))) / edge + EDGE_SLACK)
+    corner = position.min(0) if origin is None else np.array(origin)
+    # Presses of a regular grid may lie on the edges of blocks, and rounding must not scatter them to both sides.
+    cell = np.floor((position - corner) / edge + 1e-3)
     return np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def same_places(position: np.ndarray) -> np.ndarray:
-    """Group positions into places no wider than `PLACE_M` (complete linkage).
+    """Group positions into places no wider than `SAME_PLACE_M`, by complete linkage.
 
     Args:
-        position: (n, 2) m.
+        position: `(n, 2)` positions (m).
 
     Returns:
-        Number of the place (n,) of each position, counted from 0.
+        `(n,)` place numbers of the positions, counted from 0.
     """
-    from scipy.cluster.hierarchy import fcluster, linkage  # which reading a data set does not need
+    from scipy.cluster.hierarchy import fcluster, linkage  # slow to import
 
     if len(position) < 2:
         return np.zeros(len(position), np.int64)
-    return fcluster(linkage(position, "complete"), PLACE_M, "distance").astype(np.int64) - 1
+    return fcluster(linkage(position, "complete"), SAME_PLACE_M, "distance").astype(np.int64) - 1
 
 
 def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarray:
-    """The touches of some objects, pads or sessions.
+    """Hold out the touches of some objects, pads or sessions.
 
     Args:
-        dataset: of n touches.
+        dataset: Data set of n touches.
         kind: "object", "pad" or "session".
-        names: whose touches are held out.
+        names: Names of the objects, pads or sessions to hold out.
 
     Returns:
-        Mask (n,).
+        `(n,)` mask of the touches held out.
 
     Raises:
-        DataError: a name is not in the data set.
+        DataError: The data set lacks a name.
     """
-    known = getattr(dataset, kind + "s")
-    unknown = [name for name in names if name not in known]
+    all_names = getattr(dataset, kind + "s")
+    unknown = [name for name in names if name not in all_names]
     if unknown:
-        raise DataError(f"no {kind} is called {', '.join(unknown)}; the data set has {', '.join(known)}")
-    return np.isin(getattr(dataset.touches, kind), [known.index(name) for name in names])
+        raise DataError(f"no {kind} is called {', '.join(unknown)}; the data set has {', '.join(all_names)}")
+    return np.isin(getattr(dataset.touches, kind), [all_names.index(name) for name in names])
 
 
 def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
-    """Squares over x and y of the tool's position in its object's frame, object by object.
+    """Assign touches to square blocks over x and y of the tool's position in the object's frame, object by object.
 
-    An edge belongs to the block above it. Where the object's pose is unknown, the world's frame of its session stands
-    in.
+    A position on an edge belongs to the block above it. If the object's pose is unknown, the world frame of the touch's
+    session is used instead.
 
     Args:
-        dataset: of n touches.
-        size: m, edge of a square.
+        dataset: Data set of n touches.
+        size: Edge (m) of a block.
 
     Returns:
-        Block number (n,) of each touch.
+        `(n,)` block numbers of the touches.
     """
     touches = dataset.touches
     unknown = np.isnan(touches.T_w_o).any((1, 2))
@@ -137,16 +137,16 @@ def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
 
 
 def holdout_blocks(dataset: Dataset, size: float, fraction: float, seed: int) -> np.ndarray:
-    """Whole random blocks of space that together hold at least a fraction of the touches, and not a block more.
+    """Hold out random whole blocks of space, as few as hold at least a fraction of the touches.
 
     Args:
-        dataset: of n touches.
-        size: m, edge of a block.
-        fraction: of the touches, 0 to 1.
-        seed: of the choice of blocks.
+        dataset: Data set of n touches.
+        size: Edge (m) of a block.
+        fraction: Fraction of the touches to hold out, from 0 to 1.
+        seed: Seed of the random order of blocks.
 
     Returns:
-        Mask (n,).
+        `(n,)` mask of the touches held out.
     """
     blocks = spatial_blocks(dataset, size)
     order = np.random.default_rng(seed).permutation(blocks.max(initial=-1) + 1)
@@ -156,14 +156,14 @@ def holdout_blocks(dataset: Dataset, size: float, fraction: float, seed: int) ->
 
 
 def holdout_last(dataset: Dataset, fraction: float) -> np.ndarray:
-    """The last touches of each pad in time (the order of rows).
+    """Hold out the last touches of each pad, in the order of rows, which is that of time.
 
     Args:
-        dataset: of n touches.
-        fraction: of each pad's touches, rounded to whole touches.
+        dataset: Data set of n touches.
+        fraction: Fraction of each pad's touches to hold out, rounded to whole touches.
 
     Returns:
-        Mask (n,).
+        `(n,)` mask of the touches held out.
     """
     held = np.zeros(len(dataset), bool)
     for rows in by_group(dataset.touches.pad).values():

@@ -1,10 +1,10 @@
-"""Data sets and recorded touches in files: `save_dataset` packs many touches into one, `write_touch` records one, and
-`load_dataset` reads files and folders of both.
+"""Files of data sets and recorded touches: `save_dataset` packs many touches into one file, `write_touch` records one
+touch, and `load_dataset` reads files and folders of both.
 
-Every file holds the same groups (docs/data.md); a recorded touch adds what only one touch has: images, time series,
-events and counters. A touch in which several skins were read holds that of the skin at the tool where every file has
-its touches, and of each further one the same groups in `skins/NAME`, which earlier readers leave aside. A data set is
-of one skin: where there are several, one is named (`skin=`).
+All files contain the same groups (docs/data.md). A recorded touch adds images, time series, events and counters. If
+several skins were read in a touch, the touch of the skin at the tool is stored where every file has its touches, and
+the touch of each further skin in the same groups below `skins/NAME`, which earlier readers ignore. A data set holds
+touches of one skin, which is selected by name (`skin=`) if there are several.
 """
 
 import math
@@ -29,10 +29,6 @@ from i2t.files.reading import why_no_touches
 from i2t.files.writing import as_path
 from i2t.types import Board, Touches, Truth
 
-INDEX = "index.json"  # which earlier versions wrote next to touches
-ROWS_PER_CHUNK = 64
-FIELDS_OF_VERSION_1 = {"session": "run", "sessions": "runs"}  # as files of schema version 1 call them
-
 UNITS = {
     **dict.fromkeys(("patch", "wide", "nearest", "depth", "indentation"), "m"),
     "reading": "uT",
@@ -42,23 +38,24 @@ UNITS = {
     "time": "s",
 }
 
-SKIN_SERIES = ("tactile", "temperature", "ambient", "ambient_predicted")  # of a skin; a further one's end in its name
-SKIN_NAME = "skin name"  # key of the meta in which a touch of several skins, or a set of one of them, keeps its name
+# Series of the skin at the tool. The series of a further skin have its name appended.
+SKIN_SERIES = ("tactile", "temperature", "ambient", "ambient_predicted")
+SKIN_NAME = "skin name"  # key in `Dataset.meta` of the skin's name, if there were several
 
 T = TypeVar("T")
 
 
 class SkinChoiceError(DataError):
-    """There are several skins, or not the one that was named; without the file's name."""
+    """The skin is ambiguous or unknown. The message does not name the file."""
 
 
 class BadFileWarning(UserWarning):
-    """Names the files that `load_dataset(..., skip_bad=True)` left out."""
+    """Warning that names the files and touches that `load_dataset(..., skip_bad=True)` left out."""
 
 
 @dataclass(frozen=True)
 class Image:
-    """An image of one touch as its camera gave it; a value times `scale` is in `unit` (depth: uint16, m)."""
+    """An image of one touch as the camera delivered it. A value times `scale` is in `unit` (depth: uint16, m)."""
 
     values: np.ndarray  # (rows, columns) or (rows, columns, channels), integers
     scale: float = 1.0
@@ -67,7 +64,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Series:
-    """Samples with a clock of their own."""
+    """Samples with their own clock."""
 
     time: np.ndarray  # (n,) s, Unix time
     values: np.ndarray  # (n, k)
@@ -77,51 +74,51 @@ class Series:
 
 @dataclass(frozen=True)
 class Record:
-    """Everything recorded of one touch."""
+    """Everything that was recorded of one touch."""
 
-    touch: Dataset  # of length 1
+    touch: Dataset  # data set of one touch
     images: Mapping[str, Image] = field(default_factory=dict)
     series: Mapping[str, Series] = field(default_factory=dict)
-    events: tuple[tuple[float, str], ...] = ()  # (Unix time in s, what happened)
-    counters: Mapping[str, int] = field(default_factory=dict)  # such as dropped frames
-    skins: Mapping[str, Dataset] = field(default_factory=dict)  # of further skins, by their names; of length 1
+    events: tuple[tuple[float, str], ...] = ()  # (Unix time in s, description)
+    counters: Mapping[str, int] = field(default_factory=dict)  # counts, such as that of dropped frames
+    skins: Mapping[str, Dataset] = field(default_factory=dict)  # the touch of each further skin, by the skin's name
 
     @property
     def skin_names(self) -> tuple[str, ...]:
-        """Names of the skin at the tool, "" where it has none, and of the further ones."""
+        """Names of all skins. The first is the skin at the tool, whose name may be empty."""
         return (self.touch.meta.get(SKIN_NAME, ""), *self.skins)
 
     def of_skin(self, name: str | None = None) -> "Record":
-        """Record of one of several skins, as if it had been the only one.
+        """Select the record of one of several skins, as if it had been the only one.
 
         Args:
-            name: Of the skin; it may be left out where there is one.
+            name: Name of the skin. It may be omitted if there is only one.
 
         Returns:
-            The record, whose series have the names that they have where there is one skin.
+            The record, with the series named as those of a single skin.
 
         Raises:
-            DataError: There are several skins and none was named, or not that one.
+            DataError: There are several skins and none is named, or the named one does not exist.
         """
-        picked = _picked_skin(self.skin_names, name)
+        selected = _selected_skin(self.skin_names, name)
         others = {f"{label} {other}" for other in self.skins for label in SKIN_SERIES}
-        series = {label: each for label, each in self.series.items() if label not in others}
-        if picked in self.skins:
-            own = {label: f"{label} {picked}" for label in SKIN_SERIES}
-            series = {label: each for label, each in series.items() if label not in SKIN_SERIES}
+        series = {label: samples for label, samples in self.series.items() if label not in others}
+        if selected in self.skins:
+            own = {label: f"{label} {selected}" for label in SKIN_SERIES}
+            series = {label: samples for label, samples in series.items() if label not in SKIN_SERIES}
             series |= {label: self.series[full] for label, full in own.items() if full in self.series}
-        return replace(self, touch=self.skins.get(picked, self.touch), series=series, skins={})
+        return replace(self, touch=self.skins.get(selected, self.touch), series=series, skins={})
 
 
 def save_dataset(path: str | Path, dataset: Dataset) -> Path:
     """Pack a data set into one file, atomically.
 
     Args:
-        path: of the file, ending in .h5; an existing one is replaced.
-        dataset: of touches of one board, with any number of chips.
+        path: Path of the file, ending in .h5. An existing file is replaced.
+        dataset: Touches of one board with any number of chips.
 
     Returns:
-        The path.
+        The path of the file.
 
     Raises:
         DataError: `validate` refuses the data set, or the file cannot be written.
@@ -131,34 +128,35 @@ def save_dataset(path: str | Path, dataset: Dataset) -> Path:
     """
     path = Path(path)
     if path.suffix != ENDING:
-        raise DataError(f"{path}: a packed data set ends in {ENDING}; name the file so")
+        raise DataError(f"{path}: the name of a packed data set must end in {ENDING}; rename the file")
     _check(path, dataset)
     return write(path, lambda file: _put_dataset(file, dataset))
 
 
 def write_touch(folder: str | Path, record: Record, at: float | None = None) -> Path:
-    """Record one touch in a new file; once this returns, the touch survives a kill or a power cut.
+    """Record one touch in a new file. When this returns, the touch survives a killed process or a power cut.
 
     Args:
-        folder: in which the file is made.
-        record: of one touch.
-        at: Unix time in s that names the file; by default now.
+        folder: Folder for the file.
+        record: Record of one touch.
+        at: Unix time (s) that names the file; now by default.
 
     Returns:
-        The path of the file, named by the time in UTC.
+        The path of the file, whose name holds the time in UTC.
 
     Raises:
-        DataError: the record cannot be read back, or the file cannot be written.
+        DataError: The record is invalid, or the file cannot be written.
     """
-    made = datetime.now(UTC) if at is None else datetime.fromtimestamp(at, UTC)
-    name = f"touch-{made:%Y%m%dT%H%M%S.%f}Z-{secrets.token_hex(3)}{ENDING}"
+    time = datetime.now(UTC) if at is None else datetime.fromtimestamp(at, UTC)
+    name = f"touch-{time:%Y%m%dT%H%M%S.%f}Z-{secrets.token_hex(3)}{ENDING}"
     path = Path(folder) / name
     if len(record.touch) != 1:
-        raise DataError(f"{path}: a record holds {len(record.touch)} touches, not 1; record each touch by itself")
+        raise DataError(f"{path}: a record holds {len(record.touch)} touches, not 1; record each touch separately")
     for touch in (record.touch, *record.skins.values()):
         _check(path, touch)
     if record.skins and (len(set(record.skin_names)) <= len(record.skins) or not all(record.skin_names)):
-        raise DataError(f"{path}: the skins {record.skin_names} cannot be told apart; give each a name of its own")
+        names = record.skin_names
+        raise DataError(f"{path}: the names of the skins, {names}, must be distinct and not empty; name each skin")
     for label, series in record.series.items():
         if series.values.ndim != 2 or series.values.shape != (len(series.time), len(series.columns)):
             raise DataError(
@@ -186,16 +184,16 @@ def write_touch(folder: str | Path, record: Record, at: float | None = None) -> 
 
 
 def read_touch(path: str | Path) -> Record:
-    """Read back everything `write_touch` recorded.
+    """Read everything that `write_touch` recorded.
 
     Args:
-        path: of the file; a packed file of one touch reads as a record without images and series.
+        path: Path of the file. A packed file of one touch is read as a record without images and series.
 
     Returns:
-        The record.
+        The record of the touch.
 
     Raises:
-        DataError: the file is missing, damaged, or holds another number of touches than one.
+        DataError: The file is missing or damaged, or does not hold exactly one touch.
     """
     path = Path(path)
 
@@ -229,25 +227,26 @@ def read_touch(path: str | Path) -> Record:
 def load_dataset(
     path: str | Path, *, skip_bad: bool = False, missing_chips: bool = False, skin: str | None = None
 ) -> Dataset:
-    """Read a packed file, a recorded touch, or a folder of any of these with its subfolders.
+    """Read a packed file, a recorded touch, or a folder of these with its subfolders.
 
-    Touches come in the order of the files' names (recorded touches: of time). Hidden files (leftovers of an interrupted
-    writer among them), index.json and the card README.md are no part of a data set.
+    Touches are in the order of the files' names, which is that of time for recorded touches. Hidden files, such as
+    temporary files of an interrupted writer, index.json and the card README.md are ignored.
 
     Args:
-        path: a file or a folder.
-        skip_bad: leave out files that cannot be used, and touches in which a chip did not answer, and name them in a
-            BadFileWarning.
-        missing_chips: keep touches in which a chip did not answer; its values are NaN, which the caller has to mind.
-        skin: name of the skin whose touches are read, where several were read in each touch.
+        path: Path of a file or folder.
+        skip_bad: Whether to leave out unusable files and touches in which a chip did not answer. A BadFileWarning names
+            them.
+        missing_chips: Whether to keep touches in which a chip did not answer. Its values are NaN, which the caller must
+            handle.
+        skin: Name of the skin whose touches are read, if several were read in each touch.
 
     Returns:
         One data set of all touches.
 
     Raises:
-        DataError: files cannot be used and `skip_bad` is not set (one sentence names them all), none is left, chips are
-            missing and neither switch is set, files do not fit together (another board, another window or reach), or
-            there are several skins and none is named.
+        DataError: Files are unusable and `skip_bad` is not set (one sentence names them all), no touch is left, chips
+            are missing and neither switch is set, the files' boards, windows or reaches differ, or there are several
+            skins and none is named.
 
     Example:
         touches = i2t.load_dataset("data/mug").touches
@@ -258,7 +257,7 @@ def load_dataset(
     bad: list[str] = []
     for file in files:
         try:
-            dataset = _read(file, partial(_get_picked, skin=skin))
+            dataset = _read(file, partial(_get_skin, skin=skin))
             _check(file, dataset)
             good.append(dataset)
         except SkinChoiceError as error:
@@ -269,7 +268,7 @@ def load_dataset(
         remedy = (
             "no file is left to read"
             if skip_bad
-            else "mend them, or leave them out on request with skip_bad (--skip-bad)"
+            else "repair these files, or leave them out with skip_bad (--skip-bad)"
         )
         raise DataError(
             f"{len(bad)} of {len(files)} files of {path} cannot be used: {' | '.join(bad)} | {remedy}"
@@ -287,20 +286,20 @@ def load_dataset(
 
 
 def _with_all_chips(path: Path, dataset: Dataset, skip_bad: bool) -> Dataset:
-    """The touches in which every chip answered; DataError where that are not all, unless they are to be left out."""
+    """Select the touches in which every chip answered. Raise DataError if others exist, unless they may be left out."""
     fields = dataset.touches.reading.reshape(len(dataset), len(dataset.board.chips), 3)
     silent = np.isnan(fields).any(2)
-    gone = silent.any(1)
-    if not gone.any():
+    incomplete = silent.any(1)
+    if not incomplete.any():
         return dataset
     counts = ", ".join(f"chip {chip} in {count}" for chip, count in enumerate(silent.sum(0)) if count)
-    said = f"{path}: chips did not answer in {gone.sum()} of {len(dataset)} touches ({counts})"
-    if not skip_bad or gone.all():
+    problem = f"{path}: chips did not answer in {incomplete.sum()} of {len(dataset)} touches ({counts})"
+    if not skip_bad or incomplete.all():
         raise DataError(
-            f"{said}, and a method needs them all; python -m i2t.convert pack --skip-bad leaves such touches out"
+            f"{problem}, but methods need all chips; python -m i2t.convert pack --skip-bad leaves such touches out"
         )
-    warnings.warn(f"{said}; these touches were left out", BadFileWarning, stacklevel=3)
-    return dataset.select(~gone)
+    warnings.warn(f"{problem}; these touches were left out", BadFileWarning, stacklevel=3)
+    return dataset.select(~incomplete)
 
 
 def _files(path: Path) -> list[Path]:
@@ -312,11 +311,11 @@ def _files(path: Path) -> list[Path]:
         file
         for file in sorted(path.rglob("*"))
         if file.is_file()
-        and file.name not in (INDEX, CARD)
+        and file.name not in ("index.json", CARD)  # earlier versions wrote an index next to touches
         and not any(part.startswith(".") for part in file.relative_to(path).parts)
     ]
     if not files:
-        raise DataError(f"{path}: holds no touches; record some, or convert a data set with python -m i2t.convert")
+        raise DataError(f"{path}: holds no touches; record touches, or convert a data set with python -m i2t.convert")
     return files
 
 
@@ -328,9 +327,7 @@ def _check(path: Path, dataset: Dataset) -> None:
 
 
 def _read(path: Path, get: Callable[[h5py.File], T]) -> T:
-    """Apply `get` to a verified file. What the digest proves was written by this schema's writer, or by a program that
-    only imitates it.
-    """
+    """Apply `get` to a verified file. Another program may have written it with a valid digest and wrong contents."""
     with verified(path) as file:
         try:
             return get(file)
@@ -364,28 +361,28 @@ def _put_dataset(file: h5py.Group, dataset: Dataset) -> None:
     file["touches"].attrs["wide_pixels"] = touches.wide.shape[-1]
 
 
-def _get_picked(file: h5py.File, skin: str | None) -> Dataset:
-    """The touches of one skin; raises SkinChoiceError."""
+def _get_skin(file: h5py.File, skin: str | None) -> Dataset:
+    """Read the touches of one skin. Raise SkinChoiceError if the choice is unclear."""
     own = str(file["meta"][SKIN_NAME].asstr()[()]) if SKIN_NAME in file.get("meta", {}) else ""
-    picked = _picked_skin((own, *file.get("skins", {})), skin)
-    return _get_dataset(file if picked == own else file["skins"][picked])
+    selected = _selected_skin((own, *file.get("skins", {})), skin)
+    return _get_dataset(file if selected == own else file["skins"][selected])
 
 
-def _picked_skin(names: tuple[str, ...], asked: str | None) -> str:
-    """The name of the skin that is meant; raises SkinChoiceError where that is not clear."""
-    if asked is None and len(names) == 1:
+def _selected_skin(names: tuple[str, ...], requested: str | None) -> str:
+    """Find the name of the selected skin. Raise SkinChoiceError if the choice is unclear."""
+    if requested is None and len(names) == 1:
         return names[0]
-    said = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
-    if asked is None:
+    listed = " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
+    if requested is None:
         raise SkinChoiceError(
-            f"holds touches of {len(names)} skins, {said}; name one with --skin-name (skin= of load_dataset; "
-            "python -m i2t.convert pack --skin-name makes a set of one)"
+            f"holds touches of {len(names)} skins, {listed}; name one with --skin-name (skin= of load_dataset; "
+            "python -m i2t.convert pack --skin-name makes a set of one skin)"
         )
-    if asked not in names or not asked:
-        has = f"the skin {said}" if names != ("",) else "one skin without a name"
+    if requested not in names or not requested:
+        has = f"the skin {listed}" if names != ("",) else "one skin without a name"
         remedy = "name one of these" if names != ("",) else "leave out --skin-name"
-        raise SkinChoiceError(f"has no skin {asked!r} but {has}; {remedy}")
-    return asked
+        raise SkinChoiceError(f"has no skin {requested!r} but {has}; {remedy}")
+    return requested
 
 
 def _get_dataset(file: h5py.Group) -> Dataset:
@@ -410,15 +407,15 @@ def _get_dataset(file: h5py.Group) -> Dataset:
 
 
 def _stored(group: h5py.Group, name: str) -> str:
-    """Name that a file has for a field or a list of names."""
-    return name if name in group else FIELDS_OF_VERSION_1.get(name, name)
+    """Find the name that a file has for a field or a list of names. Schema version 1 called sessions runs."""
+    return name if name in group else {"session": "run", "sessions": "runs"}.get(name, name)
 
 
 def _put(file: h5py.Group, name: str, values: Any, unit: str) -> h5py.Dataset:
-    """Store an array, compressed (gzip 1) in chunks of rows where it is large, with its unit."""
+    """Store an array with its unit. A large one is compressed (gzip 1) in chunks of rows."""
     options: dict[str, Any] = {}
     if isinstance(values, np.ndarray) and values.nbytes > 4096 and values.dtype != object:
-        rows = ROWS_PER_CHUNK if values.ndim == 3 else math.ceil(2**18 / max(values[:1].nbytes, 1))
+        rows = 64 if values.ndim == 3 else math.ceil(2**18 / max(values[:1].nbytes, 1))
         options = {"compression": "gzip", "compression_opts": 1, "chunks": (min(len(values), rows), *values.shape[1:])}
     item = file.create_dataset(name, data=values, **options)
     item.attrs["units"] = unit

@@ -1,14 +1,13 @@
-"""Ready models, which come with the package: a predictor of touches and a pad model, to start from in seconds.
+"""Ready models, which are part of the package: a predictor of touches and a pad model for a start within seconds.
 
     predictor = i2t.load_predictor("nominal")
-    known = i2t.load_pad_model("nominal")
+    pad_model = i2t.load_pad_model("nominal")
     calibration = i2t.load_calibration("eflesh")
 
-"nominal" is one simulated pad, number 0 of `i2t.skin.pad.numbered_pad`: a layer drawn about the nominal one, with an
-uneven magnetisation of its own. No real skin was touched for it, and no real skin reads as it does: take a model of
-your own skin for real touches. "eflesh" is the calibration of one real skin of another kind, a printed lattice with
-four magnets, pressed by a spherical tip. Figures and limits are in docs/model_card.md, made by
-`python -m tools.ready_models`.
+"nominal" is one simulated pad, number 0 of `i2t.skin.pad.numbered_pad`: a layer drawn about the nominal one, with its
+own uneven magnetisation. It was not fitted to a real skin and does not match one; real touches need a model of your own
+skin. "eflesh" is the calibration of one real skin of another kind, a printed lattice with four magnets, pressed by a
+spherical tip. docs/model_card.md lists figures and limits, which `python -m tools.ready_models` computes.
 """
 
 import os
@@ -19,27 +18,27 @@ from i2t.errors import closest, did_you_mean
 from i2t.files.reading import read_json
 from i2t.files.writing import as_path
 
-MAX_CARD_BYTES = 2**16
 Part = Literal["predictor", "pad_model.npz", "calibration.npz", "metrics.json"]
+# Parts of each ready model.
 READY_MODELS: dict[str, tuple[Part, ...]] = {
     "nominal": ("predictor", "pad_model.npz", "metrics.json"),
     "eflesh": ("calibration.npz", "metrics.json"),
-}  # and their parts
+}
 
 
 def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
-    """Path of a part of a ready model, or the given path otherwise.
+    """Resolve the name of a ready model to the path of one of its parts; keep any other path.
 
     Args:
-        name: Of a ready model, or a path; where a file or folder of that name is at hand, it is meant.
-        part: Of the model.
+        name: Name of a ready model, or a path. An existing file or folder takes precedence over a model of that name.
+        part: Part of the model.
 
     Returns:
-        The part's path, or `name` as a path.
+        The path of the part, or `name` as a path.
 
     Raises:
         TypeError: The name is neither text nor a path.
-        ValueError: It is empty.
+        ValueError: The name is empty.
     """
     path = as_path("path", name)
     if isinstance(name, str) and part in READY_MODELS.get(name, ()) and not path.exists():
@@ -48,11 +47,11 @@ def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
 
 
 def ready_hint(name: str | os.PathLike[str], part: Part) -> str:
-    """The remedy where nothing is found under a name: the ready model that may be meant.
+    """Word the remedy for a path that does not exist, by naming the ready model that may be meant.
 
     Args:
-        name: As given.
-        part: Of the model.
+        name: The name or path that the user gave.
+        part: Part of the model.
 
     Returns:
         The end of a sentence: "; did you mean nominal?", or ", or a ready model, nominal".
@@ -63,17 +62,17 @@ def ready_hint(name: str | os.PathLike[str], part: Part) -> str:
 
 
 def model_card(name: str) -> dict[str, Any]:
-    """Data and scores of a ready model.
+    """Read the data and scores of a ready model.
 
     Args:
-        name: Of the model.
+        name: Name of the model.
 
     Returns:
-        Its source, data and figures, as docs/model_card.md gives them.
+        The model's source, data and scores, as docs/model_card.md lists them.
 
     Raises:
-        ValueError: There is no model of this name.
+        ValueError: There is no ready model of this name.
     """
     if name not in READY_MODELS:
-        raise ValueError(f"{name} is no ready model; {did_you_mean(name, READY_MODELS)}")
-    return read_json(Path(__file__).parent / name / "metrics.json", MAX_CARD_BYTES)
+        raise ValueError(f"{name} is not a ready model; {did_you_mean(name, READY_MODELS)}")
+    return read_json(Path(__file__).parent / name / "metrics.json", 2**16)

@@ -1,4 +1,4 @@
-"""The command line of `python -m i2t.view`."""
+"""Command line of `python -m i2t.view`."""
 
 import sys
 from dataclasses import dataclass
@@ -15,47 +15,47 @@ from i2t.objects.named import require_object
 
 @dataclass(frozen=True)
 class ViewArgs:
-    """Write a session or data set as a Rerun recording (.rrd) and as a page (.html) to look at."""
+    """Write a session or data set as a Rerun recording (.rrd) and an HTML page for viewing."""
 
     path: tyro.conf.Positional[Path]
     """Folder of recorded touches, or a data set."""
     out: Path = Path("runs/view")
-    """Folder for the files, which are named as what they show."""
+    """Folder for the files, which are named after what they show."""
     mesh: str | None = None
-    """The object: a name of the catalogue, or a mesh file; by default by its name in the touches."""
+    """The object: a name in the catalogue or a mesh file. By default, the name that the touches give."""
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    """Of a mesh file, which does not say it itself."""
+    """Unit of a mesh file whose format does not state it."""
     touches: Count | None = None
-    """Look at so many at most, the first ones."""
+    """Maximum number of touches to show, from the first on."""
     skin_name: str | None = None
-    """Of several skins that were read in each touch, the one to look at."""
+    """Name of the skin to show, if several skins were read in each touch."""
     html: bool = False
-    """Write the page alone."""
+    """Write only the page."""
     overwrite: bool = False
-    """Replace files that are there."""
+    """Replace existing files."""
 
 
-def _write(asked: ViewArgs) -> None:
-    require_with("--unit", asked.unit is not None, "--mesh", asked.mesh is not None)
-    if asked.mesh is not None:
-        require_object(asked.mesh, asked.unit, flag="--mesh")
-    if asked.path.is_file() and (why := why_no_touches(asked.path)):
+def _write(args: ViewArgs) -> None:
+    require_with("--unit", args.unit is not None, "--mesh", args.mesh is not None)
+    if args.mesh is not None:
+        require_object(args.mesh, args.unit, flag="--mesh")
+    if args.path.is_file() and (why := why_no_touches(args.path)):
         raise ValueError(why)
-    name = (asked.path.resolve().stem or "view") + (f"-{asked.skin_name}" if asked.skin_name else "")
-    page, recording = (asked.out / f"{name}{ending}" for ending in (".html", ".rrd"))
+    name = (args.path.resolve().stem or "view") + (f"-{args.skin_name}" if args.skin_name else "")
+    page, recording = (args.out / f"{name}{ending}" for ending in (".html", ".rrd"))
     for path in (page, recording):
-        if path.exists() and not asked.overwrite:
+        if path.exists() and not args.overwrite:
             raise FileExistsError(f"{path}: exists already; pass --overwrite to replace it, or another --out")
         require_writable("--out", path)
-    # Not above: NumPy and HDF5, which --help and a refusal need not wait for.
+    # Imported late, because --help and refusals do not need NumPy and HDF5.
     from i2t.view.contents import read_contents
     from i2t.view.page import write_page
     from i2t.view.rerun_file import why_no_recording, write_recording
 
-    contents = read_contents(asked.path, mesh=asked.mesh, unit=asked.unit, most=asked.touches, skin=asked.skin_name)
-    asked.out.mkdir(parents=True, exist_ok=True)
+    contents = read_contents(args.path, mesh=args.mesh, unit=args.unit, max_touches=args.touches, skin=args.skin_name)
+    args.out.mkdir(parents=True, exist_ok=True)
     print(f"wrote {write_page(contents, page)}")
-    if asked.html:
+    if args.html:
         return
     missing = why_no_recording()
     if missing:

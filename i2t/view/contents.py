@@ -1,6 +1,6 @@
-"""Contents of a folder to look at, as one list that every writer shows: recorded touches, or rows of a data set.
+"""Contents of a session or data set for viewing, as one list of items that every writer shows.
 
-Times are Unix time where touches were recorded with their series; other touches are a second apart.
+Times are Unix time where touches were recorded with time series. Other touches are a second apart.
 """
 
 import json
@@ -13,31 +13,27 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t.dataset import Dataset, Record, Series, holds_simulated, load_dataset, read_touch
+from i2t.dataset.sets import AXIS_NAMES
 from i2t.depth.camera import Camera
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
 
-TOUCH_FILES = "touch-*.h5"
-SHOWN_HZ = 30.0  # of poses and field vectors; numbers have every sample
-SECONDS_A_TOUCH = 1.0  # of touches without times of their own
-AXES = ("x", "y", "z")
-
 Times: TypeAlias = Float[np.ndarray, " n"]  # s
 
 
 class Poses(NamedTuple):
-    """Where a frame is in the world."""
+    """Pose of a frame in the world over time."""
 
-    frame: str  # object, tool or camera
+    frame: str  # "object", "tool" or "camera"
     time: Times
-    T: Float[np.ndarray, "n 4 4"]  # m
+    T: Float[np.ndarray, "n 4 4"]  # pose of the frame in the world
 
 
 class Numbers(NamedTuple):
-    """Numbers that change with time; NaN where one is not known."""
+    """Numbers that change with time; NaN where unknown."""
 
-    place: str  # readings (uT less the ambient), temperature (degrees Celsius), force (N) or torque (Nm)
+    place: str  # "readings" (uT, ambient subtracted), "temperature" (degrees Celsius), "force" (N) or "torque" (Nm)
     names: tuple[str, ...]
     time: Times
     values: Float[np.ndarray, "n names"]
@@ -53,14 +49,14 @@ class Field(NamedTuple):
 class Picture(NamedTuple):
     """A depth image or a patch."""
 
-    place: str  # depth or patch
-    frame: str  # in which it was taken
+    place: str  # "depth" or "patch"
+    frame: str  # frame in which it was taken
     time: float  # s
     metres: Float[np.ndarray, "rows columns"]
 
 
 class Events(NamedTuple):
-    """What happened."""
+    """Events and their times."""
 
     time: Times
     texts: tuple[str, ...]
@@ -74,18 +70,18 @@ class Contents:
     """A session or a data set."""
 
     path: Path
-    dataset: Dataset  # of all touches, chips that did not answer as NaN
-    files: tuple[Path, ...]  # of recorded touches, in the order of the data set; empty for other data sets
-    mesh: Mesh | None  # of the object, in its own frame
-    skin: str | None = None  # which of several
+    dataset: Dataset  # all touches, with NaN for chips that did not answer
+    files: tuple[Path, ...]  # files of recorded touches in the order of the data set; empty for other data sets
+    mesh: Mesh | None  # mesh of the object in its own frame
+    skin: str | None = None  # name of the shown skin, if there are several
 
     @property
     def simulated(self) -> bool:
-        """Tell whether any of it was simulated."""
+        """Whether any of the touches are simulated."""
         return holds_simulated(self.dataset.source)
 
     def records(self) -> Iterator[Record]:
-        """The touches one after the other; without images and series where these were not recorded."""
+        """Yield the record of each touch. Images and series are missing if they were not recorded."""
         if self.files:
             for file in self.files:
                 yield read_touch(file).of_skin(self.skin)
@@ -99,21 +95,21 @@ def read_contents(
     *,
     mesh: str | None = None,
     unit: str | None = None,
-    most: int | None = None,
+    max_touches: int | None = None,
     skin: str | None = None,
 ) -> Contents:
-    """Read the contents of a folder or file.
+    """Read the contents of a session or data set.
 
     Args:
-        path: Of recorded touches, or of a data set.
-        mesh: Of the object: a name of the catalogue, or a file; by default the name that the touches give, if the
-            catalogue knows it.
-        unit: Of a mesh file: m, cm, mm or inch; an object of the catalogue needs none.
-        most: Touches that are looked at, the first ones; by default all.
-        skin: Name of the skin, where several were read in each touch.
+        path: Folder of recorded touches, or path of a data set.
+        mesh: Mesh of the object: a name in the catalogue, or a file. By default, the name that the touches give, if the
+            catalogue has it.
+        unit: Unit of a mesh file (m, cm, mm or inch). Objects of the catalogue need none.
+        max_touches: Maximum number of touches to read, from the first on; all by default.
+        skin: Name of the skin, if several were read in each touch.
 
     Returns:
-        The contents.
+        The contents, for `write_page` and `write_recording`.
 
     Raises:
         DataError: There are no touches, a file is damaged, or there are several skins and none is named.
@@ -121,48 +117,48 @@ def read_contents(
     """
     path = Path(path)
     dataset = load_dataset(path, missing_chips=True, skin=skin)
-    files = tuple(sorted(path.glob(TOUCH_FILES))) if path.is_dir() else ()
+    files = tuple(sorted(path.glob("touch-*.h5"))) if path.is_dir() else ()
     if len(files) != len(dataset):
-        files = ()  # a packed set, or one with others next to it
-    if most is not None:
-        dataset, files = dataset.select(np.arange(min(most, len(dataset)))), files[:most]
+        files = ()  # a packed set, or touches next to other files
+    if max_touches is not None:
+        dataset, files = dataset.select(np.arange(min(max_touches, len(dataset)))), files[:max_touches]
     return Contents(path, dataset, files, _mesh(mesh, unit, dataset), skin=skin)
 
 
 def _mesh(name: str | None, unit: str | None, dataset: Dataset) -> Mesh | None:
     if name is None:
-        known = [each for each in dataset.objects if each in NAMES]
-        return make_object(known[0]).mesh if len(dataset.objects) == 1 and known else None
+        only = dataset.objects[0] if len(dataset.objects) == 1 else None
+        return make_object(only).mesh if only in NAMES else None
     return read_object(name, unit).mesh
 
 
 def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
-    """All that there is to show of a touch.
+    """List everything that there is to show of a touch.
 
     Args:
-        contents: Of which it is one.
-        number: Of the touch.
-        record: Of the touch.
+        contents: The session or data set.
+        number: Index of the touch in it.
+        record: Record of the touch.
 
     Yields:
-        Each thing that was recorded or kept of it.
+        The poses, images, readings, forces and events of the touch, as far as they were recorded.
     """
     touches, series, board = record.touch.touches, record.series, contents.dataset.board
     start, end = span(number, record)
-    known, at = np.array([start]), np.array([end])
-    yield Poses("object", known, np.asarray(touches.T_w_o[:1], float))
+    begin_time, end_time = np.array([start]), np.array([end])
+    yield Poses("object", begin_time, np.asarray(touches.T_w_o[:1], float))
     if "pose" in series:
         rows = _thinned(series["pose"].time)
         yield Poses("tool", series["pose"].time[rows], series["pose"].values[rows].reshape(-1, 4, 4))
-    yield Poses("tool", at, np.asarray(touches.T_w_t[:1], float))
+    yield Poses("tool", end_time, np.asarray(touches.T_w_t[:1], float))
     yield Picture("patch", "tool", start, np.asarray(touches.patch[0], np.float32))
     if "camera" in series and len(series["camera"].values):
-        yield Poses("camera", known, series["camera"].values[:1].reshape(1, 4, 4))
+        yield Poses("camera", begin_time, series["camera"].values[:1].reshape(1, 4, 4))
     if "depth" in record.images:
         image = record.images["depth"]
         yield Picture("depth", "camera", start, (image.values * image.scale).astype(np.float32))
     time, readings = readings_of(number, record)
-    names = tuple(f"chip{chip}/{axis}" for chip in range(board.num_chips) for axis in AXES)
+    names = tuple(f"chip{chip}/{axis}" for chip in range(board.num_chips) for axis in AXIS_NAMES)
     yield Numbers("readings", names, time, readings)
     rows = _thinned(time)
     times, shown = np.append(time[rows], end), np.concatenate([readings[rows], np.asarray(touches.reading[:1], float)])
@@ -171,23 +167,23 @@ def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
         chips = tuple(f"chip{chip}" for chip in range(board.num_chips))
         yield Numbers("temperature", chips, series["temperature"].time, series["temperature"].values)
     if "wrench" in series:
-        yield Numbers("force", AXES, series["wrench"].time, series["wrench"].values[:, :3])
-        yield Numbers("torque", AXES, series["wrench"].time, series["wrench"].values[:, 3:])
+        yield Numbers("force", AXIS_NAMES, series["wrench"].time, series["wrench"].values[:, :3])
+        yield Numbers("torque", AXIS_NAMES, series["wrench"].time, series["wrench"].values[:, 3:])
     else:
-        yield Numbers("force", ("normal",), known, np.asarray(touches.force[:1, None], float))
+        yield Numbers("force", ("normal",), begin_time, np.asarray(touches.force[:1, None], float))
     if record.events:
         yield Events(np.array([when for when, _ in record.events]), tuple(text for _, text in record.events))
 
 
 def readings_of(number: int, record: Record) -> tuple[Times, Float[np.ndarray, "n c"]]:
-    """Readings of a touch, less its ambient.
+    """Read the readings of a touch, with the ambient subtracted.
 
     Args:
-        number: Of the touch.
-        record: Of the touch.
+        number: Index of the touch.
+        record: Record of the touch.
 
     Returns:
-        Times and every sample (uT); the touch's one reading where nobody kept them.
+        `(n,)` times (s) and `(n, c)` readings (uT) of all samples, or only the final reading if no series was recorded.
     """
     if "tactile" not in record.series:
         return np.array([span(number, record)[0]]), np.asarray(record.touch.touches.reading[:1], float)
@@ -197,39 +193,39 @@ def readings_of(number: int, record: Record) -> tuple[Times, Float[np.ndarray, "
 
 
 def span(number: int, record: Record) -> tuple[float, float]:
-    """Times at which a touch begins and ends.
+    """Find the times at which a touch begins and ends.
 
     Args:
-        number: Of the touch.
-        record: Of the touch.
+        number: Index of the touch.
+        record: Record of the touch.
 
     Returns:
-        Unix time in s; from its number where nobody kept the time.
+        Unix times (s) of the beginning and the end. Both are the index if no time was recorded.
     """
     recorded: list[Series] = [series for series in record.series.values() if len(series.time)]
     times = [float(series.time[i]) for series in recorded for i in (0, -1)] + [when for when, _ in record.events]
-    return (min(times), max(times)) if times else (SECONDS_A_TOUCH * number,) * 2
+    return (min(times), max(times)) if times else (float(number),) * 2
 
 
-def _thinned(time: np.ndarray) -> np.ndarray:
-    """Rows of a series at about `SHOWN_HZ`."""
+def _thinned(time: np.ndarray, rate: float = 30.0) -> np.ndarray:
+    """Choose the rows of a series at about `rate` (Hz), fast enough for animated poses and field vectors."""
     if not len(time):
         return np.zeros(0, np.int64)
-    slots = np.floor((time - time[0]) * SHOWN_HZ).astype(np.int64)
+    slots = np.floor((time - time[0]) * rate).astype(np.int64)
     return np.unique(slots, return_index=True)[1]
 
 
 def camera_of(dataset: Dataset) -> Camera | None:
-    """The depth camera's lens, which recorded touches keep.
+    """Read the lens of the depth camera from a data set's metadata.
 
     Args:
-        dataset: Of touches.
+        dataset: The data set.
 
     Returns:
-        The camera; None where it was not kept.
+        The camera, or None if the recording did not store it.
     """
     try:
-        said = json.loads(dataset.meta["camera"])
-        return Camera(**{**said, "coefficients": tuple(said["coefficients"])})
+        values = json.loads(dataset.meta["camera"])
+        return Camera(**{**values, "coefficients": tuple(values["coefficients"])})
     except (LookupError, TypeError, ValueError, RecursionError):
         return None

@@ -1,4 +1,4 @@
-"""A page of a session or data set that any browser shows: one HTML file with its pictures in it, and no scripts."""
+"""HTML page of a session or data set: a single file that any browser shows, with embedded pictures and no scripts."""
 
 import base64
 import html
@@ -16,8 +16,6 @@ from i2t.viz.patches import plot_patches
 from i2t.viz.skins import plot_readings
 from i2t.viz.style import COLOURS, Picture, titled
 
-PAGE_TOUCHES = 10  # with pictures of their own
-TABLE_ROWS = 1000
 STYLE = (
     "body{font-family:sans-serif;max-width:70em;margin:2em auto;color:#222}img{max-width:100%}"
     "table{border-collapse:collapse;font-size:.85em}td,th{padding:.15em .6em;text-align:right;"
@@ -25,26 +23,28 @@ STYLE = (
 )
 
 
-def write_page(contents: Contents, path: Path) -> Path:
-    """Write the page.
+def write_page(contents: Contents, path: Path, *, max_pictured: int = 10, max_rows: int = 1000) -> Path:
+    """Write the HTML page of a session or data set.
 
     Args:
-        contents: Of a session or data set.
-        path: Of the file, .html.
+        contents: The session or data set.
+        path: Path of the page, ending in .html.
+        max_pictured: Maximum number of touches with pictures; if there are more, evenly spaced ones are shown.
+        max_rows: Maximum number of touches in the table.
 
     Returns:
-        The file.
+        The path of the page.
     """
     dataset = contents.dataset
-    shown = np.unique(np.linspace(0, len(dataset) - 1, min(len(dataset), PAGE_TOUCHES)).round().astype(int))
+    shown = np.unique(np.linspace(0, len(dataset) - 1, min(len(dataset), max_pictured)).round().astype(int))
     names = [f"touch {row + 1}\n{dataset.objects[dataset.touches.object[row]]}" for row in shown]
-    some = dataset.touches
+    touches = dataset.touches
     pictures = [
-        ("Readings", plot_readings(dataset.board, {"measured": np.nan_to_num(some.reading[shown])}, names,
+        ("Readings", plot_readings(dataset.board, {"measured": np.nan_to_num(touches.reading[shown])}, names,
                                    "Readings", contents.simulated)),
-        ("Patches", plot_patches(some.patch[shown], names, "Depth patches", contents.simulated,
+        ("Patches", plot_patches(touches.patch[shown], names, "Depth patches", contents.simulated,
                                  window=dataset.window, reach=dataset.reach)),
-        *((f"Touch {row + 1}", figure) for row, figure in _courses(contents, shown)),
+        *((f"Touch {row + 1}", figure) for row, figure in _time_courses(contents, shown)),
     ]  # fmt: skip
     about = {"touches": str(len(dataset)), "source": dataset.source, **dataset.meta}
     body = [
@@ -52,7 +52,7 @@ def write_page(contents: Contents, path: Path) -> Path:
         _table([("", ""), *about.items()]),
         *(f"<h2>{html.escape(title)}</h2>{_image(figure)}" for title, figure in pictures),
         "<h2>All touches</h2>",
-        _table(_rows(contents)),
+        _table(_rows(contents, max_rows)),
     ]
     page = f"<!doctype html><meta charset=utf-8><title>{html.escape(contents.path.name)}</title><style>{STYLE}</style>"
     with replacing(path) as temporary:
@@ -60,38 +60,38 @@ def write_page(contents: Contents, path: Path) -> Path:
     return path
 
 
-def _courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:
-    """Time courses of touches, where these were recorded."""
+def _time_courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:
+    """Plot the time courses of the chosen touches whose series were recorded."""
     return [
-        (row, _course(record, contents.simulated, row))
+        (row, _time_course(record, contents.simulated, row))
         for row, record in enumerate(contents.records())
         if row in shown and "tactile" in record.series
     ]
 
 
-def _course(record: Record, simulated: bool, row: int) -> Figure:
+def _time_course(record: Record, simulated: bool, row: int) -> Figure:
     (time, readings), wrench = readings_of(row, record), record.series.get("wrench")
     figure = Picture(figsize=(9, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    begun = time[0] if len(time) else 0.0
-    left.plot(time - begun, readings, lw=0.7)
+    start = time[0] if len(time) else 0.0
+    left.plot(time - start, readings, lw=0.7)
     left.set(xlabel="time (s)", ylabel="change of field (µT)")
     if wrench is not None and len(wrench.time):
         for i, axis in enumerate("xyz"):
-            right.plot(wrench.time - begun, wrench.values[:, i], color=COLOURS[i], label=axis, lw=1)
+            right.plot(wrench.time - start, wrench.values[:, i], color=COLOURS[i], label=axis, lw=1)
         right.legend(fontsize=8)
     right.set(xlabel="time (s)", ylabel="force on the tool (N)")
-    events = "; ".join(f"{when - begun:.2f} s {text}" for when, text in record.events)
+    events = "; ".join(f"{when - start:.2f} s {text}" for when, text in record.events)
     figure.suptitle(f"{titled(f'Touch {row + 1}', simulated)}\n{events[:200]}", fontsize=9)
     return figure
 
 
-def _rows(contents: Contents) -> list[tuple[str, ...]]:
+def _rows(contents: Contents, max_rows: int) -> list[tuple[str, ...]]:
     dataset = contents.dataset
     touches = dataset.touches
     head = ("file", "object", "session", "end", "norm (µT)", "force (N)", "depth (mm)", "nearest (mm)")
     rows: list[tuple[str, ...]] = [head]
-    for row in range(min(len(dataset), TABLE_ROWS)):
+    for row in range(min(len(dataset), max_rows)):
         numbers = (
             float(np.sqrt(np.nansum(touches.reading[row].astype(float) ** 2))), float(touches.force[row]),
             1e3 * float(touches.depth[row]), 1e3 * float(touches.nearest[row]),
@@ -105,8 +105,8 @@ def _rows(contents: Contents) -> list[tuple[str, ...]]:
                 *(f"{number:.2f}" if np.isfinite(number) else "" for number in numbers),
             )
         )
-    if len(dataset) > TABLE_ROWS:
-        rows.append((f"and {len(dataset) - TABLE_ROWS} more", *[""] * (len(head) - 1)))
+    if len(dataset) > max_rows:
+        rows.append((f"and {len(dataset) - max_rows} more", *[""] * (len(head) - 1)))
     return rows
 
 

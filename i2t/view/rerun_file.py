@@ -1,15 +1,15 @@
-"""A Rerun recording (`.rrd`) of touches: scene, images, time series and events on one time line.
+"""Rerun recording (`.rrd`) of touches: scene, images, time series and events on one time line.
 
-    world/object, world/tool       the object's mesh and the skin's outline, where they stand
-    world/tool/chips/field         the reading as vectors at the chips, tool axes
-    world/camera/image             the depth image from where its camera took it
-    readings/chip0/x ...           microtesla, less the ambient
-    temperature/chip0 ...          degrees Celsius
-    force/x ..., torque/x ...      on the tool, tool axes
-    patch, events, about           what was extracted, what happened, provenance
+    world/object, world/tool       poses of the object's mesh and of the skin's outline
+    world/tool/chips/field         the reading as vectors at the chips, in tool axes
+    world/camera/image             the depth image at the pose from which the camera took it
+    readings/chip0/x ...           readings in microtesla, with the ambient subtracted
+    temperature/chip0 ...          temperatures in degrees Celsius
+    force/x ..., torque/x ...      force and torque on the tool, in tool axes
+    patch, events, about           extracted patch, events, provenance
 
-Every touch also has its number on the line `touch`. Rerun (rerun.io) shows such a file with `rerun FILE`; the package
-rerun-sdk is needed to write it.
+The time line `touch` numbers the touches. Rerun (rerun.io) shows such a file with `rerun FILE`. The package rerun-sdk
+is needed to write it.
 """
 
 from functools import partial
@@ -22,31 +22,28 @@ from i2t.errors import require_extra, why_missing
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.view.contents import Contents, Events, Field, Item, Numbers, Picture, Poses, camera_of, items, span
 
-APPLICATION, NEEDS_RERUN = "i2t", "a Rerun recording"
-VECTOR_M_PER_UT = 1e-4  # length of a field vector: 50 uT are 5 mm
-SKIN_THICKNESS_M = 2e-3
-PLACES = {"depth": "world/camera/image", "patch": "patch"}
+NEEDS_RERUN = "a Rerun recording"  # purpose of the package, for messages
 
 
 def why_no_recording() -> str:
-    """Reason why no recording can be written here.
+    """Explain why no recording can be written here.
 
     Returns:
-        One sentence with the remedy; empty where it can.
+        One sentence with the remedy, or an empty string if a recording can be written.
     """
     why = why_missing("rerun", NEEDS_RERUN)
     return why and f"{why}, or pass --html alone"
 
 
 def write_recording(contents: Contents, path: Path) -> Path:
-    """Write the recording.
+    """Write the Rerun recording of a session or data set.
 
     Args:
-        contents: Of a session or data set.
-        path: Of the file, .rrd.
+        contents: The session or data set.
+        path: Path of the recording, ending in .rrd.
 
     Returns:
-        The file.
+        The path of the recording.
 
     Raises:
         MissingExtraError: rerun-sdk is missing.
@@ -54,7 +51,7 @@ def write_recording(contents: Contents, path: Path) -> Path:
     require_extra("rerun", NEEDS_RERUN)
     import rerun as rr
 
-    stream = rr.RecordingStream(APPLICATION, recording_id=contents.path.resolve().name or APPLICATION)
+    stream = rr.RecordingStream("i2t", recording_id=contents.path.resolve().name or "i2t")
     stream.save(path)
     _log_statics(rr, partial(rr.log, static=True, recording=stream), contents)
     for number, record in enumerate(contents.records()):
@@ -68,13 +65,13 @@ def write_recording(contents: Contents, path: Path) -> Path:
 
 
 def _log_statics(rr: Any, log: Any, contents: Contents) -> None:
-    """What holds for all touches."""
+    """Log what all touches have in common."""
     dataset, mesh, camera = contents.dataset, contents.mesh, camera_of(contents.dataset)
     lines = [f"{contents.path}: {len(dataset)} touches, {dataset.source.upper()}"]
     log("about", rr.TextDocument("\n\n".join([*lines, *(f"{key}: {value}" for key, value in dataset.meta.items())])))
     log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
-    half = [PAD_WINDOW / 2, PAD_WINDOW / 2, SKIN_THICKNESS_M / 2]
-    log("world/tool/skin", rr.Boxes3D(half_sizes=[half], centers=[[0, 0, -SKIN_THICKNESS_M / 2]]))
+    half = [PAD_WINDOW / 2, PAD_WINDOW / 2, 1e-3]  # the skin is drawn 2 mm thick
+    log("world/tool/skin", rr.Boxes3D(half_sizes=[half], centers=[[0, 0, -half[2]]]))
     if mesh is not None:
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         log("world/object", rr.Mesh3D(vertex_positions=vertices, triangle_indices=faces))
@@ -85,7 +82,7 @@ def _log_statics(rr: Any, log: Any, contents: Contents) -> None:
 
 
 def _log(rr: Any, stream: Any, contents: Contents, item: Item) -> None:
-    """One thing of a touch."""
+    """Log one item of a touch."""
 
     def put(time: float, place: str, what: Any) -> None:
         stream.set_time("time", timestamp=float(time))
@@ -98,17 +95,17 @@ def _log(rr: Any, stream: Any, contents: Contents, item: Item) -> None:
                     put(time, f"world/{frame}", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
         case Numbers(place, names, times, values):
             for name, column in zip(names, np.asarray(values, np.float64).T, strict=True):
-                known = np.isfinite(column)
-                if known.any():
-                    line, scalars = rr.TimeColumn("time", timestamp=times[known]), column[known]
+                finite = np.isfinite(column)
+                if finite.any():
+                    line, scalars = rr.TimeColumn("time", timestamp=times[finite]), column[finite]
                     columns = rr.Scalars.columns(scalars=scalars)
                     rr.send_columns(f"{place}/{name}", [line], columns, recording=stream)
         case Field(times, vectors):
             chips = np.asarray(contents.dataset.board.chips)
-            for time, field in zip(times, VECTOR_M_PER_UT * vectors, strict=True):
+            for time, field in zip(times, 1e-4 * vectors, strict=True):  # a field of 50 uT is drawn 5 mm long
                 put(time, "world/tool/chips/field", rr.Arrows3D(origins=chips, vectors=field, radii=2e-4))
         case Picture(place, _, time, metres):
-            put(time, PLACES[place], rr.DepthImage(metres, meter=1.0))
+            put(time, "world/camera/image" if place == "depth" else place, rr.DepthImage(metres, meter=1.0))
         case Events(times, texts):
             for time, text in zip(times, texts, strict=True):
                 put(time, "events", rr.TextLog(text))

@@ -1,10 +1,10 @@
-"""Figures for people: readings, patches, skins, scenes in three dimensions, clusters, rates, and episode reports.
+"""Figures of readings, patches, skins, three-dimensional scenes, clusters, rates and episode reports.
 
-Functions take NumPy or JAX arrays and return a matplotlib figure, which `save_figure` writes and notebooks show as it
-is; those called `draw_...` draw into axes that they are given. Lengths are drawn in millimetres, fields in microtesla,
-and what was simulated says so in its title. Boards may have any number of chips.
+Functions take NumPy or JAX arrays and return a matplotlib figure, which `save_figure` writes and notebooks display.
+Functions called `draw_...` draw into given axes. Lengths are drawn in millimetres and fields in microtesla, and titles
+mark simulated data. Boards may have any number of chips.
 
-Names are imported when they are first used: `i2t.viz.clusters` and `i2t.viz.agreement` need no matplotlib.
+Names are imported on first use: `i2t.viz.clusters` and `i2t.viz.agreement` do not need matplotlib.
 """
 
 import lazy_loader

@@ -1,11 +1,12 @@
-"""Agreement of what was seen of a set of touches with what was measured, and whether that is more than chance.
+"""Agreement between two modalities of the same touches, such as views and readings, and a test against chance.
 
-`agreement` puts a number on the paper's remark that a mapping from patches to readings "should be possible": were two
-modalities unrelated, pairing them anew would not change how far their neighbourhoods and their geometry agree, which
-the permutation test asks. Pairing anew within groups (objects, say) asks whether they agree beyond the group.
+`agreement` quantifies the paper's remark that a mapping from patches to readings "should be possible". If two
+modalities were unrelated, pairing their touches at random would not change how far their neighbourhoods and their
+geometry agree; the permutation test checks this. Random pairing within groups, such as objects, tests whether the
+modalities agree beyond what the group explains.
 
 Sources: linear CKA, Kornblith et al. (ICML 2019); overlap of nearest neighbours, Huh et al. (ICML 2024); p-values,
-Phipson and Smyth (Stat. Appl. Genet. Mol. Biol. 9, 2010): (1 + as extreme) / (1 + permutations).
+Phipson and Smyth (Stat. Appl. Genet. Mol. Biol. 9, 2010): (1 + permutations at least as extreme) / (1 + permutations).
 """
 
 from typing import NamedTuple
@@ -13,44 +14,44 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-NUM_NEIGHBOURS = 10
+NUM_NEIGHBOURS = 10  # nearest neighbours that are compared
 
 
 class Agreement(NamedTuple):
-    """Agreement of two modalities of the same touches; each lies between 0 and 1, or a little below for nothing."""
+    """Agreement of two modalities of the same touches. Each measure is 1 for full agreement and near 0 for none."""
 
-    overlap: float  # mean share of k nearest neighbours that a touch has in both
-    mutual: float  # share of all pairs that are mutual neighbours in either that are so in both
-    cka: float  # linear; 1 for the same geometry up to rotation and scale
+    overlap: float  # mean share of a touch's k nearest neighbours that both modalities have in common
+    mutual: float  # pairs of mutual neighbours in both modalities, as a share of those in either
+    cka: float  # linear CKA, 1 for the same geometry up to rotation and scale
 
 
 class PermutationTest(NamedTuple):
-    """An agreement, what it is when touches are paired anew, and how rarely that comes as high."""
+    """An agreement, its mean when touches are paired at random, and the p-values of a one-sided test."""
 
     observed: Agreement
-    chance: Agreement  # mean over permutations
-    p: Agreement
+    chance: Agreement  # mean over the permutations
+    p: Agreement  # p-value of each measure
     permutations: int
 
 
 def neighbours(x: Float[np.ndarray, "n d"], k: int = NUM_NEIGHBOURS) -> Int[np.ndarray, "n k"]:
-    """The k nearest other touches of each; of equally near ones those that a fixed random order puts first.
+    """Find the k nearest other touches of every touch. Ties are broken by a fixed random order.
 
     Args:
         x: Features of the touches.
-        k: How many.
+        k: Number of neighbours.
 
     Returns:
-        Their row numbers, the nearest first.
+        `(n, k)` row numbers of the neighbours, nearest first.
 
     Raises:
-        ValueError: There are not so many other touches.
+        ValueError: There are too few other touches.
     """
     x = np.asarray(x, np.float64)
     n = len(x)
     if not 0 < k < n:
-        raise ValueError(f"{n} touches have no {k} nearest others; choose between 1 and {n - 1}")
-    # Binary views are often equally far: ties must not follow the order of the touches, which both modalities share.
+        raise ValueError(f"{k} nearest neighbours cannot be chosen among {n} touches; choose between 1 and {n - 1}")
+    # Binary views are often equidistant. Ties must not follow the order of the touches, which both modalities share.
     order = np.random.default_rng(0).permutation(n)
     shuffled = x[order]
     square = np.sum(shuffled**2, axis=1)
@@ -60,15 +61,15 @@ def neighbours(x: Float[np.ndarray, "n d"], k: int = NUM_NEIGHBOURS) -> Int[np.n
 
 
 def agreement(x: Float[np.ndarray, "n a"], y: Float[np.ndarray, "n b"], k: int = NUM_NEIGHBOURS) -> Agreement:
-    """Agreement of two modalities of the same touches.
+    """Measure the agreement of two modalities of the same touches.
 
     Args:
-        x: Features of the one.
-        y: Features of the other.
-        k: Neighbours of each touch.
+        x: Features of the touches in the first modality.
+        y: Features of the same touches in the second modality.
+        k: Number of neighbours of each touch.
 
     Returns:
-        Three measures of it, each 1 where the two have the same neighbours or the same geometry.
+        Three measures, each 1 if the two modalities have the same neighbours or the same geometry.
     """
     return _Pair(x, y, k).agree(np.arange(len(x)))
 
@@ -84,15 +85,15 @@ def permutation_test(
     """Test whether two modalities agree more than by chance.
 
     Args:
-        x: Features of the one.
-        y: Features of the other.
-        permutations: How many random pairings.
-        seed: Of the pairings.
-        groups: Of each touch, within which touches are paired anew: whether they agree beyond the group. All touches
-            are one group unless given.
+        x: Features of the touches in the first modality.
+        y: Features of the same touches in the second modality.
+        permutations: Number of random pairings.
+        seed: Seed of the pairings.
+        groups: Group of each touch. Touches are paired only within their group, which tests for agreement beyond the
+            group. By default, all touches form one group.
 
     Returns:
-        The agreement, its mean over permutations, and p-values.
+        The agreement, its mean over the permutations, and the p-values.
     """
     pair, rng = _Pair(x, y, NUM_NEIGHBOURS), np.random.default_rng(seed)
     observed = pair.agree(np.arange(len(x)))
@@ -106,7 +107,7 @@ class _Pair:
 
     def __init__(self, x: np.ndarray, y: np.ndarray, k: int) -> None:
         if len(x) != len(y):
-            raise ValueError(f"{len(x)} touches of one modality do not pair with {len(y)} of the other")
+            raise ValueError(f"both modalities need the same touches, but one has {len(x)} and the other {len(y)}")
         self.k = k
         self.neighbours_x = neighbours(x, k)
         self.adjacent_y = _adjacency(neighbours(y, k))
@@ -117,7 +118,7 @@ class _Pair:
         self.scale = max(float(np.linalg.norm(self.a.T @ self.a) * np.linalg.norm(self.b.T @ self.b)), 1e-300)
 
     def agree(self, order: np.ndarray) -> Agreement:
-        """Agreement with touch i of the first paired with touch order[i] of the second."""
+        """Measure the agreement when touch i of the first modality is paired with touch order[i] of the second."""
         both = self.adjacent_y[order[:, None], order[self.neighbours_x]].mean()
         shared = int(self.mutual_y[order[self.mutual_x[0]], order[self.mutual_x[1]]].sum())
         either = len(self.mutual_x[0]) + int(self.mutual_y.sum()) // 2 - shared
@@ -126,14 +127,14 @@ class _Pair:
 
 
 def _adjacency(nearest: np.ndarray) -> Bool[np.ndarray, "n n"]:
-    """Mask (n, n): touch j is among the nearest of touch i."""
-    found = np.zeros((len(nearest), len(nearest)), bool)
-    found[np.arange(len(nearest))[:, None], nearest] = True
-    return found
+    """Convert neighbour lists to a mask (n, n), true where touch j is among the neighbours of touch i."""
+    adjacent = np.zeros((len(nearest), len(nearest)), bool)
+    adjacent[np.arange(len(nearest))[:, None], nearest] = True
+    return adjacent
 
 
 def _mutual_edges(adjacent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (i < j) that are each other's neighbours."""
+    """List the pairs (i < j) that are each other's neighbours."""
     i, j = np.nonzero(np.triu(adjacent & adjacent.T))
     return i, j
 

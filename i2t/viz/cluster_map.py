@@ -1,6 +1,7 @@
-"""The map of a set of touches with its clusters, their mean views and readings, and examples of each."""
+"""Map of a set of touches with their clusters, the mean view and reading of each cluster, and examples."""
 
 from collections.abc import Sequence
+from string import ascii_lowercase
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,15 +14,13 @@ from i2t.viz.patches import draw_map
 from i2t.viz.skins import ARROW_MM, common_scale, draw_reading, draw_skin
 from i2t.viz.style import COLOURS, MARKERS, MM_PER_M, Picture, titled
 
-EXAMPLE_LETTERS = "abcdefgh"
-
 
 class TouchViews(NamedTuple):
-    """Views of some touches."""
+    """Views of n touches."""
 
     values: Array  # (n, rows, columns) in [0, 1]
     window: float  # m, edge of a view
-    name: str  # of what is drawn, such as "contact mask"
+    name: str  # kind of view, such as "contact mask"
 
 
 def plot_clusters(
@@ -34,20 +33,19 @@ def plot_clusters(
     title: str,
     simulated: bool,
 ) -> Picture:
-    """A map of touches with its clusters, and a row for each cluster: its mean view and mean reading, then those of its
-    examples.
+    """Plot the map of touches with its clusters, and a row for each cluster: the mean view and reading, then examples.
 
     Args:
-        touch_map: Where the n touches lie, and their clusters (`i2t.viz.clusters.map_touches`).
-        views: Of the n touches.
-        readings: uT.
-        names: What each example is called, one for each touch: its object, say.
-        board: Of c / 3 chips.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        touch_map: Map of the n touches and their clusters (`i2t.viz.clusters.map_touches`).
+        views: Views of the n touches.
+        readings: Readings (uT) of the n touches.
+        names: Name of each touch, such as its object, with which examples are labelled.
+        board: Board with c / 3 chips.
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     readings, label, examples = np.asarray(readings), touch_map.label, np.asarray(touch_map.examples)
     k, e = examples.shape
@@ -61,7 +59,7 @@ def plot_clusters(
         rows = [(views.values[own].mean(0), mean_readings[i], f"{i + 1}: mean of {int(own.sum())}")]
         rows += [
             (views.values[row], readings[row], f"{i + 1}{letter}: {names[row]}")
-            for letter, row in zip(EXAMPLE_LETTERS, examples[i], strict=False)
+            for letter, row in zip(ascii_lowercase, examples[i], strict=False)
         ]
         for j, (view, reading, name) in enumerate(rows):
             left, right = (figure.add_subplot(grid[i, 4 + 2 * j + side]) for side in (0, 1))
@@ -77,15 +75,15 @@ def plot_clusters(
     figure.suptitle(
         f"{titled(title, simulated)}\n"
         f"left of each pair: {views.name}, bright is 1, {views.window * MM_PER_M:g} mm wide; right: change of field "
-        f"over the skin's 20 mm, arrows in its plane ({ARROW_MM:g} mm = {scale:g} µT), discs normal to it, filled "
-        "outwards",
+        f"over the 20 mm of the skin, arrows in its plane ({ARROW_MM:g} mm = {scale:g} µT), discs normal to it, filled "
+        "if it points outwards",
         fontsize=10,
     )
     return figure
 
 
 def _draw_touch_map(axes: Axes, touch_map: TouchMap) -> None:
-    """Touches by cluster, the means of the clusters as crosses, their examples as circles."""
+    """Draw the touches by cluster, with the clusters' means as crosses and the examples as circles."""
     number: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "textcoords": "offset points"}
     for i, mean in enumerate(touch_map.means):
         own = touch_map.at[touch_map.label == i]
@@ -94,7 +92,7 @@ def _draw_touch_map(axes: Axes, touch_map: TouchMap) -> None:
         axes.plot(*mean, "X", color=colour, mec="black", ms=14)
         box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": colour, "alpha": 0.85}
         axes.annotate(f"{i + 1}", mean, xytext=(9, 7), bbox=box, **number)
-        for letter, row in zip(EXAMPLE_LETTERS, touch_map.examples[i], strict=False):
+        for letter, row in zip(ascii_lowercase, touch_map.examples[i], strict=False):
             axes.plot(*touch_map.at[row], "o", mfc="none", mec="black", ms=7, mew=1.2)
             axes.annotate(f"{i + 1}{letter}", touch_map.at[row], xytext=(5, -10), **(number | {"fontsize": 8}))
     axes.set(xticks=[], yticks=[], xlabel="t-SNE 1", ylabel="t-SNE 2")

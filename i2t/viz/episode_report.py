@@ -1,11 +1,11 @@
-"""The report of one episode in pictures: where an object was touched, what was measured, what each candidate would have
-shown there, and what was believed after each touch.
+"""Illustrated report of one recognition episode: the touches, their readings, what each candidate would have shown
+there, and the belief after each touch.
 
     record = EpisodeRecord(meshes, names, T_w_t, readings, board, p, truth, simulated=True)
     paths = write_episode_report(record, Path("runs/episode"))
 
-writes `story.png`, a page with a row per touch and, where the machine can draw in three dimensions off screen, the
-object with its touches, which needs pyvista (`pip install "imagine2touch[notebooks]"`).
+writes `story.png`, a page with a row for each touch. If the machine can draw in three dimensions off screen, which
+needs pyvista (`pip install "imagine2touch[notebooks]"`), the page also shows the object with its touches.
 """
 
 import sys
@@ -26,50 +26,45 @@ from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.scene import object_image, why_no_scene
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
-from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, Picture, save_figure, titled
-
-MAX_ROWS = 6  # touches on a page
-MAX_CANDIDATES = 5  # on a page
-MIN_SHOWN_PROBABILITY = 1e-3  # of the unknown class, below which it has no bar
+from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
 
 
 class EpisodeRecord(NamedTuple):
     """One episode of t touches, at least one, with n candidates and a board of c / 3 chips."""
 
-    meshes: Sequence[Mesh]  # of the candidates, standing in the world where they are believed
-    names: Sequence[str]  # of the candidates
-    T_w_t: Array  # (t, 4, 4), measured tool poses at the end of each press
+    meshes: Sequence[Mesh]  # meshes of the candidates in the world frame, at their believed poses
+    names: Sequence[str]  # names of the candidates
+    T_w_t: Array  # (t, 4, 4) measured tool poses at the end of each press
     readings: Array  # (t, c) uT
     board: Board
-    p: Array  # (t, n) posterior after each touch; what it lacks to 1 is the unknown class
-    truth: int  # the candidate that was there, -1 for an unknown object
+    p: Array  # (t, n) posterior after each touch; the rest to 1 is the probability of an unknown object
+    truth: int  # index of the true candidate, -1 for an unknown object
     simulated: bool
 
     @property
     def drawn(self) -> int:
-        """The candidate that a scene shows: the true one, or else the one believed in last."""
+        """Index of the candidate that a scene shows: the true one, else the most probable one at the end."""
         return self.truth if self.truth >= 0 else int(self.p[-1].argmax())
 
     @property
     def headline(self) -> str:
-        """Headline: the object that was there, and whether it was simulated."""
+        """Headline that names the touched object and marks simulated data."""
         if self.truth >= 0:
-            there = self.names[self.truth]
+            touched = self.names[self.truth]
         else:
-            there = f"an unknown object, drawn on the {self.names[self.drawn]}"
-        return titled(f"One episode: {there}", self.simulated)
+            touched = f"an unknown object, drawn on the {self.names[self.drawn]}"
+        return titled(f"One episode: {touched}", self.simulated)
 
 
 def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
-    """Write the report of an episode. Where no scene can be drawn, the reason is printed to stderr, and the page comes
-    without it.
+    """Write the report of an episode. If no scene can be drawn, the page omits it and the reason is printed to stderr.
 
     Args:
         record: The episode.
-        out: Folder for the report, made if need be.
+        out: Folder for the report. A missing folder is created.
 
     Returns:
-        The files written.
+        Paths of the written files.
 
     Raises:
         ValueError: Poses, readings, beliefs, meshes and names do not fit together.
@@ -87,27 +82,32 @@ def _checked(record: EpisodeRecord) -> EpisodeRecord:
     n = len(record.meshes)
     if not len(T_w_t) == len(readings) == len(p) > 0 or p.shape[1:] != (n,) or len(record.names) != n:
         raise ValueError(
-            f"episode report: poses {T_w_t.shape}, readings {readings.shape} and beliefs {p.shape} must be of the same "
-            f"touches, one at least, and of the {n} meshes and {len(record.names)} names"
+            f"episode report: poses {T_w_t.shape}, readings {readings.shape} and beliefs {p.shape} must have the same "
+            f"number of touches, at least one, and as many candidates as there are meshes ({n}) and names "
+            f"({len(record.names)})"
         )
     return record._replace(T_w_t=T_w_t, readings=readings, p=p)
 
 
-def plot_episode(record: EpisodeRecord, scene: Array | None = None) -> Picture:
-    """A row per touch: the reading, the patches of the candidates there, the belief after it.
+def plot_episode(
+    record: EpisodeRecord, scene: Array | None = None, *, max_touches: int = 6, max_candidates: int = 5
+) -> Picture:
+    """Plot a row for each touch: the reading, the patches that the candidates have there, and the belief after it.
 
-    Of many touches `MAX_ROWS` are shown, evenly spaced with the first and the last; of many candidates the true one and
-    the most believed.
+    If there are too many touches, evenly spaced ones are shown, with the first and the last. If there are too many
+    candidates, the true one and the most probable ones are shown.
 
     Args:
         record: The episode.
-        scene: Picture (rows, columns, 3) of the object with its touches, drawn to the left.
+        scene: `(rows, columns, 3)` picture of the object with its touches, drawn on the left.
+        max_touches: Maximum number of touches shown.
+        max_candidates: Maximum number of candidates shown.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
-    touches = np.unique(np.linspace(0, len(record.p) - 1, MAX_ROWS).round().astype(int)).tolist()
-    candidates = _shown_candidates(record.p, record.truth)
+    touches = np.unique(np.linspace(0, len(record.p) - 1, max_touches).round().astype(int)).tolist()
+    candidates = _shown_candidates(record.p, record.truth, max_candidates)
     depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
     scale = common_scale(record.readings)
     colours = _touch_colours(len(record.p))
@@ -137,7 +137,7 @@ def plot_episode(record: EpisodeRecord, scene: Array | None = None) -> Picture:
         _draw_belief(bars, record.p[touch], record.names, candidates, record.truth)
         if top:
             measured.set_title("measured", fontsize=8.5)
-            bars.set_title("believed", fontsize=8.5)
+            bars.set_title("belief", fontsize=8.5)
         if touch < touches[-1]:
             bars.set_xticklabels([])
     bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.5, aspect=40, pad=0.01)
@@ -147,15 +147,15 @@ def plot_episode(record: EpisodeRecord, scene: Array | None = None) -> Picture:
     return figure
 
 
-def _shown_candidates(p: np.ndarray, truth: int) -> list[int]:
-    """The true candidate and the most believed ones, in their own order."""
-    most = [int(i) for i in np.argsort(-p.max(0), kind="stable") if i != truth]
-    return sorted(([truth] if truth >= 0 else []) + most[: MAX_CANDIDATES - (truth >= 0)])
+def _shown_candidates(p: np.ndarray, truth: int, count: int) -> list[int]:
+    """Choose the true candidate and the most probable ones, in the order of their indices."""
+    by_probability = [int(i) for i in np.argsort(-p.max(0), kind="stable") if i != truth]
+    return sorted(([truth] if truth >= 0 else []) + by_probability[: count - (truth >= 0)])
 
 
 def _render_candidates(meshes: Sequence[Mesh], T_w_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Depth (touches, candidates, n, n) m, and nearest points (touches, candidates) m."""
-    # Surfaces of one size class, so that one compilation serves all.
+    """Render depth (touches, candidates, n, n) and nearest points (touches, candidates) of the candidates, in m."""
+    # Stacked surfaces have one size, so that they share one compiled renderer.
     surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
     patches = [
         [render_patch(element(surfaces, i), T) for i in range(len(meshes))] for T in np.asarray(T_w_t, np.float32)
@@ -165,7 +165,7 @@ def _render_candidates(meshes: Sequence[Mesh], T_w_t: np.ndarray) -> tuple[np.nd
 
 
 def _draw_measured(axes: Axes, record: EpisodeRecord, touch: int, scale: float, colour: np.ndarray) -> None:
-    """The reading of a touch, with its number in its colour."""
+    """Draw the reading of a touch, with its number in its colour."""
     draw_skin(axes)
     draw_reading(axes, record.board, record.readings[touch], scale)
     axes.set(xticks=[], yticks=[])
@@ -177,25 +177,25 @@ def _draw_measured(axes: Axes, record: EpisodeRecord, touch: int, scale: float, 
 
 
 def _draw_candidate(axes: Axes, depth: np.ndarray, nearest: float) -> AxesImage:
-    """Draw a candidate's patch at a touch, with the distance of its surface from the tool's end."""
+    """Draw a candidate's patch at a touch, with the distance of its surface from the tool's origin."""
     image = draw_patch(axes, depth, PATCH_WINDOW, REACH)
     axes.set(xticks=[], yticks=[])
     if np.isfinite(nearest):
         distance = f"{abs(nearest) * MM_PER_M:.1f} mm {'deep' if nearest < 0 else 'away'}"
     else:
-        distance = "nothing here"
+        distance = "no surface here"
     axes.set_xlabel(distance, fontsize=7.5, labelpad=2)
     return image
 
 
 def _draw_belief(axes: Axes, p: np.ndarray, names: Sequence[str], shown: Sequence[int], truth: int) -> None:
-    """Probabilities of the candidates shown, of all the others, and of the unknown class."""
-    rows = [(names[i], float(p[i]), BLUE if i == truth else GREY) for i in shown]
+    """Draw the probabilities of the shown candidates, of all others together, and of an unknown object."""
+    rows = [(names[i], float(p[i]), Colour.BLUE if i == truth else Colour.GREY) for i in shown]
     if len(shown) < len(names):
-        rows.append((f"{len(names) - len(shown)} others", float(p.sum() - p[list(shown)].sum()), GREY))
+        rows.append((f"{len(names) - len(shown)} others", float(p.sum() - p[list(shown)].sum()), Colour.GREY))
     unknown = 1 - float(p.sum())
-    if unknown > MIN_SHOWN_PROBABILITY:
-        rows.append(("unknown", unknown, BLUE if truth < 0 else ORANGE))
+    if unknown > 1e-3:
+        rows.append(("unknown", unknown, Colour.BLUE if truth < 0 else Colour.ORANGE))
     for y, (_, value, colour) in enumerate(rows):
         axes.barh(y, value, color=colour)
         inside = value > 0.75
@@ -210,5 +210,5 @@ def _draw_belief(axes: Axes, p: np.ndarray, names: Sequence[str], shown: Sequenc
 
 
 def _touch_colours(touches: int) -> np.ndarray:
-    """One colour (touches, 3) for each, dark to light."""
+    """Choose a colour (touches, 3) for each touch, from dark to light."""
     return colormaps["viridis"](np.linspace(0.0, 0.9, touches))[:, :3]

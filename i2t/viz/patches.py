@@ -1,4 +1,4 @@
-"""Maps over the skin, depth patches, and the paper's contact masks."""
+"""Drawings of maps over the skin, of depth patches, and of the paper's contact masks."""
 
 from collections.abc import Sequence
 
@@ -24,15 +24,15 @@ def draw_map(
     """Draw an array over a square, x to the right and y up.
 
     Args:
-        axes: Where to draw.
-        values: Row i along y, column j along x.
-        window: m, edge of the square.
+        axes: Axes to draw into.
+        values: Values of the pixels, with rows along y and columns along x.
+        window: Edge (m) of the square.
         cmap: Name of a colour map.
-        low: Value of its lower end; the least value unless given.
-        high: Value of its upper end; the largest value unless given.
+        low: Value at the lower end of the colour map; the minimum by default.
+        high: Value at the upper end of the colour map; the maximum by default.
 
     Returns:
-        The image, for a colour bar.
+        The drawn image, from which a colour bar can be made.
     """
     half = window * MM_PER_M / 2
     axes.set_aspect("equal")
@@ -44,16 +44,16 @@ def draw_map(
 def draw_patch(
     axes: Axes, patch: Float[Array, "rows columns"], window: float = PATCH_WINDOW, reach: float = REACH
 ) -> AxesImage:
-    """Draw a depth patch, the near side bright.
+    """Draw a depth patch, bright where the surface is near.
 
     Args:
-        axes: Where to draw.
-        patch: m behind the nearest surface point.
+        axes: Axes to draw into.
+        patch: Depth (m) behind the nearest surface point.
         window: m, edge of the patch.
-        reach: m, largest depth of a patch.
+        reach: Largest depth (m) of a patch.
 
     Returns:
-        The image, for a colour bar.
+        The drawn image, from which a colour bar can be made.
     """
     return draw_map(axes, np.asarray(patch) * MM_PER_M, window, cmap="cividis_r", low=0, high=reach * MM_PER_M)
 
@@ -67,18 +67,18 @@ def plot_patches(
     window: float = PATCH_WINDOW,
     reach: float = REACH,
 ) -> Picture:
-    """Depth patches above, and below them the paper's binary contact masks.
+    """Plot depth patches, and below them the paper's binary contact masks.
 
     Args:
-        depth: m behind the nearest surface point.
-        labels: One for each patch.
-        title: What is shown.
-        simulated: Whether it was simulated.
-        window: m, edge of a patch.
-        reach: m, largest depth of a patch.
+        depth: Depth (m) behind the nearest surface point.
+        labels: Label of each patch.
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
+        window: Edge (m) of a patch.
+        reach: Largest depth (m) of a patch.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     depth = np.asarray(depth)
     n = len(depth)

@@ -1,4 +1,4 @@
-"""Results of methods: rates and scores with their 95 % intervals, and confusion matrices."""
+"""Plots of methods' results: rates and scores with 95 % intervals, and confusion matrices."""
 
 from collections.abc import Mapping, Sequence
 
@@ -6,22 +6,22 @@ import numpy as np
 from jaxtyping import Shaped
 
 from i2t.types import Array
-from i2t.viz.style import BLUE, COLOURS, GREY, MARKERS, Picture, titled
+from i2t.viz.style import COLOURS, MARKERS, Colour, Picture, titled
 
 
 def plot_confusions(
     counts: Mapping[str, Shaped[Array, "c c"]], names: Sequence[str], title: str, simulated: bool
 ) -> Picture:
-    """A confusion matrix per method.
+    """Plot a confusion matrix for each method.
 
     Args:
-        counts: By method, how often what was there (rows) was taken for each class (columns).
-        names: Of the classes.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        counts: Confusion matrix of each method: number of trials by true class (row) and decided class (column).
+        names: Names of the classes.
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     n = len(counts)
     figure = Picture(figsize=(3.1 * n + 0.9, 4.2), layout="constrained")
@@ -47,17 +47,17 @@ def plot_confusions(
 def plot_rates(
     groups: Mapping[str, Mapping[str, Sequence[float]]], title: str, ylabel: str, chance: float, simulated: bool
 ) -> Picture:
-    """Rates of methods side by side, in groups.
+    """Plot rates of methods side by side, in groups.
 
     Args:
-        groups: By group and method, (mean, low, high); a method may be missing from a group.
-        title: What is shown.
-        ylabel: What the rate is of.
-        chance: Rate of guessing.
-        simulated: Whether it was simulated.
+        groups: Mean and 95 % interval (mean, low, high) by group and method. A group may lack methods.
+        title: Title of the figure.
+        ylabel: Label of the rate's axis.
+        chance: Rate of random guessing.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     methods = list(dict.fromkeys(method for values in groups.values() for method in values))
     figure = Picture(figsize=(1.2 * len(groups) + 4.2, 4.2), layout="constrained")
@@ -69,9 +69,9 @@ def plot_rates(
         bars = np.nan_to_num(np.clip(np.stack([mean - low, np.minimum(high, 1) - mean]), 0, None))
         marker, colour = MARKERS[i % len(MARKERS)], COLOURS[i % len(COLOURS)]
         axes.errorbar(x, mean, bars, fmt=marker, color=colour, ms=5, lw=1.5, label=method)
-    axes.axhline(chance, color=GREY, lw=0.8, ls=":")
+    axes.axhline(chance, color=Colour.GREY, lw=0.8, ls=":")
     axes.set_xlim(-0.6, len(groups) - 0.4)
-    axes.text(-0.58, chance + 0.01, "chance", fontsize=8, color=GREY)
+    axes.text(-0.58, chance + 0.01, "chance", fontsize=8, color=Colour.GREY)
     axes.set_xticks(range(len(groups)), [name.replace(", ", "\n") for name in groups], fontsize=9)
     axes.set(ylim=(0, 1.02), ylabel=ylabel)
     axes.grid(axis="y", color="#dddddd", lw=0.6)
@@ -83,23 +83,23 @@ def plot_rates(
 def plot_intervals(
     values: Mapping[str, tuple[float, float, float]], title: str, xlabel: str, simulated: bool
 ) -> Picture:
-    """Horizontal dots with 95 % intervals, one row per method, the first on top.
+    """Plot scores with 95 % intervals, one row for each method, the first on top.
 
     Args:
-        values: By method, (mean, low, high).
-        title: What is shown.
-        xlabel: What the score is, with its unit.
-        simulated: Whether it was simulated.
+        values: Mean and 95 % interval (mean, low, high) by method.
+        title: Title of the figure.
+        xlabel: Name of the score, with its unit.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(6, 0.34 * len(values) + 1.2), layout="constrained")
     axes = figure.subplots()
     for y, (mean, low, high) in enumerate(values.values()):
-        axes.plot([low, high], [y, y], color=BLUE, lw=2)
-        axes.plot(mean, y, "o", color=BLUE)
-    axes.axvline(0, color=GREY, lw=0.8)
+        axes.plot([low, high], [y, y], color=Colour.BLUE, lw=2)
+        axes.plot(mean, y, "o", color=Colour.BLUE)
+    axes.axvline(0, color=Colour.GREY, lw=0.8)
     axes.set_yticks(range(len(values)), list(values))
     axes.invert_yaxis()
     axes.set(xlabel=xlabel)

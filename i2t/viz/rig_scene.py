@@ -1,9 +1,9 @@
-"""A picture of a lab's rig: base, box, table and object, and the tool with its camera where it looks and where it
-presses.
+"""Picture of a lab's rig: base, workspace box, table, object, and the tool where it looks and where it presses.
 
-What is wrong in a calibration file is hard to see in matrices and easy to see in a picture: a tool that points up, a
-camera that looks elsewhere, an object below its table. Drawn by matplotlib alone, so that no display and no GL is
-needed. Frames: W world (z up, the table at z = 0), B robot base, F flange, T tool, C camera; drawn in millimetres.
+Errors of a calibration file are hard to see in matrices and easy to see in a picture: a tool that points up, a camera
+that looks elsewhere, or an object below its table. The picture needs matplotlib alone, and neither a display nor GL.
+Frames are W (world, z up, the table at z = 0), B (robot base), F (flange), T (tool) and C (camera). The axes are in
+millimetres.
 """
 
 from typing import Any, NamedTuple
@@ -14,37 +14,32 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array
-from i2t.viz.style import BLUE, GREEN, MM_PER_M, ORANGE, RED, Picture
-
-CLOSE_UP_M = 0.13  # half the edge of the close-up around the site
-AXIS_M = 0.05  # length of a frame's drawn axes
-TABLE_COLOUR = "#f3ead8"
-EDGES_OF_A_BOX = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+from i2t.viz.style import MM_PER_M, Colour, Picture
 
 
 class RigScene(NamedTuple):
-    """Objects and frames that are drawn."""
+    """Object and frames of a rig."""
 
-    vertices: Float[Array, "v 3"]  # m, of the object in W
+    vertices: Float[Array, "v 3"]  # m, vertices of the object in W
     faces: Int[Array, "f 3"]
     T_w_b: Float[Array, "4 4"]
-    T_w_t: Float[Array, "4 4"]  # at a site
+    T_w_t: Float[Array, "4 4"]  # tool pose at a touch site
     T_t_f: Float[Array, "4 4"]
     T_t_c: Float[Array, "4 4"]
-    box: Float[Array, "2 3"]  # m, in B, for the tool's origin
-    looking_distance: float  # m
-    view_edges: tuple[float, float]  # of the image, at a distance of 1
+    box: Float[Array, "2 3"]  # m, lowest and highest allowed position of the tool's origin in B
+    looking_distance: float  # m, from the camera to the site
+    view_edges: tuple[float, float]  # width and height of the image at a distance of 1
 
 
 def plot_rig(scene: RigScene, title: str) -> Picture:
-    """Draw a rig: the whole lab, and a close-up of the tool that presses and of the camera that looks.
+    """Plot a rig: the whole lab, and a close-up of the pressing tool and the looking camera.
 
     Args:
-        scene: What is drawn.
-        title: Above it.
+        scene: The rig to draw.
+        title: Title of the figure.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(13, 6.5), layout="constrained")
     lab, close = (figure.add_subplot(1, 2, i + 1, projection="3d") for i in range(2))
@@ -55,13 +50,13 @@ def plot_rig(scene: RigScene, title: str) -> Picture:
 
 
 def look_pose(scene: RigScene) -> np.ndarray:
-    """Pose of the tool when its camera looks at the site.
+    """Compute the tool's pose when its camera looks at the site.
 
     Args:
-        scene: What is drawn.
+        scene: The rig.
 
     Returns:
-        T_w_t (4, 4), m.
+        `(4, 4)` tool pose T_w_t (m).
     """
     T_w_look = np.array(scene.T_w_t, float)
     axis, place = scene.T_t_c[:3, 2], scene.T_t_c[:3, 3]
@@ -72,12 +67,14 @@ def look_pose(scene: RigScene) -> np.ndarray:
 def _draw_lab(axes: Any, scene: RigScene) -> None:
     corners = np.array([[x, y, z] for x in scene.box[:, 0] for y in scene.box[:, 1] for z in scene.box[:, 2]])
     corners = corners @ scene.T_w_b[:3, :3].T + scene.T_w_b[:3, 3]
-    _lines(axes, [corners[list(edge)] for edge in EDGES_OF_A_BOX], RED, "the box of the tool")
-    _frame(axes, scene.T_w_b, "robot base", 2 * AXIS_M)
-    _frame(axes, np.eye(4), "world", 2 * AXIS_M)
+    # Corners of a box share an edge if their numbers differ in one bit.
+    edges = [(a, b) for a in range(8) for b in range(a + 1, 8) if bin(a ^ b).count("1") == 1]
+    _lines(axes, [corners[list(edge)] for edge in edges], Colour.RED, "the box of the tool")
+    _frame(axes, scene.T_w_b, "robot base", length=0.1)
+    _frame(axes, np.eye(4), "world", length=0.1)
     _object(axes, scene)
     T_w_look = look_pose(scene)
-    _tool(axes, scene, T_w_look, BLUE, "tool where its camera looks")
+    _tool(axes, scene, T_w_look, Colour.BLUE, "tool where its camera looks")
     everything = np.concatenate([corners, scene.vertices, scene.T_w_b[None, :3, 3], T_w_look[None, :3, 3]])
     _frame_view(axes, (everything.min(0) + everything.max(0)) / 2, float(np.ptp(everything, axis=0).max()) / 2)
     axes.set_title("the lab")
@@ -86,16 +83,16 @@ def _draw_lab(axes: Any, scene: RigScene) -> None:
 def _draw_close_up(axes: Any, scene: RigScene) -> None:
     _object(axes, scene)
     T_w_look = look_pose(scene)
-    _tool(axes, scene, T_w_look, BLUE, "tool where its camera looks")
-    _tool(axes, scene, scene.T_w_t, GREEN, "tool that presses")
+    _tool(axes, scene, T_w_look, Colour.BLUE, "tool where its camera looks")
+    _tool(axes, scene, scene.T_w_t, Colour.GREEN, "tool that presses")
     T_w_c = T_w_look @ scene.T_t_c
     x, y = (scene.looking_distance * edge / 2 for edge in scene.view_edges)
     ends = np.array([[s * x, t * y, scene.looking_distance] for s, t in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
     ends = ends @ T_w_c[:3, :3].T + T_w_c[:3, 3]
     cone = [np.array([T_w_c[:3, 3], end]) for end in ends]
-    _lines(axes, [*cone, np.concatenate([ends, ends[:1]])], ORANGE, "what the camera sees")
+    _lines(axes, [*cone, np.concatenate([ends, ends[:1]])], Colour.ORANGE, "what the camera sees")
     middle = (scene.T_w_t[:3, 3] + T_w_look[:3, 3]) / 2
-    _frame_view(axes, middle, CLOSE_UP_M)
+    _frame_view(axes, middle, 0.13)
     axes.set_title("a site")
 
 
@@ -104,24 +101,24 @@ def _object(axes: Any, scene: RigScene) -> None:
     axes.add_collection3d(Poly3DCollection(triangles, facecolor="0.8", edgecolor="0.55", linewidth=0.2, alpha=0.9))
     low, high = scene.vertices.min(0)[:2] - 0.03, scene.vertices.max(0)[:2] + 0.03
     table = [[(low[0], low[1], 0.0), (high[0], low[1], 0.0), (high[0], high[1], 0.0), (low[0], high[1], 0.0)]]
-    axes.add_collection3d(Poly3DCollection(MM_PER_M * np.array(table), facecolor=TABLE_COLOUR, alpha=0.5))
+    axes.add_collection3d(Poly3DCollection(MM_PER_M * np.array(table), facecolor="#f3ead8", alpha=0.5))
 
 
 def _tool(axes: Any, scene: RigScene, T_w_t: np.ndarray, colour: str, label: str) -> None:
-    """The skin's square, the way from it to the flange, and the camera."""
+    """Draw the skin's square, lines from it to the flange and the camera, and their frames."""
     half = PAD_WINDOW / 2
     square = np.array([[-half, -half, 0], [half, -half, 0], [half, half, 0], [-half, half, 0], [-half, -half, 0.0]])
     flange, camera = scene.T_t_f[:3, 3], scene.T_t_c[:3, 3]
     parts = [square, np.array([np.zeros(3), flange]), np.array([np.zeros(3), camera])]
     _lines(axes, [part @ T_w_t[:3, :3].T + T_w_t[:3, 3] for part in parts], colour, label)
-    _frame(axes, T_w_t @ scene.T_t_f, "flange", AXIS_M / 2)
-    _frame(axes, T_w_t @ scene.T_t_c, "camera", AXIS_M / 2)
-    out = np.array([np.zeros(3), [0.0, 0.0, AXIS_M / 2]]) @ T_w_t[:3, :3].T + T_w_t[:3, 3]
+    _frame(axes, T_w_t @ scene.T_t_f, "flange")
+    _frame(axes, T_w_t @ scene.T_t_c, "camera")
+    out = np.array([np.zeros(3), [0.0, 0.0, 0.025]]) @ T_w_t[:3, :3].T + T_w_t[:3, 3]
     _lines(axes, [out], colour, "")
 
 
-def _frame(axes: Any, T_w: np.ndarray, name: str, length: float) -> None:
-    for axis, colour in enumerate((RED, GREEN, BLUE)):
+def _frame(axes: Any, T_w: np.ndarray, name: str, *, length: float = 0.025) -> None:
+    for axis, colour in enumerate((Colour.RED, Colour.GREEN, Colour.BLUE)):
         _lines(axes, [np.array([T_w[:3, 3], T_w[:3, 3] + length * T_w[:3, axis]])], colour, "")
     axes.text(*(MM_PER_M * T_w[:3, 3]), f"   {name}", fontsize=8, color="black")
 

@@ -1,4 +1,4 @@
-"""Readings as field vectors at the chips of any board; presses: pressure and displacement of the skin; maps over it."""
+"""Drawings of readings as field vectors at the chips, of presses, and of maps over the skin."""
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
@@ -12,20 +12,19 @@ from matplotlib.patches import Circle, Rectangle
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_map
-from i2t.viz.style import BLUE, COLOURS, GREY, KPA_PER_PA, MM_PER_M, Picture, titled
+from i2t.viz.style import COLOURS, MM_PER_M, Colour, Picture, titled
 
-PANEL_COLUMNS = 5  # of touches, in a row
-ARROW_MM = 5.0  # of the field that a figure's scale names
+ARROW_MM = 5.0  # drawn length of a field as large as the figure's scale
 
 
 def common_scale(readings: Shaped[Array, "..."]) -> float:
-    """The field that nearly all chips of some readings stay below, rounded to two digits: the scale of a figure.
+    """Compute a figure's scale: the 95th percentile of the field's magnitude over all chips, rounded up to two digits.
 
     Args:
-        readings: (..., c) uT.
+        readings: `(..., c)` readings (uT).
 
     Returns:
-        uT; 1 where nothing was felt.
+        The scale (uT), or 1 if the field is zero.
     """
     norms = np.linalg.norm(np.asarray(readings, np.float64).reshape(-1, 3), axis=-1)
     top = float(np.percentile(norms, 95))
@@ -41,7 +40,7 @@ def draw_reading(
     reading: Shaped[Array, " c"],
     scale: float,
     *,
-    colour: str = BLUE,
+    colour: str = Colour.BLUE,
     label: str | None = None,
     width: float = 0.012,
 ) -> None:
@@ -49,13 +48,13 @@ def draw_reading(
     out of the skin.
 
     Args:
-        axes: Where to draw.
-        board: Of n chips.
-        reading: (3 n,) uT.
-        scale: uT that are drawn `ARROW_MM` long. Give every panel of a figure the same.
-        colour: Of arrows and discs.
-        label: Their name in a legend.
-        width: Of the arrows, relative to the axes.
+        axes: Axes to draw into.
+        board: Board with n chips.
+        reading: `(3 n,)` reading (uT).
+        scale: Field (uT) that is drawn `ARROW_MM` long. All panels of a figure should share it.
+        colour: Colour of arrows and discs.
+        label: Entry in the legend.
+        width: Width of the arrows, relative to the axes.
     """
     chips = np.asarray(board.chips)[:, :2] * MM_PER_M
     field = np.asarray(board.to_tool(np.asarray(reading))) * ARROW_MM / scale
@@ -71,11 +70,11 @@ def draw_skin(axes: Axes, margin_mm: float = 3.0) -> None:
     """Draw the skin's outline.
 
     Args:
-        axes: Where to draw.
-        margin_mm: mm of the axes around it.
+        axes: Axes to draw into.
+        margin_mm: Margin (mm) of the axes around the skin.
     """
     half = PAD_WINDOW * MM_PER_M / 2
-    axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=GREY, lw=0.8))
+    axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=Colour.GREY, lw=0.8))
     limits = (-half - margin_mm, half + margin_mm)
     axes.set(xlim=limits, ylim=limits, aspect="equal")
 
@@ -87,21 +86,21 @@ def plot_readings(
     title: str,
     simulated: bool,
 ) -> Picture:
-    """A panel per touch with the field at the chips, on one scale.
+    """Plot a panel for each touch with the field at the chips, all on one scale.
 
     Args:
-        board: Of n chips.
-        sets: Readings (touches, 3 n) uT by name, such as measured and predicted; a colour for each.
-        labels: One for each touch.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        board: Board with n chips.
+        sets: `(touches, 3 n)` readings (uT) by name, such as measured and predicted. Each set has its colour.
+        labels: Label of each touch.
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     values = [np.asarray(part) for part in sets.values()]
     n = len(labels)
-    columns = min(PANEL_COLUMNS, n)
+    columns = min(5, n)
     rows = -(-n // columns)
     scale = common_scale(np.stack(values))
     figure = Picture(figsize=(2.4 * columns, 2.6 * rows + 0.9), layout="constrained")
@@ -121,18 +120,18 @@ def plot_readings(
 
 
 def explained(board: Board, scale: float) -> str:
-    """What arrows and discs of `draw_reading` mean.
+    """Explain the arrows and discs of `draw_reading`.
 
     Args:
-        board: Whose chips are drawn.
-        scale: uT that are drawn `ARROW_MM` long.
+        board: The board whose chips are drawn.
+        scale: Field (uT) that is drawn `ARROW_MM` long.
 
     Returns:
-        Words for a title.
+        A phrase for a title.
     """
     return (
         f"change of field at the {board.num_chips} chips: arrows in the skin's plane, {ARROW_MM:g} mm = {scale:g} µT, "
-        "discs normal to it, filled outwards"
+        "discs normal to it, filled if it points outwards"
     )
 
 
@@ -144,22 +143,22 @@ def plot_press(
     title: str,
     simulated: bool,
 ) -> Picture:
-    """One press: pressure on the skin, displacement of its surface, and change of field at the chips below it.
+    """Plot a press: pressure on the skin, displacement of its surface, and change of the field at the chips.
 
     Args:
-        pressure: Pa.
-        displacement: m, downwards.
-        board: Of n chips.
-        reading: (3 n,) uT.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        pressure: Pressure (Pa) on the skin.
+        displacement: Downward displacement (m) of the surface.
+        board: Board with n chips.
+        reading: `(3 n,)` reading (uT).
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(11, 3.9), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
-    image = draw_map(left, np.asarray(pressure) * KPA_PER_PA, PAD_WINDOW, low=0)
+    image = draw_map(left, np.asarray(pressure) * 1e-3, PAD_WINDOW, low=0)
     figure.colorbar(image, ax=left, label="pressure (kPa)", shrink=0.8)
     image = draw_map(middle, np.asarray(displacement) * MM_PER_M, PAD_WINDOW)
     figure.colorbar(image, ax=middle, label="displacement (mm)", shrink=0.8)
@@ -180,17 +179,17 @@ def plot_press(
 def plot_skin_map(
     values: Shaped[Array, "rows columns"], window: float, label: str, title: str, simulated: bool
 ) -> Picture:
-    """Any values over a square, with a scale about zero where they have both signs.
+    """Plot values over a square, on a scale that is symmetric about zero if they have both signs.
 
     Args:
-        values: Row i along y, column j along x.
-        window: m, edge of the square.
-        label: Of the colour bar, with the unit.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        values: Values of the pixels, with rows along y and columns along x.
+        window: Edge (m) of the square.
+        label: Label of the colour bar, with the unit.
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(5, 4.2), layout="constrained")
     axes = figure.subplots()

@@ -1,9 +1,10 @@
-"""Style of all figures: colours, markers, titles, and how a figure is shown and written.
+"""Style of all figures: colours, markers, titles, and how a figure is displayed and saved.
 
-Colours are the colour-blind safe set of Okabe and Ito (2008); maps are drawn in cividis.
+Lines use the colour-blind safe palette of Okabe and Ito (2008), and maps use cividis.
 """
 
 import io
+from enum import StrEnum
 from pathlib import Path
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -11,17 +12,27 @@ from matplotlib.figure import Figure
 
 from i2t.files.writing import replacing
 
-BLUE, ORANGE, GREEN, RED, PINK, SKY, GREY = (
-    "#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#666666",
-)  # fmt: skip
-COLOURS = (BLUE, ORANGE, GREEN, RED, PINK, SKY, GREY)
-MARKERS = "osD^vP*"
 MM_PER_M = 1e3
-KPA_PER_PA = 1e-3
+MARKERS = "osD^vP*"  # matplotlib's markers of successive series
+
+
+class Colour(StrEnum):
+    """Colours of lines and markers."""
+
+    BLUE = "#0072B2"
+    ORANGE = "#E69F00"
+    GREEN = "#009E73"
+    RED = "#D55E00"
+    PINK = "#CC79A7"
+    SKY = "#56B4E9"
+    GREY = "#666666"
+
+
+COLOURS = tuple(Colour)  # colours of successive series
 
 
 class Picture(Figure):
-    """A figure that notebooks show as it is, whatever their backend."""
+    """A figure that notebooks display inline, whatever their backend."""
 
     def _repr_png_(self) -> bytes:
         png = io.BytesIO()
@@ -30,17 +41,17 @@ class Picture(Figure):
 
 
 def save_figure(figure: Figure, path: Path | str) -> Path:
-    """Write a figure in the format of the file's ending, whole or not at all.
+    """Save a figure atomically, in the format of the file's extension.
 
     Args:
-        figure: What to write.
-        path: The file; its folder is made if it is not there.
+        figure: The figure to save.
+        path: Path of the file. Missing folders are created.
 
     Returns:
-        The file.
+        The path of the file.
 
     Raises:
-        DataError: It cannot be written; FullDiskError if the disk is full, or failed.
+        DataError: The file cannot be written. It is a FullDiskError if the disk is full or failed.
     """
     FigureCanvasAgg(figure)
     with replacing(Path(path)) as temporary:
@@ -49,13 +60,13 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
 
 
 def titled(title: str, simulated: bool) -> str:
-    """A title that says where its numbers come from.
+    """Mark a title as simulated where its data are.
 
     Args:
-        title: What is shown.
-        simulated: Whether any of it was simulated.
+        title: The title.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The title, with "(simulated)" where it is.
+        The title, followed by "(simulated)" if any of the data are.
     """
     return f"{title} (simulated)" if simulated else title

@@ -1,6 +1,6 @@
-"""Reconstructed surfaces, coloured by how uncertain every part of them is.
+"""Figures of reconstructed surfaces, coloured by their uncertainty.
 
-Scenes are drawn as `i2t.viz.scene` draws them, with pyvista off screen; where that cannot be, a figure says why.
+Scenes are drawn like those of `i2t.viz.scene`, by pyvista off screen. If that is not possible, the figure states why.
 """
 
 from collections.abc import Sequence
@@ -8,41 +8,37 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.colors import Colormap, Normalize
 
 from i2t.types import Array
 from i2t.viz.scene import body_of, image_of, set_view, skin_square, why_no_scene
-from i2t.viz.style import GREEN, MM_PER_M, Picture, titled
-
-COLOURS_OF_STD = "plasma"
-WINDOW_PIXELS = (520, 440)
+from i2t.viz.style import MM_PER_M, Colour, Picture, titled
 
 
 class ShownSurface(NamedTuple):
-    """One stage of a surface."""
+    """One stage of a reconstructed surface."""
 
     label: str
     vertices: Float[Array, "v 3"]  # m
     faces: Int[Array, "f 3"]
-    std: Float[Array, " v"]  # m, of the surface at each vertex
-    T_o_t: Float[Array, "n 4 4"]  # touches made so far
+    std: Float[Array, " v"]  # m, standard deviation of the surface at each vertex
+    T_o_t: Float[Array, "n 4 4"]  # tool poses of the touches so far
 
 
 def plot_growing_surface(
     stages: Sequence[ShownSurface], truth: tuple[Array, Array] | None, title: str, simulated: bool
 ) -> Picture:
-    """Stages of a surface side by side, coloured by its standard deviation, with the touches, and the truth at the end.
+    """Plot stages of a surface side by side, coloured by its standard deviation, with touches and finally the truth.
 
     Args:
-        stages: In the order in which they were made.
-        truth: Vertices (m) and faces of the true object; None where it is not known.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        stages: The stages in order of time.
+        truth: Vertices (m) and faces of the true object; None if it is unknown.
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure; where no scene can be drawn it says why.
+        The figure. It states the reason if no scene can be drawn.
     """
     figure = Picture(figsize=(2.5 * (len(stages) + (truth is not None)), 2.9), layout="constrained")
     figure.suptitle(titled(title, simulated), fontsize=11)
@@ -50,37 +46,37 @@ def plot_growing_surface(
         figure.text(0.5, 0.5, why_no_scene(), ha="center", va="center", wrap=True)
         return figure
     high = max((float(np.quantile(stage.std, 0.98)) for stage in stages if len(stage.std)), default=1e-3)
+    scale = ScalarMappable(Normalize(0, MM_PER_M * high), "plasma")
     panels = figure.subplots(1, len(stages) + (truth is not None), squeeze=False)[0]
     for axes, stage in zip(panels, stages, strict=False):
-        _show(axes, _plotter(stage, high), stage.label)
+        _show(axes, _plotter(stage, high, scale.cmap), stage.label)
     if truth is not None:
-        none = np.zeros((0, 4, 4))
-        _show(panels[-1], _plotter(ShownSurface("truth", *truth, np.zeros(0), none), high), "truth")
-    scale = ScalarMappable(Normalize(0, MM_PER_M * high), COLOURS_OF_STD)
+        surface = ShownSurface("truth", *truth, np.zeros(0), np.zeros((0, 4, 4)))
+        _show(panels[-1], _plotter(surface, high, scale.cmap), "truth")
     figure.colorbar(scale, ax=list(panels), label="standard deviation, mm", shrink=0.75, aspect=15)
     return figure
 
 
-def _plotter(stage: ShownSurface, high: float) -> Any:
+def _plotter(stage: ShownSurface, high: float, cmap: Colormap) -> Any:
     import pyvista as pv
 
-    with pv.vtk_verbosity("error"):  # VTK warns of the missing display before it goes on without
-        plotter: Any = pv.Plotter(off_screen=True, window_size=list(WINDOW_PIXELS), lighting="three lights")
+    with pv.vtk_verbosity("error"):  # VTK warns about a missing display, which it does not need
+        plotter: Any = pv.Plotter(off_screen=True, window_size=[520, 440], lighting="three lights")
         if len(stage.faces):
             body = body_of(pv, stage.vertices, stage.faces)
             if len(stage.std):
-                colours = colormaps[COLOURS_OF_STD](np.clip(np.asarray(stage.std) / high, 0, 1))[:, :3]
+                colours = cmap(np.clip(np.asarray(stage.std) / high, 0, 1))[:, :3]
                 body["colours"] = (255 * colours).astype(np.uint8)
                 plotter.add_mesh(body, scalars="colours", rgb=True, smooth_shading=True)
             else:
                 plotter.add_mesh(body, color="#d9d9d9", split_sharp_edges=True, smooth_shading=True)
         for T in np.asarray(stage.T_o_t, np.float64):
-            plotter.add_mesh(skin_square(pv, T).extract_feature_edges(), color=GREEN, line_width=2)
+            plotter.add_mesh(skin_square(pv, T).extract_feature_edges(), color=Colour.GREEN, line_width=2)
         set_view(plotter)
     return plotter
 
 
 def _show(axes: Any, plotter: Any, label: str) -> None:
-    axes.imshow(image_of(plotter))  # a surface may be nowhere, before any touch
+    axes.imshow(image_of(plotter))  # before the first touch, the surface may be empty
     axes.set_axis_off()
     axes.set_title(label, fontsize=10)

@@ -1,4 +1,4 @@
-"""Figures of training and calibration: touches and values, measured and predicted, and curves over epochs."""
+"""Figures of training and calibration: measured and predicted touches and values, and curves over epochs."""
 
 from collections.abc import Mapping, Sequence
 from itertools import cycle
@@ -12,7 +12,7 @@ from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
-from i2t.viz.style import BLUE, COLOURS, GREY, Picture, titled
+from i2t.viz.style import COLOURS, Colour, Picture, titled
 
 
 def plot_predicted_touches(
@@ -26,20 +26,20 @@ def plot_predicted_touches(
     window: float = PATCH_WINDOW,
     reach: float = REACH,
 ) -> Picture:
-    """A column per touch: its depth patch above; below it the field vectors of its readings.
+    """Plot a column for each touch: its depth patch, and below it the field vectors of its readings.
 
     Args:
-        patches: m behind the nearest surface point.
-        sets: Readings (n, c) uT by name, the measured ones first, which set the scale.
-        labels: One for each touch.
-        board: Of c / 3 chips.
-        title: What is shown.
-        simulated: Whether it was simulated.
-        window: m, edge of a patch.
-        reach: m, largest depth of a patch.
+        patches: Depth (m) behind the nearest surface point.
+        sets: `(n, c)` readings (uT) by name. The first set, usually the measured one, fixes the scale.
+        labels: Label of each touch.
+        board: Board with c / 3 chips.
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
+        window: Edge (m) of a patch.
+        reach: Largest depth (m) of a patch.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     n = len(patches)
     figure = Picture(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
@@ -63,16 +63,16 @@ def plot_predicted_touches(
 def plot_training_curves(
     series: Mapping[str, Shaped[Array, "..."]], title: str, ylabel: str, simulated: bool
 ) -> Picture:
-    """Curves over epochs, drawn as mean and range over seeds.
+    """Plot curves over epochs as mean and range over seeds.
 
     Args:
-        series: By name, values (epochs,) or (seeds, epochs).
-        title: What is shown.
-        ylabel: What the values are, with their unit.
-        simulated: Whether it was simulated.
+        series: Values `(epochs,)` or `(seeds, epochs)` by name.
+        title: Title of the figure.
+        ylabel: Name of the values, with their unit.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(5, 3.4), layout="constrained")
     axes = figure.subplots()
@@ -94,24 +94,30 @@ def plot_predictions(
     title: str,
     simulated: bool,
 ) -> Picture:
-    """Predicted against measured values, with bars that should contain nine in ten.
+    """Plot predicted against measured values, with error bars that should cover nine in ten.
 
     Args:
-        measured: uT.
-        predicted: uT.
-        std: uT, predicted standard deviation.
-        title: What is shown.
-        simulated: Whether it was simulated.
+        measured: Measured values (uT).
+        predicted: Predicted values (uT).
+        std: Predicted standard deviations (uT).
+        title: Title of the figure.
+        simulated: Whether any of the data are simulated.
 
     Returns:
-        The figure.
+        The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(4.8, 4.4), layout="constrained")
     axes = figure.subplots()
-    bars: dict[str, Any] = {"elinewidth": 0.6, "alpha": 0.5, "color": BLUE, "ms": 3, "label": "presses, 90 % bars"}
+    bars: dict[str, Any] = {
+        "elinewidth": 0.6,
+        "alpha": 0.5,
+        "color": Colour.BLUE,
+        "ms": 3,
+        "label": "presses, 90 % bars",
+    }
     axes.errorbar(measured, predicted, STDS_WITHIN_90 * np.asarray(std), fmt="o", **bars)
     ends = [min(np.min(measured), np.min(predicted)), max(np.max(measured), np.max(predicted))]
-    axes.plot(ends, ends, color=GREY, lw=1, label="predicted as measured")
+    axes.plot(ends, ends, color=Colour.GREY, lw=1, label="predicted as measured")
     axes.set(xlabel="measured (µT)", ylabel="predicted (µT)")
     axes.legend(fontsize=8)
     figure.suptitle(titled(title, simulated), fontsize=11)

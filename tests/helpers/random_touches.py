@@ -6,7 +6,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from i2t.dataset import Dataset, Image, Record, Series, missing_context
-from i2t.dataset.sets import OPTIONAL
 from i2t.skin import boards
 from i2t.types import ReturnCode, Touches, Truth
 
@@ -77,9 +76,9 @@ def assert_equal(a, b):
     assert dict(a.meta) == dict(b.meta)
     for x, y in zip(a.board, b.board, strict=True):
         np.testing.assert_array_equal(x, y)
-    for name in OPTIONAL:
+    for name in Touches._field_defaults:
         assert (getattr(a.touches, name) is None) == (getattr(b.touches, name) is None), name
-    ours, theirs = ([each for each in one.touches if isinstance(each, np.ndarray)] for one in (a, b))
+    ours, theirs = ([field for field in dataset.touches if isinstance(field, np.ndarray)] for dataset in (a, b))
     for mine, yours in ((ours, theirs), (a.touches.truth or (), b.touches.truth or ())):
         for x, y in zip(mine, yours, strict=True):
             assert x.dtype == y.dtype

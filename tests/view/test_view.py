@@ -57,9 +57,9 @@ def session(tmp_path):
     return tmp_path / "session"
 
 
-def column(found, entity, component):
+def column(chunks, entity, component):
     """Values of a component of an entity, all rows after each other."""
-    batches = [part.to_record_batch() for part in found if part.entity_path == entity]
+    batches = [part.to_record_batch() for part in chunks if part.entity_path == entity]
     columns = [batch.column(component).to_pylist() for batch in batches if component in batch.schema.names]
     return [value for rows in columns for row in rows for value in row or ()]
 
@@ -69,16 +69,16 @@ def test_a_session_reads_back_from_its_recording(session, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed")
     assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
-    found = list(chunk.RrdReader(tmp_path / "out" / "session.rrd").stream())
-    scalars = column(found, "/readings/chip0/x", "Scalars:scalars")
+    chunks = list(chunk.RrdReader(tmp_path / "out" / "session.rrd").stream())
+    scalars = column(chunks, "/readings/chip0/x", "Scalars:scalars")
     contents = read_contents(session)
     expected = [record.series["tactile"].values[:, 0] - 30 for record in contents.records()]
     np.testing.assert_allclose(np.sort(scalars), np.sort(np.concatenate(expected)))
-    assert len(column(found, "/force/z", "Scalars:scalars")) == 2 * SAMPLES
-    assert {"contact of touch 0", "contact of touch 1"} <= set(column(found, "/events", "TextLog:text"))
-    vertices = np.array(column(found, "/world/object", "Mesh3D:vertex_positions")).reshape(-1, 3)
+    assert len(column(chunks, "/force/z", "Scalars:scalars")) == 2 * SAMPLES
+    assert {"contact of touch 0", "contact of touch 1"} <= set(column(chunks, "/events", "TextLog:text"))
+    vertices = np.array(column(chunks, "/world/object", "Mesh3D:vertex_positions")).reshape(-1, 3)
     np.testing.assert_allclose(np.ptp(vertices, 0), np.ptp(contents.mesh.vertices, 0), rtol=1e-5)
-    assert {part.entity_path for part in found} >= {
+    assert {part.entity_path for part in chunks} >= {
         *("/world/tool", "/world/tool/chips/field", "/world/camera", "/world/camera/image", "/patch", "/about")
     }
 

@@ -12,7 +12,7 @@ def test_neighbours_are_those_of_brute_force():
     distance = np.linalg.norm(x[:, None] - x[None], axis=-1)
     np.fill_diagonal(distance, np.inf)
     np.testing.assert_array_equal(np.sort(agreement.neighbours(x, 4)), np.sort(np.argsort(distance, axis=1)[:, :4]))
-    with pytest.raises(ValueError, match="nearest others"):
+    with pytest.raises(ValueError, match="nearest neighbours cannot"):
         agreement.neighbours(x, 25)
 
 
@@ -42,9 +42,9 @@ def test_mutual_neighbours_against_sets():
         return {(i, j) for i in range(30) for j in near[i] if i in near[j] and i < j}, near
 
     (a, near_x), (b, near_y) = mutual(x), mutual(y)
-    found = agreement.agreement(x, y, 5)
-    assert found.mutual == pytest.approx(len(a & b) / len(a | b))
-    assert found.overlap == pytest.approx(np.mean([len(p & q) / 5 for p, q in zip(near_x, near_y, strict=True)]))
+    measured = agreement.agreement(x, y, 5)
+    assert measured.mutual == pytest.approx(len(a & b) / len(a | b))
+    assert measured.overlap == pytest.approx(np.mean([len(p & q) / 5 for p, q in zip(near_x, near_y, strict=True)]))
 
 
 def test_unrelated_modalities_are_not_found_to_agree_and_related_ones_are():

@@ -23,9 +23,9 @@ def test_components_keep_distances_and_order_variances():
 
 def test_clusters_far_apart_are_found_again_at_every_seed():
     x, label = blobs()
-    found = clusters.cluster(x, seed=3)
-    assert clusters.rand_index(found.label, label) == 1
-    np.testing.assert_allclose(found.centre[0], x[found.label == 0].mean(0))
+    clustering = clusters.cluster(x, seed=3)
+    assert clusters.rand_index(clustering.label, label) == 1
+    np.testing.assert_allclose(clustering.centre[0], x[clustering.label == 0].mean(0))
     whole, parts = clusters.stability(x, seeds=3)
     assert whole.min() == 1
     assert parts.min() == 1
@@ -50,11 +50,11 @@ def test_a_map_keeps_groups_apart_and_puts_means_among_their_own():
 
 def test_the_examples_of_a_cluster_are_its_own_from_the_nearest_to_its_mean_on():
     x, _ = blobs(n=12)
-    found = clusters.cluster(x)
-    touch_map = clusters.map_touches(x, found, ranks=(0.0, 0.5))
+    clustering = clusters.cluster(x)
+    touch_map = clusters.map_touches(x, clustering, ranks=(0.0, 0.5))
     assert touch_map.examples.shape == (5, 2)
     for i, (nearest, middle) in enumerate(touch_map.examples):
-        assert found.label[nearest] == found.label[middle] == i
-        distance = np.linalg.norm(touch_map.at[found.label == i] - touch_map.means[i], axis=1)
+        assert clustering.label[nearest] == clustering.label[middle] == i
+        distance = np.linalg.norm(touch_map.at[clustering.label == i] - touch_map.means[i], axis=1)
         assert np.linalg.norm(touch_map.at[nearest] - touch_map.means[i]) == distance.min()
         assert np.linalg.norm(touch_map.at[middle] - touch_map.means[i]) == np.sort(distance)[6]

@@ -49,7 +49,7 @@ def test_a_page_shows_what_was_touched_and_believed(meshes):
     for which, edge in ((0, 25), (1, 30)):  # of the hexagon it is 29.9 mm next to the corner
         np.testing.assert_allclose(depth[1, which, 24], np.where(x < edge, 0, REACH * 1e3), atol=1e-4)
     shown = texts(page)
-    assert {"square (true)", "hexagon", "unknown", "touch 1", "touch 3", "90%", "5%", "nothing here"} <= set(shown)
+    assert {"square (true)", "hexagon", "unknown", "touch 1", "touch 3", "90%", "5%", "no surface here"} <= set(shown)
     assert any(text.startswith("One episode: square (simulated)") for text in shown)
 
 
@@ -84,7 +84,7 @@ def test_without_a_scene_the_page_is_written_all_the_same(meshes, tmp_path, monk
     written = viz.write_episode_report(record(meshes), tmp_path / "a")
     assert written == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
     assert capsys.readouterr().err == scene.NO_GL + "\n"
-    with pytest.raises(ValueError, match="same touches"):
+    with pytest.raises(ValueError, match="same number of touches"):
         viz.write_episode_report(record(meshes, readings=np.ones((2, 15))), tmp_path)
 
 

@@ -15,7 +15,7 @@ from i2t.patches.dimensions import PATCH_WINDOW
 from i2t.rendering.render import contact_mask
 from i2t.skin.elasticity import GRID, interior, load
 from i2t.viz.episode_report import EpisodeRecord
-from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, titled
+from i2t.viz.style import MM_PER_M, Colour, titled
 from tools.gallery.arguments import FigureName
 from tools.gallery.lab_figures import monitor, registration, rig
 from tools.gallery.page_figures import from_depth, stamps
@@ -83,10 +83,10 @@ def calibration_curve(story: Story) -> Figure:
     figure = Figure(figsize=(6.5, 4), layout="constrained")
     axes = figure.subplots()
     for name, style in {"k nearest presses": ":", "plain Gaussian process": "--", "i2t.calibrate": "-"}.items():
-        colour = BLUE if name == "i2t.calibrate" else GREY
+        colour = Colour.BLUE if name == "i2t.calibrate" else Colour.GREY
         axes.plot(counts, [each["mean"] for each in curves[name].values()], style, color=colour, marker="o", label=name)
     low, high = np.array([[each["low"], each["high"]] for each in over["r2"].values()]).T
-    axes.fill_between(counts, low, high, color=BLUE, alpha=0.18, lw=0)
+    axes.fill_between(counts, low, high, color=Colour.BLUE, alpha=0.18, lw=0)
     axes.set_xscale("log")
     axes.set_xticks(counts, [str(count) for count in counts], minor=False)
     axes.set(xlabel="presses that it is fitted to", ylabel="R² on presses of blocks left out", ylim=(-0.65, 1))
@@ -104,7 +104,7 @@ def predictors(story: Story) -> Figure:
     low, high = np.array([methods[name]["r2_interval"] for name in names], float).T  # none of too few sessions is NaN
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axes = figure.subplots()
-    colours = [BLUE if "pressure" in name else GREY for name in names]
+    colours = [Colour.BLUE if "pressure" in name else Colour.GREY for name in names]
     axes.barh(names, r2, xerr=np.maximum([r2 - low, high - r2], 0), color=colours, capsize=2)
     axes.invert_yaxis()
     axes.axvline(0, color="black", lw=0.8)
@@ -137,8 +137,8 @@ def _draw_both(axes: Axes, story: Story, row: int) -> None:
     board, felt, imagined = story.run.dataset.board, story.unseen.reading[row], story.imagined.mean[row]
     scale = float(np.abs(np.stack([felt, imagined])).max())
     viz.draw_skin(axes)
-    viz.draw_reading(axes, board, felt, scale, colour=BLUE, label="felt")
-    viz.draw_reading(axes, board, imagined, scale, colour=ORANGE, label="imagined", width=0.006)
+    viz.draw_reading(axes, board, felt, scale, colour=Colour.BLUE, label="felt")
+    viz.draw_reading(axes, board, imagined, scale, colour=Colour.ORANGE, label="imagined", width=0.006)
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     axes.legend(loc="upper right", fontsize=8)
 
@@ -149,7 +149,9 @@ def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
     p = np.vstack([np.full(n, 1 / n), record.p])
     for i in np.argsort(np.arange(n) == record.truth):
         there = i == record.truth
-        axes.plot(p[:, i], color=BLUE if there else GREY, lw=2.5 if there else 1, marker="o" if there else "")
+        axes.plot(
+            p[:, i], color=Colour.BLUE if there else Colour.GREY, lw=2.5 if there else 1, marker="o" if there else ""
+        )
     likely = [i for i in range(n) if p[-1, i] > NAMED_PROBABILITY]
     ends = [(record.names[i], p[-1, i]) for i in likely]
     for name, end in ends if len(likely) == n else [*ends, (f"{n - len(likely)} others", 0.0)]:

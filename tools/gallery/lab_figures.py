@@ -18,7 +18,7 @@ from i2t.registration import contact_poses
 from i2t.rendering.render import render_heights
 from i2t.simulation.touches import SimulationErrors
 from i2t.viz.rig_scene import RigScene, plot_rig
-from i2t.viz.style import BLUE, GREY, MM_PER_M, ORANGE, titled
+from i2t.viz.style import MM_PER_M, Colour, titled
 from tools.gallery.story import HIDDEN_OBJECT, LOOKING_DOWN, Story
 
 BELIEVED_OFF = (6e-3, -5e-3, 2e-3, 0.0, 0.0, np.radians(8.0))  # m and rad, of the object before it is touched
@@ -47,16 +47,18 @@ def registration(story: Story) -> Figure:
     figure = Figure(figsize=(11, 4.6), layout="constrained")
     figure.suptitle(titled(f"A {HIDDEN_OBJECT} found by touching it", True))
     above, errors_axes = figure.subplots(1, 2, width_ratios=(1.5, 1))
-    _outline_from_above(above, surface, np.eye(4), GREY, "where it stands")
-    _outline_from_above(above, surface, T_w_believed, ORANGE, "where it was believed")
-    _outline_from_above(above, surface, np.asarray(found[-1]), BLUE, f"after {REGISTERED_AFTER[-1]} touches")
+    _outline_from_above(above, surface, np.eye(4), Colour.GREY, "where it stands")
+    _outline_from_above(above, surface, T_w_believed, Colour.ORANGE, "where it was believed")
+    _outline_from_above(above, surface, np.asarray(found[-1]), Colour.BLUE, f"after {REGISTERED_AFTER[-1]} touches")
     above.plot(*(MM_PER_M * np.asarray(T_w_contact)[np.asarray(met), :2, 3].T), "k.", ms=5, label="contacts")
     above.set(xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     above.legend(fontsize=8, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=2, frameon=False)
     counts = (0, *REGISTERED_AFTER)
-    errors_axes.semilogy(counts, MM_PER_M * np.linalg.norm(off[:, :3], axis=1), "o-", color=BLUE, label="position (mm)")
+    errors_axes.semilogy(
+        counts, MM_PER_M * np.linalg.norm(off[:, :3], axis=1), "o-", color=Colour.BLUE, label="position (mm)"
+    )
     turned = np.degrees(np.linalg.norm(off[:, 3:], axis=1))
-    errors_axes.semilogy(counts, turned, "s--", color=ORANGE, label="rotation (degrees)")
+    errors_axes.semilogy(counts, turned, "s--", color=Colour.ORANGE, label="rotation (degrees)")
     errors_axes.set(xlabel="touches", ylabel="error", xticks=counts)
     errors_axes.legend(fontsize=9)
     return figure
