@@ -16,7 +16,7 @@ from i2t.dataset import Dataset
 from i2t.skin_models.layer import NOMINAL_LAYER, Layer
 from i2t.skin_models.pad_fit import press_exactly
 from i2t.skin_models.pressure_gp import GPHyperparameters, choose_hyperparameters
-from i2t.skin_models.reading_model import CHOOSING_TOUCHES, LAYERS, PressedTouches, ReadingPrior, choose_layer
+from i2t.skin_models.reading_model import AVERAGING, LAYERS, PressedTouches, ReadingPrior, choose_layer
 
 CALLING_TOUCHES = 900  # of a world, as those that `DISCREPANCY` was fitted to
 
@@ -47,7 +47,7 @@ def call_of(dataset: Dataset) -> WorldCall:
     contact, readings = press(rows, NOMINAL_LAYER)
     sessions = np.asarray(dataset.touches.session)[rows]
     discrepancy, _ = choose_hyperparameters(contact, jnp.asarray(readings), sessions, limit=CALLING_TOUCHES)
-    pressed = [press(rows[:CHOOSING_TOUCHES], layer) for layer in LAYERS]
+    pressed = [press(rows[: AVERAGING.max_touches], layer) for layer in LAYERS]
     return WorldCall(choose_layer(pressed, LAYERS, dataset.board, discrepancy), discrepancy)
 
 

@@ -4,6 +4,7 @@ Sizes are those of ReSkin (Bhirangi et al., CoRL 2021): 20 x 20 mm of magnetic s
 five magnetometers (`i2t.skin.boards`). Frames and units as in `i2t.types`.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -23,16 +24,24 @@ from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import Shear, rest, shear
 from i2t.types import Board, Pad, in_one_line
 
-THICKNESS_M = 2e-3
-CHIP_GAP_M = 1.5e-3  # from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
-YOUNG_PA = 150e3  # soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
-POISSON_RATIO = 0.48
-POISSON_RATIO_RANGE = (0.475, 0.485)  # of pads, an assumption; see `sample_pad`
-FRICTION_COEFFICIENT = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
-MOUNT_COMPLIANCE_M_PER_N = 0.25e-3  # middling, of those that are clamped at their edge; see `sample_pad`
-EDGE_CLAMPED_FRACTION = 1 / 3  # of skins are
-MAGNETIZATION_A_PER_M = 2e4  # root mean square of one component of a random magnetization; see `sample_pad`
-MAX_RANGE_FRACTION = 0.85  # of the converter's range, which no axis exceeds at rest
+
+@dataclass(frozen=True)
+class NominalSkin:
+    """Properties of a middling ReSkin, and assumptions on how skins differ; see `sample_pad`."""
+
+    thickness: float = 2e-3  # m
+    chip_gap: float = 1.5e-3  # m from the base to the sensing elements: half of the 1 mm package, glue and film
+    young: float = 150e3  # Pa, soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
+    poisson: float = 0.48
+    friction: float = 0.6  # dry silicone on plastic, typically between 0.4 and 1
+    mount_compliance: float = 0.25e-3  # m/N, of a middling skin that is clamped at its edge
+    magnetization: float = 2e4  # A/m, root mean square of one component of a random magnetization
+    poisson_range: tuple[float, float] = (0.475, 0.485)
+    edge_clamped_share: float = 1 / 3  # share of skins that are clamped at their edge
+    max_range_share: float = 0.85  # largest field at rest along any axis, as a share of the converter's range
+
+
+NOMINAL_SKIN = NominalSkin()
 FIRST_PAD_SEED = 1000  # of pad 0 of `numbered_pad`
 PATH_TOLERANCE = 1e-4  # of the contacts on the way of `friction_response`
 TRACTION_TOLERANCE = 1e-3  # of its tractions, of the largest displacement
@@ -163,7 +172,7 @@ def friction_response(
 
 
 def nominal_pad(
-    pattern: str = "poles", *, strength: float | Array = MAGNETIZATION_A_PER_M, board: Board | None = None
+    pattern: str = "poles", *, strength: float | Array = NOMINAL_SKIN.magnetization, board: Board | None = None
 ) -> Pad:
     """A middling ReSkin with a known magnetization: a pattern times its strength.
 
@@ -185,12 +194,12 @@ def nominal_pad(
     validation.number("strength", strength, "A/m")
     board = reskin_board() if board is None else board
     return Pad(
-        thickness=jnp.float32(THICKNESS_M),  # typed as those of `sample_pad`, so that programs serve both
-        young=jnp.float32(YOUNG_PA),
-        poisson=jnp.float32(POISSON_RATIO),
+        thickness=jnp.float32(NOMINAL_SKIN.thickness),  # typed as those of `sample_pad`, so that programs serve both
+        young=jnp.float32(NOMINAL_SKIN.young),
+        poisson=jnp.float32(NOMINAL_SKIN.poisson),
         magnetization=strength * magnetization_pattern(pattern),
         gains=jnp.ones(board.num_readings),
-        board=_at_depth(board, jnp.asarray(THICKNESS_M + CHIP_GAP_M)),
+        board=_at_depth(board, jnp.asarray(NOMINAL_SKIN.thickness + NOMINAL_SKIN.chip_gap)),
         friction=jnp.zeros(()),
         mount_compliance=jnp.zeros(()),
     )
@@ -204,10 +213,11 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
     more), what is between its powder is not all rubber, and nobody measured it of a skin. A wide flat press feels the
     layer as stiff as (1 - nu) / ((1 + nu) (1 - 2 nu)), 19 % less to 32 % more than at 0.48; a small tip hardly feels
     it. One skin in three is clamped at its edge instead of
-    bonded, and its mounting compliance is MOUNT_COMPLIANCE_M_PER_N within a factor of 1.8: on one of a few real boards
-    a press anywhere moved two chips by 60-100 uT. The magnetization is that of `sample_magnetization`, and its strength
-    varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most would) is
-    weaker: makers magnetize as strongly as the chips bear. MAGNETIZATION_A_PER_M and MOUNT_COMPLIANCE_M_PER_N are such
+    bonded, and its mounting compliance is NOMINAL_SKIN.mount_compliance within a factor of 1.8: on one of a few real
+    boards a press anywhere moved two chips by 60-100 uT. The magnetization is that of `sample_magnetization`, and its
+    strength varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most
+    would) is
+    weaker: makers magnetize as strongly as the chips bear. `NOMINAL_SKIN` has such a magnetization and compliance
     that presses of a small tip to 0.6-1.0 N change the readings as on real boards (`tests/skin/test_pad.py`).
 
     Args:
@@ -242,26 +252,26 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
 def _sample_pad(key: Key[Array, ""], spread: float | Array, board: Board, gains: Float[Array, " c"]) -> Pad:
     """`sample_pad` of what was checked, with the gains of its board."""
     keys = dict(zip(DRAWN, jax.random.split(key, len(DRAWN)), strict=True))
-    clamped = jax.random.uniform(keys["clamped"]) < EDGE_CLAMPED_FRACTION
-    compliance = spread * MOUNT_COMPLIANCE_M_PER_N * jnp.exp(0.6 * jax.random.normal(keys["compliance"]))
-    strength = MAGNETIZATION_A_PER_M * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"]))
-    thickness = THICKNESS_M + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
-    gap = CHIP_GAP_M + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
-    low, high = POISSON_RATIO_RANGE  # drawn from a key of its own, so that what else is drawn of a key stays
+    clamped = jax.random.uniform(keys["clamped"]) < NOMINAL_SKIN.edge_clamped_share
+    compliance = spread * NOMINAL_SKIN.mount_compliance * jnp.exp(0.6 * jax.random.normal(keys["compliance"]))
+    strength = NOMINAL_SKIN.magnetization * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"]))
+    thickness = NOMINAL_SKIN.thickness + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
+    gap = NOMINAL_SKIN.chip_gap + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
+    low, high = NOMINAL_SKIN.poisson_range  # drawn from a key of its own, so that what else is drawn of a key stays
     poisson = jax.random.uniform(jax.random.fold_in(key, len(DRAWN)), minval=low, maxval=high)
     pad = Pad(
         thickness=thickness,
-        young=YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
-        poisson=POISSON_RATIO + spread * (poisson - POISSON_RATIO),
+        young=NOMINAL_SKIN.young * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
+        poisson=NOMINAL_SKIN.poisson + spread * (poisson - NOMINAL_SKIN.poisson),
         magnetization=strength * sample_magnetization(keys["map"], spread),
         gains=gains,
         board=_at_depth(board, thickness + gap),
-        friction=FRICTION_COEFFICIENT * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
+        friction=NOMINAL_SKIN.friction * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
         mount_compliance=jnp.where(clamped, compliance, 0.0),
     )
     full_scale = np.tile([RANGE_XY_UT, RANGE_XY_UT, RANGE_Z_UT], board.num_chips)
     use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / full_scale)
-    return pad._replace(magnetization=pad.magnetization * jnp.minimum(1.0, MAX_RANGE_FRACTION / use))
+    return pad._replace(magnetization=pad.magnetization * jnp.minimum(1.0, NOMINAL_SKIN.max_range_share / use))
 
 
 def numbered_pad(number: int, *, board: Board | None = None) -> Pad:

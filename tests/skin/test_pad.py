@@ -114,19 +114,19 @@ def test_pads_stay_in_their_ranges_and_no_axis_rests_at_the_end_of_its_own(sampl
     for values, low, high in (
         (samples.thickness, 2e-3, 3e-3),
         (gap, 0.99e-3, 2.01e-3),
-        (samples.poisson, *pads.POISSON_RATIO_RANGE),
+        (samples.poisson, *pads.NOMINAL_SKIN.poisson_range),
         (samples.gains, 0.85 - 1e-6, 1.15 + 1e-6),
         (samples.friction, 0.2, 1.5),
     ):
         assert np.all((values >= low) & (values <= high))
-    assert np.std(samples.poisson) > 0.2 * np.ptp(pads.POISSON_RATIO_RANGE)  # 0.29 of a uniform distribution
+    assert np.std(samples.poisson) > 0.2 * np.ptp(pads.NOMINAL_SKIN.poisson_range)  # 0.29 of a uniform distribution
     assert np.std(samples.young) > 0
     assert np.all(samples.mount_compliance >= 0)
     assert 0.15 < np.mean(samples.mount_compliance > 0) < 0.52  # a third of 100, four standard deviations
     rest = jax.jit(jax.vmap(lambda pad: pad.board.to_board(rest_field(pad))))(samples)
     share = np.abs(rest) / np.tile([4915, 4915, 7930], 5)
-    assert share.max() <= pads.MAX_RANGE_FRACTION * (1 + 1e-4)
-    assert share.max(axis=1).min() < 0.7 * pads.MAX_RANGE_FRACTION  # which does not decide for all
+    assert share.max() <= pads.NOMINAL_SKIN.max_range_share * (1 + 1e-4)
+    assert share.max(axis=1).min() < 0.7 * pads.NOMINAL_SKIN.max_range_share  # which does not decide for all
 
 
 def test_smooth_maps_have_their_length_and_strength():
