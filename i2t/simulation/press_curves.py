@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Key
 from i2t.contact.press import PressLimits, pad_response, press_to_stop
 from i2t.contact.pressure import centre_of_pressure, newtons_on_cells
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import CONTACT_NEWTONS, GRID
+from i2t.skin.contact import GRID, cells_in_contact
 from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import friction_response
 from i2t.types import Array, Pad
@@ -38,7 +38,7 @@ class PressCurve(NamedTuple):
     @property
     def contact(self) -> Bool[Array, "*batch s cells"]:
         """Cells that truly bear pressure."""
-        return self.newtons > CONTACT_NEWTONS
+        return cells_in_contact(self.newtons)
 
 
 def simulate_press_curve(
