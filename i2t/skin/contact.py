@@ -184,13 +184,13 @@ def _solver(grid: Grid, forced: bool, tolerance: float, max_steps: int) -> Calla
         shape = lanes.to_quadrants(clamped_shape(grid, offset.dtype)[None])
 
         def deflect(p: Array) -> Array:
-            return lanes.convolve(matrices, p, grid) + soft.mount * lanes.total(shape * p) * shape
+            return lanes.convolve(matrices, p, grid) + soft.mount * lanes.lane_sum(shape * p) * shape
 
         state = descend(
             deflect,
             lanes.to_quadrants(offset),
             _onto_simplex if forced else lambda p: jnp.maximum(p, 0),
-            level=lambda p, gap: lanes.total(p * gap) if forced else jnp.zeros((), gap.dtype),
+            level=lambda p, gap: lanes.lane_sum(p * gap) if forced else jnp.zeros((), gap.dtype),
             start=lanes.to_quadrants(start),
             bounds=_bounds(soft, grid),
             tolerance=tolerance,
@@ -266,7 +266,7 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
         # so the mean is subtracted first, to keep the digits of the remainder.
         rigid = pressing(jnp.ones_like(pressure))
         own = pressing(mean(opened) - opened)
-        d_pressure = own - total(own) / positive(total(rigid)) * rigid
+        d_pressure = own - total(own) / at_least_tiny(total(rigid)) * rigid
     else:
         d_pressure = pressing(-opened)
     d_gap = deflect(d_pressure) + opened
@@ -295,10 +295,10 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
     def step(now: tuple) -> tuple:
         x, rest, way, square, steps = now
         change = operator(way)
-        length = square / positive(jnp.sum(way * change))
+        length = square / at_least_tiny(jnp.sum(way * change))
         rest = rest - length * change
         new = jnp.sum(rest * rest)
-        return x + length * way, rest, rest + new / positive(square) * way, new, steps + 1
+        return x + length * way, rest, rest + new / at_least_tiny(square) * way, new, steps + 1
 
     def unfinished(now: tuple) -> Array:
         return (now[3] > tolerance) & (now[4] < CONTACT_SOLVER.max_linear_steps)
@@ -354,8 +354,8 @@ def descend(
         # keeps the digits below it.
         reached = level(x, gap)
         target = project(x - length * (gap - reached))
-        deflection = positive(lanes.largest(gap - offset))
-        moved = lanes.largest(target - x)
+        deflection = at_least_tiny(lanes.lane_max(gap - offset))
+        moved = lanes.lane_max(target - x)
         # If nothing may move (no friction), length times deflection may be too small to divide by.
         residual = jnp.where(moved > 0, moved / jnp.where(moved > 0, length * deflection, 1), 0)
         return ContactState(x, gap, reached, target, length, residual, steps)
@@ -367,8 +367,8 @@ def descend(
         going = unfinished(now)
         d = now.target - now.point
         change = deflect(d)
-        dd, dk, kk = (positive(lanes.total(product)) for product in (d * d, d * change, change * change))
-        fraction = jnp.clip(-lanes.total((now.gap - now.level) * d) / dk, 0, 1)
+        dd, dk, kk = (at_least_tiny(lanes.lane_sum(product)) for product in (d * d, d * change, change * change))
+        fraction = jnp.clip(-lanes.lane_sum((now.gap - now.level) * d) / dk, 0, 1)
         fraction = jnp.where(going, fraction, 0)
         length = jnp.where(now.steps % 2 == 0, dk / kk, dd / dk)  # Barzilai and Borwein's two lengths, alternating
         length = jnp.where(going, jnp.clip(length, shortest, longest), now.length)
@@ -376,7 +376,7 @@ def descend(
         return state(x, now.gap + fraction * change, length, now.steps + going)
 
     start = project(start)
-    lengths = jnp.full_like(lanes.total(offset), shortest)
+    lengths = jnp.full_like(lanes.lane_sum(offset), shortest)
     first = state(start, deflect(start) + offset, lengths, jnp.ones_like(lengths, int))
     return jax.lax.while_loop(lambda now: jnp.any(unfinished(now)), step, first)
 
@@ -388,8 +388,8 @@ def _onto_simplex(p: Float[Array, "*cells lanes"]) -> Float[Array, "*cells lanes
 
     def newton(t: Array) -> tuple[Array, Array]:
         above = p > t
-        count = lanes.total(above.astype(p.dtype))
-        return t + (lanes.total(jnp.where(above, p - t, 0)) - 1) / jnp.maximum(count, 1), count
+        count = lanes.lane_sum(above.astype(p.dtype))
+        return t + (lanes.lane_sum(jnp.where(above, p - t, 0)) - 1) / jnp.maximum(count, 1), count
 
     largest = jnp.max(p, lanes.cell_axes(p), keepdims=True)
     # Near the solution p sums to about 1, and t is about 0.
@@ -413,7 +413,7 @@ def _contact(pad: Pad, state: _Solution, scale: Array, indentation: Array, grid:
     )
 
 
-def positive(x: Array) -> Array:
+def at_least_tiny(x: Array) -> Array:
     """Raise a number to one that is safe to divide by.
 
     Args:

@@ -51,7 +51,7 @@ class FaultModel:
 
 FAULT_MODEL = FaultModel()
 
-Size: TypeAlias = float | Float[Array, ""]  # of a fault; traced where `Faults` is
+Size: TypeAlias = float | Float[Array, ""]  # size of a fault; traced if `Faults` is
 
 
 @traced_floats

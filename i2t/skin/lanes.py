@@ -197,7 +197,7 @@ def cell_axes(values: Float[Array, "*cells lanes"]) -> tuple[int, ...]:
     return tuple(range(values.ndim - 1))
 
 
-def total(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
+def lane_sum(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
     """Sum each lane.
 
     Args:
@@ -209,7 +209,7 @@ def total(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
     return jnp.sum(values, cell_axes(values), keepdims=True)
 
 
-def largest(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
+def lane_max(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
     """Find the largest absolute value of each lane.
 
     Args:

@@ -101,7 +101,7 @@ def field(points: Float[Array, "m 3"], magnets: Magnets, nodes: int = CYLINDER_N
 
 
 @geometry.full_precision
-def moved(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[Array, "k 3"]) -> Magnets:
+def move(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[Array, "k 3"]) -> Magnets:
     """Displace and rotate magnets, each about its own centre.
 
     Args:
@@ -125,7 +125,7 @@ def response(
     rotation: Float[Array, "k 3"],
     nodes: int = CYLINDER_NODES,
 ) -> Float[Array, " c"]:
-    """Compute the noise-free reading of magnets moved from rest (see `moved`): the change of the field at the chips.
+    """Compute the noise-free reading of magnets moved from rest (see `move`): the change of the field at the chips.
 
     Args:
         board: The board that measures the field.
@@ -138,5 +138,5 @@ def response(
         `(c,)` reading (uT).
     """
     chips = jnp.asarray(board.chips)
-    change = field(chips, moved(magnets, displacement, rotation), nodes) - field(chips, magnets, nodes)
+    change = field(chips, move(magnets, displacement, rotation), nodes) - field(chips, magnets, nodes)
     return MICROTESLA * board.to_board(change)

@@ -21,7 +21,7 @@ from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
-from i2t.skin.friction import Shear, rest, shear
+from i2t.skin.friction import Shear, shear, without_traction
 from i2t.types import Board, Pad, in_one_line
 
 
@@ -169,7 +169,8 @@ def friction_response(
 
     numbers = jnp.arange(1, increments + 1, dtype=pressed.pressure.dtype)
     pressures = jnp.append(jax.vmap(pressure_after)(numbers[:-1] / increments), pressed.pressure[None], axis=0)
-    state, _ = jax.lax.scan(advance, rest(pad, jnp.zeros_like(pressed.pressure), grid), (numbers, pressures))
+    untouched = without_traction(pad, jnp.zeros_like(pressed.pressure), grid)
+    state, _ = jax.lax.scan(advance, untouched, (numbers, pressures))
     return response(pad, pressed.pressure, grid, traction=state.traction) - pressed.reading
 
 
@@ -330,8 +331,8 @@ def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, 
     quarter = np.arange(cells) * 4 // cells
     half = np.arange(cells) * 2 // cells
     place = (np.arange(cells) + 0.5) / cells * PAD_WINDOW
-    aside = np.square(place % (PAD_WINDOW / 2) - PAD_WINDOW / 4)  # from the nearest magnet's centre
-    inside = aside[:, None] + aside[None, :] <= 3e-3**2
+    offset_square = np.square(place % (PAD_WINDOW / 2) - PAD_WINDOW / 4)  # from the nearest magnet's centre
+    inside = offset_square[:, None] + offset_square[None, :] <= 3e-3**2
     maps = {
         "poles": 1 - 2 * ((quarter[:, None] + quarter[None, :]) % 2),
         "uniform": np.ones((cells, cells)),

@@ -28,7 +28,7 @@ from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin_models.base import load_fitted
 from i2t.skin_models.tip_gp import population
 from i2t.skin_models.tip_gp.candidates import board_candidates
-from i2t.skin_models.tip_gp.left_out import Conditioned, one_thread_for_few
+from i2t.skin_models.tip_gp.left_out import Conditioned, limit_blas_threads
 from i2t.skin_models.tip_gp.population import PopulationGP, PressTable
 from i2t.skin_models.tip_gp.structured import StructuredGPHyperparameters, fit_structured
 from i2t.types import Array, Board
@@ -97,7 +97,7 @@ class Calibration:
     @property
     def left_out(self) -> Float[np.ndarray, "n c"]:
         """Errors (uT) on the presses of the fit: measured minus predicted from all other presses."""
-        with one_thread_for_few(len(self.gp.readings)):
+        with limit_blas_threads(len(self.gp.readings)):
             return population.left_out_errors(self.gp)
 
     def predict(
@@ -127,7 +127,7 @@ class Calibration:
         """Predict means and standard deviations (uT), without `interval_scaling`."""
         if self.previous is not None:
             table = table._replace(previous_mean=self.previous._predict_table(table)[0])
-        with one_thread_for_few(len(self.gp.readings)):
+        with limit_blas_threads(len(self.gp.readings)):
             return population.predict_population(self.gp, table, self._conditioned)
 
     def save(self, path: Path | str) -> None:
@@ -186,7 +186,7 @@ class TipModel:
             ValueError: The shapes do not fit each other, or a value is impossible.
         """
         table, readings = _checked(data, self.load_kind)
-        with one_thread_for_few(len(readings)):
+        with limit_blas_threads(len(readings)):
             fit = self._fit_population if self.hyperparameters is None else self._fit_kernel
             return fit(data, table, readings)
 
@@ -345,7 +345,7 @@ def _checked(data: TipPresses, load_kind: str) -> tuple[PressTable, np.ndarray]:
 def _as_rows(
     positions: ArrayLike | None, loads: ArrayLike | float | None, load_kind: str
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Shape the inputs of a prediction as positions (n, 2) and loads (n, kinds); also tell whether it is one press."""
+    """Shape the inputs of a prediction as positions (n, 2) and loads (n, kinds); also return whether it is single."""
     kinds = len(LOAD_COLUMNS[load_kind])
     amount = None if loads is None else validation.numbers("loads", loads, "metres or newtons").astype(np.float64)
     if (amount is None) != (kinds == 0):

@@ -171,7 +171,7 @@ def fit_oracle_pad_model(
     """
     touches = jax.tree.map(lambda x: x[np.flatnonzero(rows)], dataset.touches)
     own, likelihood = pad_model.reading_model, pad_model.likelihood
-    exact = press_exactly(touches.truth, own.layer)
+    exact = press_at_truth(touches.truth, own.layer)
     fitted = fit_readings(exact, own.layer, dataset.board, softness=float(own.softness), discrepancy=discrepancy)
     recorded = np.asarray(touches.reading)
     fitted = fitted._replace(left_out=fitted.left_out + recorded - exact.reading)
@@ -179,7 +179,7 @@ def fit_oracle_pad_model(
     return _pad_model(fitted, recorded, position, limits)
 
 
-def press_exactly(truth: Truth, layer: Layer) -> PressedTouches:
+def press_at_truth(truth: Truth, layer: Layer) -> PressedTouches:
     """Press a layer at the true contacts of simulated touches.
 
     Args:
@@ -223,7 +223,7 @@ class _Session(NamedTuple):
 def _register_sessions(
     key: Key[Array, ""], data: ObjectTouches, errors: SimulationErrors
 ) -> tuple[list["_Session"], bool]:
-    """Register the objects of all sessions; also tell whether these are so many that a slow compilation pays."""
+    """Register the objects of all sessions; also return whether a slow compilation pays for them."""
     touches = data.dataset.touches
     unregistered = []
     for session in np.unique(touches.session[data.rows]):

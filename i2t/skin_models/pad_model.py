@@ -153,7 +153,7 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 
-def with_press_errors(model: PadModel, error_std: float) -> PadModel:
+def add_press_errors(model: PadModel, error_std: float) -> PadModel:
     """Add, to a pad model's errors of readings, those of the pad with which its touches were simulated.
 
     Args:
@@ -164,10 +164,10 @@ def with_press_errors(model: PadModel, error_std: float) -> PadModel:
         The pad model with a larger inflation of its errors.
     """
     own = float(np.mean(np.asarray(model.held_out_errors, np.float64) ** 2))
-    return inflated(model, float(np.sqrt(1 + error_std**2 / own)))
+    return inflate_errors(model, float(np.sqrt(1 + error_std**2 / own)))
 
 
-def inflated(model: PadModel, factor: float) -> PadModel:
+def inflate_errors(model: PadModel, factor: float) -> PadModel:
     """Enlarge the errors of readings in a pad model.
 
     Args:

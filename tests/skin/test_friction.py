@@ -7,7 +7,7 @@ import pytest
 
 from i2t.skin import contact, elasticity
 from i2t.skin.elasticity import GRID, Grid
-from i2t.skin.friction import rest, shear
+from i2t.skin.friction import shear, without_traction
 from i2t.skin.pad import nominal_pad
 
 PAD = nominal_pad()._replace(friction=jnp.asarray(0.6))
@@ -40,7 +40,7 @@ def test_reproduces_cattaneo_and_mindlin_where_they_hold():
     a, load, mu = np.sqrt(radius * depth), float(solved.force), float(pad.friction)
     modulus, nu = float(pad.young) / (2 * (1 + float(pad.poisson))), float(pad.poisson)
     slides = 3 * mu * load * (2 - nu) / (16 * modulus * a)  # on a half space, at which the whole contact slips
-    pressed = rest(pad, solved.pressure, grid)
+    pressed = without_traction(pad, solved.pressure, grid)
     drag = jax.jit(lambda pad, pressure, slide, before: shear(pad, pressure, slide, grid, before=before))
     for part in (0.3, 0.6, 0.9):
         state = drag(pad, solved.pressure, jnp.asarray([part * slides, 0]), pressed)
@@ -86,7 +86,7 @@ def test_the_conditions_of_friction_hold(height, depth):
 
 def test_sticking_does_not_depend_on_the_path_and_slipping_does():
     pressure = solve(PAD, STAMP, 0.2e-3).pressure
-    pressed = rest(PAD, pressure)
+    pressed = without_traction(PAD, pressure)
     still, small, large = jnp.zeros(2), jnp.asarray([1e-6, 0]), jnp.asarray([4e-4, 0])
     ahead = then(PAD, pressure, small, pressed)
     back = then(PAD, pressure, -small, ahead)

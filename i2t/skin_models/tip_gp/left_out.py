@@ -39,7 +39,7 @@ class Conditioned(NamedTuple):
     scale: Float[np.ndarray, " c"]  # uT
 
 
-def one_thread_for_few(presses: int, *, limit: int = 400) -> contextlib.AbstractContextManager[Any]:
+def limit_blas_threads(presses: int, *, limit: int = 400) -> contextlib.AbstractContextManager[Any]:
     """Give BLAS one thread for the matrices of few presses, because waiting threads cost more than such a matrix.
 
     Args:
@@ -85,9 +85,7 @@ def left_out(
     return LeftOutPresses(error, variance, scale, part_error, part_variance)
 
 
-def parts_that_lie_together(
-    position: Float[np.ndarray, "n 2"], parts: int, *, curve_bits: int = 6
-) -> Int[np.ndarray, " n"]:
+def spatial_parts(position: Float[np.ndarray, "n 2"], parts: int, *, curve_bits: int = 6) -> Int[np.ndarray, " n"]:
     """Cut positions into parts of equal size along a space-filling curve (Morton's).
 
     Args:

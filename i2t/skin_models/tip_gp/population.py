@@ -55,7 +55,7 @@ from i2t.skin_models.tip_gp.left_out import (
     condition_all,
     left_out,
     left_out_slopes,
-    parts_that_lie_together,
+    spatial_parts,
     ungrouped,
 )
 from i2t.skin_models.tip_gp.members import NO_BOARD, Components, join_members, on_boards, take_members, with_previous
@@ -481,7 +481,7 @@ def _parts(gp: PopulationGP, parts: int = _CONFIG.weighting.parts) -> np.ndarray
     position = gp.presses.position
     if len(position) < _CONFIG.weighting.min_part_presses or not np.ptp(position, axis=0).any():
         return None
-    return parts_that_lie_together(position, parts)
+    return spatial_parts(position, parts)
 
 
 def _groups_by_input(gp: PopulationGP) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
