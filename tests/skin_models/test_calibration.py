@@ -113,8 +113,8 @@ def test_loads_and_boards_are_optional(unknown, tmp_path):
     assert unknown.predict(POSITIONS[:4])[0].shape == (4, 15)
 
 
-def test_few_presses_are_fitted_with_one_thread_of_blas_and_the_others_come_back(monkeypatch):
-    """Threads that wait for each other cost many times what small matrices do."""
+def test_few_presses_are_fitted_with_one_blas_thread_which_is_undone_afterwards(monkeypatch):
+    """Waiting threads cost many times more than small matrices."""
     seen, fit = [], population.fit_population
 
     def fitting(*args, **more):

@@ -54,7 +54,7 @@ def model_at(world, x):
     return _LinearModel(x, features, world.readings, PRIOR)
 
 
-def test_the_objective_is_the_evidence_and_the_prior_and_its_gradient_their_derivative():
+def test_the_objective_is_evidence_times_prior_and_its_gradient_is_exact():
     world, rng = World(0), np.random.default_rng(1)
     model, x = model_at(world, np.zeros(len(START))), 0.3 * rng.normal(size=len(START))
     layer = parameters_at(UNRAVEL(jnp.float32(x)), PRIOR)
@@ -71,7 +71,7 @@ def test_the_objective_is_the_evidence_and_the_prior_and_its_gradient_their_deri
         np.testing.assert_allclose(gradient[number], change / (2 * step), rtol=1e-4, atol=1e-3)
 
 
-def test_a_layer_is_found_and_its_ranges_hold_it_as_often_as_they_say():
+def test_a_layer_is_recovered_and_its_ranges_have_the_stated_coverage():
     inside = []
     for seed in range(12):
         world = World(seed)
