@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.benchmark.contests import Contest, finish
-from i2t.skin.contact import CONTACT_TOLERANCE, solve
+from i2t.skin.contact import CONTACT_SOLVER, solve
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
 from i2t.types import Pad
@@ -105,7 +105,7 @@ def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Call
     system = NonSmoothContactSystem(elastic, Topography(surface, (period, period)))
 
     def run() -> np.ndarray:
-        if not system.minimize_proxy(offset=depth, pentol=CONTACT_TOLERANCE * depth).success:
+        if not system.minimize_proxy(offset=depth, pentol=CONTACT_SOLVER.tolerance * depth).success:
             raise ValueError(f"{PEER} did not converge")
         return np.asarray(system.force)[: grid.cells, : grid.cells] / grid.spacing**2
 

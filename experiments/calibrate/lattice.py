@@ -70,7 +70,7 @@ def sample_skin(
 
     def press(at: Array, d: Array) -> Array:
         translation, rotation = _magnet_motion(lattice, at, d, half_edge)
-        moved = magnets.moved(still, translation, rotation)
+        moved = magnets.move(still, translation, rotation)
         return (magnets.field(chips, moved, 24) - magnets.field(chips, still, 24)).ravel()
 
     readings = map_batches(lambda one: press(*one), (position, depth), batch_size=LATTICE_BATCH)

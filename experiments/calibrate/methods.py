@@ -10,7 +10,7 @@ from i2t.prediction.metrics import nearest_neighbours
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
 from i2t.skin_models.tip_gp import plain as plain_gp
-from i2t.skin_models.tip_gp.left_out import one_thread_for_few
+from i2t.skin_models.tip_gp.left_out import limit_blas_threads
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
 CALIBRATED = "i2t.calibrate"
@@ -35,7 +35,7 @@ def plain(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.nd
     """A Gaussian process over position and load, its scales fitted to the rows."""
     known = recording.position[rows], recording.load[rows], recording.readings[rows]
     at = recording.position[test], recording.load[test]
-    with one_thread_for_few(len(rows)):
+    with limit_blas_threads(len(rows)):
         return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, at)
 
 

@@ -24,7 +24,7 @@ from experiments.fidelity.sections import CannotTellError, Section
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import MAX_STREAM_STEP_S, SkinRecording
 from i2t.skin.boards import AXES_OF_CHIP
-from i2t.skin.faults import LAYER_SHARE, Faults
+from i2t.skin.faults import FAULT_MODEL, Faults
 from i2t.skin.noise import Noise
 
 MIN_STILL_ROWS = 20
@@ -240,7 +240,7 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
                 growth.append(np.polyfit(np.log10(seconds + 0.1), signal / signal[0], 1)[0])
     if not growth:
         raise CannotTellError(f"No depth is held for {HELD_S:g} s, so that creep is unknown.")
-    own = Faults.typical().relaxation * LAYER_SHARE / 3
+    own = Faults.typical().relaxation * FAULT_MODEL.layer_share / 3
     rows.append(["creep of a held press, per tenfold time", cell(float(np.mean(growth)), 4), cell(own, 4)])
     section.numbers["creep"] = {"holds": len(growth), "share_per_decade": growth, "simulator": own}
 

@@ -8,7 +8,7 @@ from i2t.simulation.press_curves import PressCurve, simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.magnetic_layer import RoundTip
-from i2t.skin_models.magnetization import MAX_LAYER_PRESSES, MagnetizationModel, TipReadings
+from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
 from i2t.types import Array, Pad
 
 TIP = RoundTip("sphere", 4e-3)
@@ -26,7 +26,7 @@ def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int) -> Pad
         key: Random key of the presses.
         pad: The true pad.
         errors: Of the arm's position, the slant, the force and the sensor.
-        presses: Number of presses; of fewer than `MAX_LAYER_PRESSES` the layer stays at the median of its prior.
+        presses: Number of presses; below `MagnetizationModel.max_layer_presses` the layer stays at its prior's median.
 
     Returns:
         The fitted pad.
@@ -36,7 +36,8 @@ def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int) -> Pad
     missed = errors.repeatability * jax.random.normal(key_missed, position.shape)
     curves = press_all(jax.random.split(key_press, presses), pad, jax.vmap(TIP.height)(position + missed), errors)
     ends = TipReadings(position, curves.force[:, -1], curves.reading[:, -1], pad.board)
-    layer_presses = MAX_LAYER_PRESSES if presses >= MAX_LAYER_PRESSES else 0
+    enough = MagnetizationModel.max_layer_presses
+    layer_presses = enough if presses >= enough else 0
     model = MagnetizationModel(TIP, by_force=True, grid=CELL_GRID, max_layer_presses=layer_presses)
     return model.fit(None, ends).pad
 

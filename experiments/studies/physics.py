@@ -28,7 +28,7 @@ from i2t.recognition import calibrated, metrics
 from i2t.recognition.calibrated import TemperatureScaling
 from i2t.recognition.episodes import run_belief
 from i2t.skin_models.pad_fit import fit_oracle_pad_model
-from i2t.skin_models.pad_model import PadModel, inflated
+from i2t.skin_models.pad_model import PadModel, inflate_errors
 from i2t.skin_models.reading_model import LAYERS
 from i2t.types import Board
 
@@ -121,7 +121,7 @@ def _evaluate_set(
             without = run_belief(table, episodes, model.likelihood, particles, [WITHOUT])
             part[f"{case}; 1; {WITHOUT}"] = without[WITHOUT]
             for factor in INFLATIONS:
-                beliefs = run_belief(table, episodes, inflated(model, factor).likelihood, particles, KINDS)
+                beliefs = run_belief(table, episodes, inflate_errors(model, factor).likelihood, particles, KINDS)
                 part |= {f"{case}; {factor:g}; {kind}": p for kind, p in beliefs.items()}
     return part
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from i2t.skin.contact import CONTACT_TOLERANCE, GRID, MAX_HEIGHT_M, MAX_STEPS, MIN_STRAIN, Grid, descend
+from i2t.skin.contact import CONTACT_SOLVER, GRID, MAX_HEIGHT_M, Grid, descend
 from i2t.skin.dipoles import MICROTESLA, dipole_field, sheets, turn
 from i2t.skin.elasticity import clamped_shape, compliance, convolve, interior, load
 from i2t.skin.pad import Press
@@ -99,7 +99,7 @@ class LinearSkin(ABC):
     ) -> tuple[Array, Array]:
         """Pressure (Pa), as `i2t.skin.contact.solve` with this skin's sinking, in its units."""
         gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
-        scale = jnp.maximum(jnp.max(-gap), MIN_STRAIN)
+        scale = jnp.maximum(jnp.max(-gap), CONTACT_SOLVER.min_strain)
         unit, area = pad.young / pad.thickness, grid.spacing**2
         kernel, mount = self.compliance(pad, grid) * unit, pad.mount_compliance * area * unit
         shape = clamped_shape(grid, gap.dtype)
@@ -114,9 +114,9 @@ class LinearSkin(ABC):
         state = descend(
             lambda p: deflect(p[..., 0])[..., None], gap[..., None] / scale, lambda p: jnp.maximum(p, 0),
             level=lambda p, gap: jnp.zeros_like(scale), start=start[..., None], bounds=bounds,
-            tolerance=CONTACT_TOLERANCE, max_steps=MAX_STEPS,
+            tolerance=CONTACT_SOLVER.tolerance, max_steps=CONTACT_SOLVER.max_steps,
         )  # fmt: skip
-        return state.point[..., 0] * scale * pad.young, state.residual.squeeze() <= CONTACT_TOLERANCE
+        return state.point[..., 0] * scale * pad.young, state.residual.squeeze() <= CONTACT_SOLVER.tolerance
 
     def _reading(self, pad: Pad, pressure: Array, grid: Grid) -> Array:
         """Reading (uT), as `i2t.skin.dipoles.response` with this skin's motion."""

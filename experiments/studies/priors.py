@@ -14,9 +14,9 @@ import numpy as np
 
 from i2t.dataset import Dataset
 from i2t.skin_models.layer import NOMINAL_LAYER, Layer
-from i2t.skin_models.pad_fit import press_exactly
+from i2t.skin_models.pad_fit import press_at_truth
 from i2t.skin_models.pressure_gp import GPHyperparameters, choose_hyperparameters
-from i2t.skin_models.reading_model import CHOOSING_TOUCHES, LAYERS, PressedTouches, ReadingPrior, choose_layer
+from i2t.skin_models.reading_model import AVERAGING, LAYERS, PressedTouches, ReadingPrior, choose_layer
 
 CALLING_TOUCHES = 900  # of a world, as those that `DISCREPANCY` was fitted to
 
@@ -42,12 +42,12 @@ def call_of(dataset: Dataset) -> WorldCall:
 
     def press(rows: np.ndarray, layer: Layer) -> PressedTouches:
         touches = jax.tree.map(lambda x: x[rows], dataset.touches)
-        return press_exactly(touches.truth, layer)._replace(reading=np.asarray(touches.reading))
+        return press_at_truth(touches.truth, layer)._replace(reading=np.asarray(touches.reading))
 
     contact, readings = press(rows, NOMINAL_LAYER)
     sessions = np.asarray(dataset.touches.session)[rows]
     discrepancy, _ = choose_hyperparameters(contact, jnp.asarray(readings), sessions, limit=CALLING_TOUCHES)
-    pressed = [press(rows[:CHOOSING_TOUCHES], layer) for layer in LAYERS]
+    pressed = [press(rows[: AVERAGING.max_touches], layer) for layer in LAYERS]
     return WorldCall(choose_layer(pressed, LAYERS, dataset.board, discrepancy), discrepancy)
 
 

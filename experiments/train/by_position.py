@@ -17,7 +17,7 @@ from i2t.prediction.touch_model import Reading
 from i2t.recordings.loads import loaded_presses
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
-from i2t.skin_models.tip_gp.left_out import one_thread_for_few
+from i2t.skin_models.tip_gp.left_out import limit_blas_threads
 from i2t.skin_models.tip_gp.plain import PlainScales, fit_scales, predict_plain
 
 PLAIN, CALIBRATED = "plain GP on position and load", "i2t.calibrate"
@@ -74,7 +74,7 @@ def _plain(train: _Known, at: Float[np.ndarray, "m 3"]) -> Reading:
         for length, width, noise in product(LENGTHS, WIDTHS, NOISES)
     ]
     x, y, groups = (part[:TUNED_PRESSES] for part in train)
-    with one_thread_for_few(len(x)):
+    with limit_blas_threads(len(x)):
         best, error = best_option(_by_scales, options, x, y, fold_of(groups))
     mean = _by_scales(train.x, train.y, at, best)
     return Reading(mean, np.broadcast_to(np.sqrt((error**2).mean(0)), mean.shape))

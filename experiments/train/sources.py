@@ -22,7 +22,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import PadAbout, load_pad, load_pad_about, save_pad
 from i2t.skin.pad import numbered_pad
 from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
-from i2t.skin_models.pad_model import KnownPad, with_press_errors
+from i2t.skin_models.pad_model import KnownPad, add_press_errors
 from i2t.types import Pad
 
 MIN_PAD_R2 = 0.5  # at places left out: below it the fitted layer is not what was pressed
@@ -75,7 +75,7 @@ class SimulatedSource:
         made_from = f"experiments.train, pad {self.pad}{about.made_from}, seed {seed}"
         touches = simulated_touches(dataset, self.plan.train, made_from)
         fitted = ContactModel(known.errors, self.plan.limits).fit(fit_key(seed), touches)
-        return fitted._replace(model=with_press_errors(fitted.model, about.error_std)) if about.error_std else fitted
+        return fitted._replace(model=add_press_errors(fitted.model, about.error_std)) if about.error_std else fitted
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
-"""Imagine2touch as its authors wrote it: the network, the loss, the ensemble's rules, the recognition loop, the
-classifier of stamps; nothing else.
+"""Imagine2touch as its authors wrote it: network, loss, ensemble rules, recognition loop and classifier of stamps.
 
 Source: Ayad et al., "Imagine2touch: Predictive Tactile Sensing for Robotic Manipulation using Efficient Low-Dimensional
-Signals", and its published code (github.com/ayadabdalla/imagine2touch) where the text is silent.
+Signals", and its published code (github.com/ayadabdalla/imagine2touch) for details that the text omits.
 """

@@ -1,9 +1,9 @@
-"""The paper's classifier of stamps: the pressed shape, one of five, from one reading.
+"""The paper's classifier of stamps: it predicts which of five shapes was pressed from one reading.
 
     15 -> 500 -> 10 -> 5, cross entropy; inputs are standardised by the training presses
 
-The paper does not say what follows the hidden layers (rectifiers here), nor how it was trained (Adam, 300 epochs of its
-1024 presses in minibatches of 128, the rate falling to 0 as a cosine).
+The paper specifies neither the activation of the hidden layers (rectifiers here) nor the training (here Adam, 300
+epochs of its 1024 presses in minibatches of 128, with a rate that falls to 0 as a cosine).
 """
 
 from collections.abc import Callable, Sequence
@@ -17,18 +17,18 @@ from jaxtyping import Array, Float, Int, Key
 
 from i2t.training import descend
 
-Layers: TypeAlias = list[dict[str, Array]]  # of each layer "kernel" (inputs, outputs) and "bias" (outputs,)
+Layers: TypeAlias = list[dict[str, Array]]  # for each layer "kernel" (inputs, outputs) and "bias" (outputs,)
 
 
 @dataclass(frozen=True)
 class Classifier:
-    """Sizes and training options."""
+    """Sizes and training options of the classifier."""
 
     hidden: tuple[int, ...] = (500, 10)
     steps: int = 2400
     batch: int = 128
     rate: float = 1e-3
-    decay: float = 0.0  # decoupled, of matrices
+    decay: float = 0.0  # decoupled weight decay, of matrices only
     members: int = 1
 
 
@@ -40,17 +40,17 @@ def fit(
     inputs: int,
     classes: int,
 ) -> Layers:
-    """Train one member; pure, to be jitted by the caller.
+    """Train one member. The function is pure; the caller compiles it.
 
     Args:
         key: Random key.
-        draw: `draw(key)` gives a minibatch of standardised readings and their classes.
-        cfg: Sizes, and how to train.
-        inputs: Values of a reading.
+        draw: Function from a random key to a minibatch of standardised readings and their classes.
+        cfg: Sizes and training options.
+        inputs: Number of values of a reading.
         classes: Number of classes.
 
     Returns:
-        Layers.
+        The trained layers of the member, input side first.
     """
     key_init, key_steps = jax.random.split(key)
     optimizer = optax.adamw(
@@ -68,15 +68,16 @@ def fit(
 
 
 def init(key: Key[Array, ""], sizes: Sequence[int]) -> Layers:
-    """Random layers: normal weights of variance 2 / inputs, which suits rectifiers (He et al., "Delving deep into
-    rectifiers", 2015), and biases of 0.
+    """Draw random layers: normal weights of variance 2 / inputs, and biases of 0.
+
+    The variance suits rectifiers (He et al., "Delving deep into rectifiers", 2015).
 
     Args:
         key: Random key.
-        sizes: Width of the input, of each hidden layer and of the output.
+        sizes: Widths of the input, of each hidden layer and of the output.
 
     Returns:
-        One layer fewer than there are sizes.
+        The layers; their number is one less than that of the sizes.
     """
     keys = jax.random.split(key, len(sizes) - 1)
     return [
@@ -86,20 +87,20 @@ def init(key: Key[Array, ""], sizes: Sequence[int]) -> Layers:
 
 
 def logits(layers: Layers, x: Float[Array, "n d"]) -> Float[Array, "n classes"]:
-    """Logits of each class.
+    """Compute the logits of each class.
 
     Args:
-        layers: Of one member.
-        x: Standardised readings.
+        layers: Layers of one member.
+        x: `(n, d)` standardised readings.
 
     Returns:
-        Log probabilities, up to a constant for each reading.
+        `(n, classes)` log probabilities, up to a constant for each reading.
     """
 
-    def one(x: Float[Array, " d"]) -> Float[Array, " classes"]:
+    def forward(x: Float[Array, " d"]) -> Float[Array, " classes"]:
         *hidden, last = layers
         for layer in hidden:
             x = jax.nn.relu(x @ layer["kernel"] + layer["bias"])
         return x @ last["kernel"] + last["bias"]
 
-    return jax.vmap(one)(x)
+    return jax.vmap(forward)(x)

@@ -1,4 +1,4 @@
-"""Sizes of the paper's network and weights of its loss, without JAX, so that command lines can name them."""
+"""Sizes of the paper's network and weights of its loss, without JAX, so that command lines can import them."""
 
 import math
 from dataclasses import dataclass
@@ -11,14 +11,14 @@ ImageKind: TypeAlias = Literal["depth", "mask", "pressure"]
 
 @dataclass(frozen=True)
 class PaperOptions:
-    """Options of the paper's network and loss; the defaults are the paper's, where it gives any."""
+    """Options of the paper's network and loss; the defaults are the paper's values, if it states any."""
 
     encoder_width: int = 200
     bottleneck: int = 5
     decoder_width: int = 500
     auxiliary_width: int = 2000
-    auxiliary_weight: float = 1.0  # of the decoded patch in the loss; the paper gives none
-    tolerance: float = CONTACT_TOLERANCE_M  # m behind the nearest point that still counts as contact in a mask
+    auxiliary_weight: float = 1.0  # weight of the decoded patch in the loss; the paper states none
+    tolerance: float = CONTACT_TOLERANCE_M  # m behind the nearest point, up to which a mask counts as contact
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""
@@ -32,12 +32,12 @@ class PaperOptions:
 
 @dataclass(frozen=True)
 class PaperConfig(PaperOptions):
-    """The paper's network on patches and readings of given sizes."""
+    """Sizes of the paper's network for given patches and readings."""
 
     pixels: int = PATCH_PIXELS
-    readings: int = 15  # values of a reading, 3 for each chip of the board
-    input: ImageKind = "depth"  # as in the text; "mask", as in the published code; "pressure", N, taken as it is
-    reach: float = REACH  # m, depth that becomes 1
+    readings: int = 15  # number of values of a reading, 3 for each chip of the board
+    input: ImageKind = "depth"  # "depth" as in the text; "mask" as in the published code; "pressure" in N, unchanged
+    reach: float = REACH  # m, depth that is scaled to 1
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""

@@ -1,10 +1,11 @@
 """The paper's recognition loop: imagine, touch, believe.
 
-Before each touch a hypothesis is sampled from the belief so far (`sample_hypothesis`), and the heuristic draws the next
-touch on it: where the other objects' nearest points face elsewhere, but not too far elsewhere (`site_informativeness`,
-which the paper leaves out and its published code shows). The touch is made, its distances from what each object would
-feel like there are taken, and the rule of the ensemble (`i2t.paper.rules`) makes the next belief. Ten touches are made.
-The baseline is proprioception: the distance of the contact from each object's surface (`nearest_distance`).
+Before each touch a hypothesis is sampled from the current belief (`sample_hypothesis`), and a heuristic draws the next
+touch on it: where the nearest points of the other objects face elsewhere, but not too far elsewhere
+(`site_informativeness`, which the paper omits and its published code contains). The touch is made, its distances from
+the predictions for each object are computed, and the rule of the ensemble (`i2t.paper.rules`) gives the next belief.
+There are ten touches. The baseline is proprioception: the distance of the contact from each object's surface
+(`nearest_distance`).
 """
 
 from collections.abc import Callable
@@ -19,19 +20,17 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from i2t.paper.rules import RULES
 from i2t.types import Surface
 
-State = TypeVar("State")  # of episodes
+State = TypeVar("State")  # state of the episodes
 
-TOUCHES = 10  # of an episode, as in the paper
-MIN_NORMAL_COSINE = 0.2  # between a point's normal and those of its nearest points on other objects
-MAX_MEAN_NORMAL_COSINE = 0.65  # of those cosines: a sum of 1.3 for the paper's two other objects
+TOUCHES = 10  # touches of an episode in the paper
 
 
 class LoopResult(NamedTuple):
-    """Episodes of the paper's loop: e of them, t touches each."""
+    """Results of the paper's loop for e episodes of t touches each."""
 
     distance: Float[np.ndarray, "e t objects"]  # of each touch from each object
-    hypothesis: Int[np.ndarray, "e t"]  # the object on which each touch was drawn
-    site: Int[np.ndarray, "e t"]  # of that object's sites
+    hypothesis: Int[np.ndarray, "e t"]  # object on which each touch was drawn
+    site: Int[np.ndarray, "e t"]  # number of the site on that object
 
 
 def run(
@@ -45,29 +44,31 @@ def run(
     rule: str = "votes",
     progress: Callable[[int], object] = lambda touches: None,
 ) -> LoopResult:
-    """The paper's loop in many episodes side by side.
+    """Run the paper's loop in many episodes side by side.
 
-    Equal keys draw alike for all methods as far as they believe alike.
+    With equal keys all methods make the same draws as long as their beliefs are equal.
 
     Args:
-        key: Of hypotheses and sites.
-        state: Of the episodes before the first touch.
-        touch: `touch(state, hypothesis, site)` makes the next touch of every episode and gives the state after it, and
-            what was measured.
-        score: Distances d_io of what was measured from every object: the method.
-        informativeness: With which probability the heuristic takes each site of each object (`site_informativeness`).
-        count: Touches of each episode.
-        rule: Which of `RULES` makes the belief that hypotheses are sampled from; the paper's is that of votes.
-        progress: Called with how many touches were made.
+        key: Random key of hypotheses and sites.
+        state: State of the episodes before the first touch.
+        touch: Function `touch(state, hypothesis, site)` that makes the next touch of every episode and returns the
+            state after it, and the measurements.
+        score: Function from the measurements to their `(e, objects)` distances d_io from every object; this is the
+            method.
+        informativeness: `(e, objects, sites)` probability with which the heuristic chooses each site
+            (`site_informativeness`).
+        count: Number of touches of each episode.
+        rule: Name of one of `RULES`, which gives the belief that hypotheses are sampled from; the paper uses votes.
+        progress: Function that is called with the number of touches just made.
 
     Returns:
-        What happened.
+        The distances, hypotheses and sites of all touches.
     """
     weight = jnp.asarray(informativeness)
     episodes, objects, _ = weight.shape
     distance = np.zeros((episodes, count, objects), np.float32)
     hypotheses, sites = np.zeros((2, episodes, count), int)
-    belief = np.full((episodes, objects), 1 / objects, np.float32)  # the paper does not say; every object alike
+    belief = np.full((episodes, objects), 1 / objects, np.float32)  # uniform, because the paper does not specify it
     for i in range(count):
         keys = jax.random.split(jax.random.fold_in(key, i), episodes)
         hypotheses[:, i], sites[:, i] = (np.asarray(x) for x in _draw(keys, jnp.asarray(belief), weight))
@@ -79,24 +80,24 @@ def run(
 
 
 def beliefs(distance: Float[np.ndarray, "e t objects"], rule: str) -> Float[np.ndarray, "e t objects"]:
-    """Beliefs of a rule from the distances of many episodes.
+    """Compute the beliefs of a rule from the distances of many episodes.
 
     Args:
-        distance: d_io of each episode.
-        rule: Which of `RULES`.
+        distance: `(e, t, objects)` distances d_io of each episode.
+        rule: Name of one of `RULES`.
 
     Returns:
-        Beliefs after each touch.
+        `(e, t, objects)` beliefs after each touch.
     """
     return np.asarray(_believe(RULES[rule], jnp.asarray(distance)))
 
 
 def sample_hypothesis(key: Key[Array, ""], belief: Float[Array, " objects"]) -> Int[Array, ""]:
-    """The object to be distinguished from the others next, as in the paper: sampled from the belief.
+    """Sample, from the belief, the object to be distinguished from the others next, as in the paper.
 
     Args:
-        key: Of the draw.
-        belief: Probabilities of the objects.
+        key: Random key of the draw.
+        belief: `(objects,)` probabilities of the objects.
 
     Returns:
         Index of the object.
@@ -107,13 +108,14 @@ def sample_hypothesis(key: Key[Array, ""], belief: Float[Array, " objects"]) -> 
 def choose_hypothesis(
     key: Key[Array, ""], belief: Float[Array, " objects"], touches: Int[Array, ""] | int
 ) -> Int[Array, ""]:
-    """The object to be distinguished from the others next, as in the published code: any before the first touch, the
-    most probable one after it.
+    """Choose the object to be distinguished from the others next, as in the published code.
+
+    It is a random one before the first touch, and the most probable one afterwards.
 
     Args:
-        key: Of the first choice.
-        belief: Probabilities of the objects.
-        touches: How many were made.
+        key: Random key of the first choice.
+        belief: `(objects,)` probabilities of the objects.
+        touches: Number of touches that were made.
 
     Returns:
         Index of the object.
@@ -127,22 +129,27 @@ def site_informativeness(
     normals: Float[Array, "objects m 3"],
     safe: Bool[Array, "objects m"],
     believed: Int[Array, ""] | int,
+    *,
+    min_cosine: float = 0.2,
+    max_mean_cosine: float = 0.65,
 ) -> Float[Array, " m"]:
-    """The paper's heuristic: the probability that each point of the believed object is touched next.
+    """Compute the probability that each point of the believed object is touched next, by the paper's heuristic.
 
     A point with normal n competes with the nearest safe point of every other object, with normal n_j. It qualifies if
-    it is safe, every n.n_j > MIN_NORMAL_COSINE, and the sum of -n.n_j lies between -MAX_MEAN_NORMAL_COSINE times the
-    number of others and 0; its probability is proportional to that sum less the least of those that qualify. Where none
-    does or all are equal, those that qualify, or else all safe ones, are equally probable.
+    it is safe, every n.n_j > `min_cosine`, and the sum of -n.n_j lies between -`max_mean_cosine` times the number of
+    other objects and 0. Its probability is proportional to that sum minus the smallest of the points that qualify. If
+    no point qualifies or all sums are equal, those that qualify, or else all safe ones, are equally probable.
 
     Args:
-        points: Of each object (m).
-        normals: Outward unit normals there.
-        safe: Which points may be touched.
-        believed: Index of the object believed in.
+        points: `(objects, m, 3)` points of each object (m).
+        normals: `(objects, m, 3)` outward unit normals at the points.
+        safe: `(objects, m)` mask of the points that may be touched.
+        believed: Index of the believed object.
+        min_cosine: Minimum of n.n_j.
+        max_mean_cosine: Maximum of the mean of n.n_j; the default is a sum of 1.3 for the paper's two other objects.
 
     Returns:
-        Probabilities, 0 for points that are not safe; all 0 where none is safe: then no point may be chosen.
+        `(m,)` probabilities, 0 for points that are not safe. All are 0 if no point is safe; then none may be chosen.
     """
     here, facing = points[believed], normals[believed]
     square = jnp.sum((here[None, :, None] - points[:, None]) ** 2, axis=-1)
@@ -150,8 +157,8 @@ def site_informativeness(
     cosines = jnp.sum(facing[None] * jnp.take_along_axis(normals, nearest[..., None], axis=1), axis=-1)
     other = (jnp.arange(len(points)) != believed)[:, None]
     score = -jnp.sum(jnp.where(other, cosines, 0), axis=0)
-    fits = safe[believed] & jnp.all(~other | (cosines > MIN_NORMAL_COSINE), axis=0)
-    fits = fits & (score > -MAX_MEAN_NORMAL_COSINE * (len(points) - 1)) & (score < 0)
+    fits = safe[believed] & jnp.all(~other | (cosines > min_cosine), axis=0)
+    fits = fits & (score > -max_mean_cosine * (len(points) - 1)) & (score < 0)
     weight = jnp.where(fits, score - jnp.min(jnp.where(fits, score, jnp.inf)), 0)
     equally = jnp.where(jnp.any(fits), fits, safe[believed]).astype(weight.dtype)
     weight = jnp.where(jnp.sum(weight) > 0, weight, equally)
@@ -160,11 +167,11 @@ def site_informativeness(
 
 
 def nearest_distance(point: Float[Array, "3"], surface: Surface) -> Float[Array, ""]:
-    """Distance of a point from a surface.
+    """Compute the distance of a point from a surface.
 
     Args:
-        point: In the surface's frame (m).
-        surface: Of an object.
+        point: `(3,)` point (m) in the surface's frame.
+        surface: Surface of an object.
 
     Returns:
         Distance (m) from the nearest point of the surface.
@@ -174,7 +181,7 @@ def nearest_distance(point: Float[Array, "3"], surface: Surface) -> Float[Array,
 
 
 def _to_triangle(p: Float[Array, "3"], triangle: Float[Array, "3 3"]) -> Float[Array, ""]:
-    """Squared distance (m2) from a triangle: to its plane above the inside, else to the nearest edge."""
+    """Compute the squared distance (m2) from a triangle: to its plane above the inside, else to the nearest edge."""
     a, b, c = triangle
     normal = jnp.cross(b - a, c - a)
     area = jnp.sum(normal**2)
@@ -182,7 +189,7 @@ def _to_triangle(p: Float[Array, "3"], triangle: Float[Array, "3 3"]) -> Float[A
     sides = jnp.stack([jnp.dot(jnp.cross(end - start, p - start), normal) for start, end in ends])
     above = jnp.dot(p - a, normal) ** 2 / jnp.where(area > 0, area, 1)
     outside = jnp.min(jnp.stack([_to_segment(p, *end) for end in ends]))
-    # Faces without area fill a surface up to its size class.
+    # Faces without area only pad a surface to its size class.
     return jnp.where(area > 0, jnp.where(jnp.all(sides >= 0), above, outside), jnp.inf)
 
 
@@ -194,16 +201,16 @@ def _to_segment(p: Float[Array, "3"], a: Float[Array, "3"], b: Float[Array, "3"]
 
 @jax.jit
 def _draw(keys: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
-    """The hypothesis (e,) and the number (e,) of the site on it, from beliefs (e, objects) and the sites' probabilities
-    (e, objects, sites).
+    """Draw the hypothesis (e,) and the number (e,) of the site on it, from beliefs (e, objects) and the sites'
+    probabilities (e, objects, sites).
     """
 
-    def one(key: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
+    def draw(key: Array, belief: Array, weight: Array) -> tuple[Array, Array]:
         key_object, key_site = jax.random.split(key)
         which = sample_hypothesis(key_object, belief)
         return which, jax.random.categorical(key_site, jnp.log(weight[which]))
 
-    return jax.vmap(one)(keys, belief, weight)
+    return jax.vmap(draw)(keys, belief, weight)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -1,10 +1,10 @@
-"""The paper's loss; training takes the mean over the touches of a minibatch.
+"""The paper's loss; training uses its mean over the touches of a minibatch.
 
     L = mean_i (tau_i - tau~_i)^2 + w * d(x, x~)
 
-tau is the measured reading, standardised; x the prepared patch and x~ the patch that the auxiliary decoder makes of the
-bottleneck. d is the mean over pixels of the squared error for depths, and of the cross entropy for a mask. Neither
-d nor the weight w is in the paper; w is 1 (`PaperOptions.auxiliary_weight`).
+tau is the measured, standardised reading; x is the prepared patch and x~ the patch that the auxiliary decoder
+reconstructs from the bottleneck. d is the mean over pixels of the squared error for depths, and of the cross entropy
+for a mask. The paper specifies neither d nor the weight w; here w is 1 (`PaperOptions.auxiliary_weight`).
 """
 
 from functools import partial
@@ -22,16 +22,16 @@ from i2t.training import Batch, Losses
 def losses(
     params: Params, cfg: PaperConfig, batch: Batch, weights: Float[Array, " n"]
 ) -> tuple[Float[Array, ""], Losses]:
-    """The mean loss of some touches, as `i2t.training` descends it.
+    """Compute the mean loss of some touches, in the form of `i2t.training`.
 
     Args:
-        params: Of one member.
-        cfg: Sizes, and the weight w.
-        batch: Prepared patches x (n, pixels, pixels), and readings tau (n, c), standardised.
-        weights: Of the touches.
+        params: Parameters of one member.
+        cfg: Sizes of the network, and the weight w.
+        batch: Prepared patches x `(n, pixels, pixels)` and standardised readings tau `(n, c)`.
+        weights: `(n,)` weights of the touches.
 
     Returns:
-        Mean of L, and means of its parts.
+        Weighted mean of L, and weighted means of its parts.
     """
     predicted = jax.vmap(partial(apply, params, cfg))(batch.inputs)
     squared = jax.vmap(squared_error)(predicted.reading, batch.target)
@@ -40,28 +40,28 @@ def losses(
 
 
 def squared_error(predicted: Float[Array, " c"], reading: Float[Array, " c"]) -> Float[Array, ""]:
-    """mean_i (tau_i - tau~_i)^2.
+    """Compute mean_i (tau_i - tau~_i)^2.
 
     Args:
-        predicted: tau~, standardised.
-        reading: tau, standardised.
+        predicted: `(c,)` predicted reading tau~, standardised.
+        reading: `(c,)` measured reading tau, standardised.
 
     Returns:
-        Dimensionless.
+        The mean squared error, dimensionless.
     """
     return jnp.mean((predicted - reading) ** 2)
 
 
 def image_error(kind: ImageKind, decoded: Float[Array, "n n"], image: Float[Array, "n n"]) -> Float[Array, ""]:
-    """d(x, x~).
+    """Compute the image error d(x, x~).
 
     Args:
-        kind: What the network sees.
-        decoded: x~; logits for a mask.
-        image: x, prepared.
+        kind: Kind of the network's input.
+        decoded: `(n, n)` decoded patch x~; logits for a mask.
+        image: `(n, n)` prepared patch x.
 
     Returns:
-        Mean over pixels.
+        Mean error over the pixels, dimensionless.
     """
     if kind == "mask":
         return jnp.mean(optax.sigmoid_binary_cross_entropy(decoded, image))

@@ -1,16 +1,16 @@
-"""The paper's network: a depth patch, or its contact mask, becomes the reading that is expected there.
+"""The paper's network: it predicts a reading from a depth patch or its contact mask.
 
     h    = relu(W1 x + b1)                  x: the patch, 48 x 48 = 2304 values; h: 200
     z    = W2 h + b2                        the bottleneck: 5
     tau~ = W4 relu(W3 z + b3) + b4          500 units, then 3 values for each chip
     x~   = W6 relu(W5 z + b5) + b6          2000 units, then the patch again: the auxiliary decoder, so that the
-                                            bottleneck keeps what was seen
+                                            bottleneck keeps the content of the patch
 
-One member and one example; `vmap` lifts both. Readings are standardised (`i2t.training.Standard`). Parameters are one
-plain pytree. The parts `encode`, `decode` and `decode_image` are functions, so that other networks are built of them
-(`i2t.prediction.model`).
+Functions take one member and one example; `vmap` lifts both. Readings are standardised (`i2t.training.Standard`).
+Parameters are a plain pytree. The parts `encode`, `decode` and `decode_image` are functions, so that other networks can
+be built from them (`i2t.prediction.model`).
 
-The paper does not say what follows a layer: hidden layers are rectified here, bottleneck and outputs are linear.
+The paper does not specify activations: hidden layers are rectified here, bottleneck and outputs are linear.
 """
 
 import math
@@ -32,101 +32,101 @@ class Prediction(NamedTuple):
     """Output of the network for one touch."""
 
     reading: Float[Array, " c"]  # tau~, standardised
-    image: Float[Array, "n n"]  # x~: the prepared patch decoded again (logits for a mask)
+    image: Float[Array, "n n"]  # x~: the reconstructed patch (logits for a mask)
     latent: Float[Array, " b"]  # z
 
 
 class Network(nn.Module):
-    """The paper's network."""
+    """The paper's network, as a Flax module."""
 
     cfg: PaperConfig
 
     @nn.compact
     def __call__(self, patch: Float[Array, "n n"]) -> Prediction:
-        """`patch` is prepared (see `prepare_patch`)."""
+        """Predict from a prepared patch (see `prepare_patch`)."""
         latent = encode(self.cfg, patch.reshape(-1))
         reading = dense(self.cfg.readings, "reading")(decode(self.cfg, latent))
         return Prediction(reading, decode_image(self.cfg, latent), latent)
 
 
 def encode(cfg: PaperConfig, x: Float[Array, " values"]) -> Float[Array, " b"]:
-    """The bottleneck z of a flattened patch, inside a Flax module.
+    """Compute the bottleneck z of a flattened patch, inside a Flax module.
 
     Args:
-        cfg: Sizes.
-        x: What is seen.
+        cfg: Sizes of the network.
+        x: `(values,)` flattened input.
 
     Returns:
-        z.
+        `(bottleneck,)` latent vector z.
     """
     return dense(cfg.bottleneck, "bottleneck")(nn.relu(dense(cfg.encoder_width, "encoder", gain=2.0)(x)))
 
 
 def decode(cfg: PaperConfig, z: Float[Array, " values"]) -> Float[Array, " units"]:
-    """The hidden layer before the reading, inside a Flax module.
+    """Compute the hidden layer before the reading, inside a Flax module.
 
     Args:
-        cfg: Sizes.
-        z: The bottleneck.
+        cfg: Sizes of the network.
+        z: Latent vector.
 
     Returns:
-        Rectified units.
+        `(units,)` rectified units of the hidden layer.
     """
     return nn.relu(dense(cfg.decoder_width, "decoder", gain=2.0)(z))
 
 
 def decode_image(cfg: PaperConfig, z: Float[Array, " b"]) -> Float[Array, "n n"]:
-    """The auxiliary decoder's patch x~, inside a Flax module.
+    """Reconstruct the patch x~ by the auxiliary decoder, inside a Flax module.
 
     Args:
-        cfg: Sizes.
-        z: The bottleneck.
+        cfg: Sizes of the network.
+        z: `(bottleneck,)` latent vector.
 
     Returns:
-        The patch as it was prepared; logits for a mask.
+        `(pixels, pixels)` prepared patch; logits for a mask.
     """
     seen = nn.relu(dense(cfg.auxiliary_width, "auxiliary", gain=2.0)(z))
     return dense(cfg.pixels**2, "image")(seen).reshape(cfg.pixels, cfg.pixels)
 
 
 def init(key: Key[Array, ""], cfg: PaperConfig) -> Params:
-    """Random parameters of one member.
+    """Draw random parameters of one member.
 
     Args:
         key: Random key.
-        cfg: Sizes.
+        cfg: Sizes of the network.
 
     Returns:
-        Layers by name.
+        Kernels and biases of the layers by name.
     """
     params: Params = Network(cfg).init(key, jnp.zeros((cfg.pixels, cfg.pixels)))["params"]
     return params
 
 
 def apply(params: Params, cfg: PaperConfig, patch: Float[Array, "n n"]) -> Prediction:
-    """One member's prediction for one patch.
+    """Compute one member's prediction for one patch.
 
     Args:
-        params: Of one member.
-        cfg: Sizes.
-        patch: Prepared (see `prepare_patch`).
+        params: Parameters of one member.
+        cfg: Sizes of the network.
+        patch: `(pixels, pixels)` prepared patch (see `prepare_patch`).
 
     Returns:
-        The reading, the patch decoded again and the bottleneck.
+        The reading, the reconstructed patch and the bottleneck.
     """
     prediction: Any = Network(cfg).apply({"params": params}, patch)
     return prediction
 
 
 def prepare_patch(cfg: PaperConfig, patch: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """A depth patch as the network sees it.
+    """Convert a depth patch to the network's input.
 
     Args:
-        cfg: Which input.
-        patch: m behind the nearest point; or any image, where it is taken as it is.
+        cfg: Kind of input, and the scale of depths.
+        patch: `(n, n)` depth (m) behind the nearest point, or any image for an input that is not converted.
 
     Returns:
-        In [0, 1]: the contact mask, or the depth in units of the reach; an image as it is.
+        `(n, n)` contact mask or depth in units of the reach, in [0, 1]; or the unchanged image.
     """
     if cfg.input == "mask":
         return contact_mask(patch, cfg.tolerance)
@@ -134,31 +134,31 @@ def prepare_patch(cfg: PaperConfig, patch: Float[Array, "n n"]) -> Float[Array, 
 
 
 def dense(width: int, name: str, *, gain: float = 1.0) -> nn.Dense:
-    """A layer W x + b. The paper does not say how weights begin: normal, of variance gain / inputs.
+    """Make a layer W x + b with normal initial weights of variance gain / inputs, which the paper does not specify.
 
     Args:
-        width: Units.
-        name: Of the layer's parameters.
+        width: Number of units.
+        name: Name of the layer's parameters.
         gain: 2 before rectifiers (He et al. 2015), 1 before linear units (LeCun et al. 1998).
 
     Returns:
-        The layer.
+        The Flax layer with its initialiser.
     """
     return nn.Dense(width, kernel_init=normal(gain), name=name)
 
 
 def normal(gain: float) -> Callable[..., Array]:
-    """Normal weights of variance gain / fan-in.
+    """Make an initialiser of normal weights with variance gain / fan-in.
 
     Args:
-        gain: As of `dense`.
+        gain: Factor on the variance, as of `dense`.
 
     Returns:
         A Flax initialiser.
     """
 
     def draw(key: Key[Array, ""], shape: tuple[int, ...], dtype: Any = jnp.float32) -> Array:
-        # Drawn flat: XLA takes seconds to compile draws of four axes.
+        # Drawn flat, because XLA takes seconds to compile draws of four axes.
         scale = math.sqrt(gain / math.prod(shape[:-1]))
         return scale * jax.random.normal(key, (math.prod(shape),), dtype).reshape(shape)
 

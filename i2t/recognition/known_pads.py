@@ -28,8 +28,7 @@ from i2t.simulation.touches import read_session
 from i2t.skin.dipoles import linear_response
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.likelihood import (
-    INDENTATION_ERROR,
-    OUTLIER_RATE,
+    TOUCH_ERRORS,
     fit_likelihood,
     fit_position_errors,
     outlier_range,
@@ -65,9 +64,11 @@ def with_beliefs(
     there = _predict(params, to_twist(table.T_w_o), models, config.limits.overtravel)
     errors, ends, indentation = _errors(key_sensor, config, params, table, there)
     softness = np.sum(ends * indentation) / np.sum(indentation**2)
-    density = OUTLIER_RATE / outlier_range(config.limits.overtravel)
+    density = TOUCH_ERRORS.outlier_rate / outlier_range(config.limits.overtravel)
     position = fit_position_errors(
-        ends - softness * indentation, (INDENTATION_ERROR * softness * indentation) ** 2, outlier_density=density
+        ends - softness * indentation,
+        (TOUCH_ERRORS.indentation_error * softness * indentation) ** 2,
+        outlier_density=density,
     )
     likelihood = fit_likelihood(
         errors, jnp.ones(params.channels), jnp.float32(LOADS_N),

@@ -37,7 +37,7 @@ from jaxtyping import Array, Float, Int
 
 from i2t import validation
 from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW
-from i2t.skin.contact import CONTACT_NEWTONS
+from i2t.skin.contact import cells_in_contact
 
 
 class PatchLibrary(NamedTuple):
@@ -228,7 +228,7 @@ def summarize(
     patch = library.patch[rows]
     load = jnp.argmin(jnp.abs(jnp.log(library.loads) - jnp.log(force)))
     cells = round(library.newtons.shape[-1] ** 0.5)
-    pressed = library.newtons[rows, load] > CONTACT_NEWTONS
+    pressed = cells_in_contact(library.newtons[rows, load])
     centre = library.centre[rows, load]
     middle = jnp.mean(centre, axis=0)
     about = centre - middle[None]

@@ -24,7 +24,7 @@ from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressM
 from i2t.runtime.compiling import jit_quickly
 from i2t.skin.contact import CELL_GRID
 from i2t.skin.dipoles import response
-from i2t.skin.friction import Shear, rest, shear
+from i2t.skin.friction import Shear, shear, without_traction
 from i2t.skin.noise import Noise
 from i2t.types import Board, Pad
 
@@ -116,7 +116,7 @@ def _friction(pad: Pad, pressure: Array, slide: Array) -> Array:
         state = shear(pad, pressure, slide, CELL_GRID, before=state, tolerance=tolerance, max_steps=max_steps)
         return state, state.traction
 
-    return jax.lax.scan(follow, rest(pad, jnp.zeros_like(pressure[0]), CELL_GRID), (pressure, slide))[1]
+    return jax.lax.scan(follow, without_traction(pad, jnp.zeros_like(pressure[0]), CELL_GRID), (pressure, slide))[1]
 
 
 def _ridge(inputs: np.ndarray, targets: np.ndarray, all_inputs: np.ndarray) -> np.ndarray:

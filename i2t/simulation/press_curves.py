@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float, Key
 from i2t.contact.press import PressLimits, pad_response, press_to_stop
 from i2t.contact.pressure import centre_of_pressure, newtons_on_cells
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.contact import CONTACT_NEWTONS, GRID
+from i2t.skin.contact import GRID, cells_in_contact
 from i2t.skin.noise import add_sensor_noise
 from i2t.skin.pad import friction_response
 from i2t.types import Array, Pad
@@ -34,8 +34,8 @@ class PressCurve(NamedTuple):
 
     @property
     def contact(self) -> Bool[Array, "*batch s cells"]:
-        """Mask of the cells that truly bear pressure."""
-        return self.newtons > CONTACT_NEWTONS
+        """Cells that truly bear pressure."""
+        return cells_in_contact(self.newtons)
 
 
 def simulate_press_curve(

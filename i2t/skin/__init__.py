@@ -1,1 +1,1 @@
-"""The magnetic skin: contact of the elastic layer, field of its magnets, pads and their boards, noise of the sensor."""
+"""Magnetic skin: contact of the elastic layer, field of its magnets, pads and their boards, noise of the sensor."""

@@ -1,14 +1,14 @@
 """Motion of an elastic layer bonded to a rigid base under loads on its surface.
 
 The layer (thickness h, Young's modulus E, Poisson's ratio nu, small strain) fills -h <= z <= 0 of the tool frame. Loads
-act on its surface z = 0 and on the cells of the pad only: a pressure p pushes it down, a traction t drags it along x
-and y. Loads are Fourier series, and every wave of wavenumber k moves by itself. Of the general solution of Navier's
-equation that vanishes at the base (Papkovich-Neuber potentials), with q = k (h - depth),
+act on its surface z = 0 and only on the cells of the pad: a pressure p pushes it down, a traction t drags it along x
+and y. Loads are Fourier series, and every wave of wavenumber k moves independently. The general solution of Navier's
+equation that vanishes at the base is (Papkovich-Neuber potentials), with q = k (h - depth),
 
     u_z = W f,   (u_x, u_y) = (d/dx, d/dy) U f / k,   W - dU/dq = (kappa + 1) (a sinh q + b cosh q),
     W = a (kappa sinh q - q cosh q) - b q sinh q,   U = -a q sinh q - b (kappa sinh q + q cosh q),
 
-where kappa = 3 - 4 nu, the two loads fix a and b at the surface, q = Q = k h. With mu = E / (2 (1 + nu)) and
+where kappa = 3 - 4 nu, and the two loads determine a and b at the surface, q = Q = k h. With mu = E / (2 (1 + nu)) and
 D = kappa cosh 2Q + 2 Q^2 + 5 - 12 nu + 8 nu^2:
 
     pressure,               f = p:           -2 mu k D (a, b) = ((kappa + 1) cosh Q + 2 Q sinh Q,
@@ -16,25 +16,25 @@ D = kappa cosh 2Q + 2 Q^2 + 5 - 12 nu + 8 nu^2:
     traction along the wave, f = div t / k:   2 mu k D (a, b) = ((kappa - 1) sinh Q + 2 Q cosh Q,
                                                                  (kappa + 1) cosh Q - 2 Q sinh Q)
 
-and traction across the wave shears the layer as a string of plates, u = t sinh q / (mu k cosh Q). At the surface the
+Traction across the wave shears the layer like a stack of plates, u = t sinh q / (mu k cosh Q). At the surface the
 pressure's W gives
 
     G(k) = (1 - nu) / (mu k) [kappa sinh 2Q - 2Q] / D,   G(0) = h (1 + nu)(1 - 2 nu) / (E (1 - nu)),
 
-and the other surface compliances simplify likewise, free of differences of large numbers:
-(kappa + 1) (kappa sinh Q cosh Q + Q) / (2 mu k D) of a traction along the wave, tanh Q / (mu k) across it, and
+and the other surface compliances simplify likewise, without differences of large numbers:
+(kappa + 1) (kappa sinh Q cosh Q + Q) / (2 mu k D) for a traction along the wave, tanh Q / (mu k) across it, and
 (kappa (kappa - 1) sinh^2 Q - 2 Q^2) / (2 mu k^2 D) from the pressure's slope to the motion along it.
 
-All is written with decaying exponentials so that nothing overflows.
+All functions are written with decaying exponentials, so that nothing overflows.
 
 A skin that is clamped at its edge, not bonded, also moves as a whole. One shape, w = cos^2(pi x / L) cos^2(pi y / L)
-over the pad's edge L (1 in the middle, level and still at the clamped rim: the usual Ritz shape of a clamped plate),
-sinks by `Pad.mount_compliance` times its load, the sum of w p over the pad; the material turns with its slope.
+over the pad's edge L (1 in the middle, flat and at rest at the clamped rim: the usual Ritz shape of a clamped plate),
+sinks by `Pad.mount_compliance` times its load, the sum of w p over the pad. The material turns with its slope.
 
-The Fourier series has a longer period than the pad, so that its copies do not feel each other. Beyond the pad the layer
-goes on: the free side faces of a real pad are not modelled (`docs/physics.md`). The series is written in real sines and
-cosines about the pad's centre, and its transforms are small matrix products: as fast as an FFT at this size, free to be
-evaluated anywhere, and at home on every device.
+The Fourier series has a longer period than the pad, so that its copies do not affect each other. Beyond the pad the
+layer continues: the free side faces of a real pad are not modelled (`docs/physics.md`). The series is written in real
+sines and cosines about the pad's centre. Its transforms are small matrix products, which at this size are as fast as an
+FFT, can be evaluated anywhere, and run well on every device.
 
 Arrays over the pad have row i along tool y and column j along tool x, at cell centres. Metres, pascals, newtons.
 """
@@ -51,7 +51,7 @@ from jaxtyping import Array, Float
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Pad
 
-# Full float32 products where a device would round the factors (to 10 bits on some).
+# Products in full float32, because some devices otherwise round the factors to 10 bits.
 _dot = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
 
 
@@ -65,42 +65,40 @@ class Grid:
 
     @property
     def spacing(self) -> float:
-        """Edge of a cell, m."""
+        """Edge of a cell (m)."""
         return self.window / self.cells
 
     @property
     def centres(self) -> np.ndarray:
-        """Coordinates (cells,) m of the cell centres along either edge."""
+        """Coordinates (cells,) of the cell centres along either edge (m)."""
         return ((np.arange(self.cells) + 0.5) / self.cells - 0.5) * self.window
 
     @property
     def wavenumbers(self) -> np.ndarray:
-        """Wavenumbers (modes,) 1/m of the cosines 0 ... modes/2 - 1, then of the sines 1 ... modes/2, about the pad's
-        centre.
-        """
+        """Wavenumbers (modes,) in 1/m: cosines 0 ... modes/2 - 1, then sines 1 ... modes/2, about the pad's centre."""
         half = self.modes // 2
         return 2 * np.pi / (self.modes * self.spacing) * np.r_[0:half, 1 : half + 1]
 
 
 GRID = Grid()
-CELL_GRID = Grid(20, 32)  # cells of 1 mm: pressures that need not be fine, computed for many contacts
-FINE_GRID = Grid(80, 128)  # where sharp edges matter more than speed: see `docs/physics.md`
+CELL_GRID = Grid(20, 32)  # cells of 1 mm, for pressures of many contacts that need not be fine
+FINE_GRID = Grid(80, 128)  # for sharp edges, if they matter more than speed; see `docs/physics.md`
 
 
 class Load(NamedTuple):
     """Loads on the surface, as coefficients of the series (rows y, columns x), ready for `interior`."""
 
-    slopes: Float[Array, "2 k k"]  # Pa/m: of the pressure along x and y
+    slopes: Float[Array, "2 k k"]  # Pa/m, of the pressure along x and y
     pressure: Float[Array, "k k"]  # Pa
-    centre_sinking: Float[Array, ""]  # m: by which the middle of a skin clamped at its edge sinks
-    traction_waves: "TractionWaves | None" = None  # no traction
+    centre_sinking: Float[Array, ""]  # m by which the middle of a skin clamped at its edge sinks
+    traction_waves: "TractionWaves | None" = None  # None without traction
 
 
 class TractionWaves(NamedTuple):
-    """A traction's series, and the parts of its waves."""
+    """Series of a traction, and the parts of its waves."""
 
     traction: Float[Array, "2 k k"]  # Pa
-    lengthwise: Float[Array, "2 k k"]  # Pa: the part of each wave along its wave vector
+    lengthwise: Float[Array, "2 k k"]  # Pa, the part of each wave along its wave vector
     divergence: Float[Array, "k k"]  # Pa/m
     curl: Float[Array, "k k"]  # Pa/m, about z
 
@@ -112,14 +110,14 @@ def load(
     grid: Grid = GRID,
     series: Grid | None = None,
 ) -> Load:
-    """The load of a pressure and a traction, as coefficients of a series.
+    """Convert a pressure and a traction to coefficients of a series.
 
     Args:
         pad: The skin.
-        pressure: Pa, on the cells of `grid`.
-        traction: Pa, along x and y on the skin; None for none.
+        pressure: `(n, n)` pressure (Pa) on the cells of `grid`.
+        traction: `(2, n, n)` traction (Pa) along x and y on the skin, if any.
         grid: Cells of the pad.
-        series: A coarser grid of the same period whose waves are kept; by default all of those of `grid`.
+        series: A coarser grid of the same period, whose waves are kept; by default all waves of `grid`.
 
     Returns:
         The load, ready for `interior`.
@@ -134,21 +132,21 @@ def load(
 
 
 def traction_waves(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> TractionWaves:
-    """The parts of a traction's series along and across each wave.
+    """Split a traction's series into the parts along and across each wave.
 
     Args:
-        traction: Coefficients (Pa) along x and y.
-        grid: Of the series.
+        traction: `(2, k, k)` coefficients (Pa) along x and y.
+        grid: Grid of the series.
 
     Returns:
-        The parts.
+        The traction, its lengthwise part, its divergence and its curl, as coefficients.
     """
     k = grid.wavenumbers
     square = k[:, None] ** 2 + k[None, :] ** 2
     inverse = 1 / np.where(square == 0, np.inf, square)
     along_x, along_y = (_slope(traction[i], axis, grid) for i, axis in enumerate((1, 0)))
     across_x, across_y = (_slope(traction[i], axis, grid) for i, axis in enumerate((0, 1)))
-    # k (k . t) / k^2; second derivatives mix sines and cosines of both axes only where they are of different axes.
+    # k (k . t) / k^2; second derivatives mix sines and cosines only if they are along different axes.
     mixed = [_slope(slope, axis, grid) for slope, axis in ((across_y, 0), (across_x, 1))]
     lengthwise = jnp.stack([
         inverse * (k[None, :] ** 2 * traction[0] - mixed[0]),
@@ -164,18 +162,19 @@ def interior(
     grid: Grid = GRID,
     coordinates: np.ndarray | None = None,
 ) -> tuple[Float[Array, "3 m m"], Float[Array, "3 m m"]]:
-    """Displacement and local rotation of the layer at one depth under a load.
+    """Compute the displacement and local rotation of the layer at one depth under a load.
 
     Args:
         pad: The skin.
-        load: What acts on its surface, as coefficients of the series of `grid`.
-        depth: m, 0 at the surface to h at the base.
-        grid: Of the series.
-        coordinates: (m,) of rows (y) and columns (x) of the points, m from the pad's centre; by default cell centres.
+        load: Load on its surface, as coefficients of the series of `grid`.
+        depth: Depth (m), 0 at the surface to h at the base.
+        grid: Grid of the series.
+        coordinates: `(m,)` coordinates (m from the pad's centre) of rows (y) and columns (x) of the points; by default
+            the cell centres.
 
     Returns:
-        Displacement (m) and rotation (rad), each as components along tool x, y and z, first axis; the rotation is the
-        vector curl(u) / 2, about z only under a traction.
+        `(3, m, m)` displacement (m) and `(3, m, m)` rotation (rad), components along tool x, y and z. The rotation is
+        the vector curl(u) / 2, with a z component only under a traction.
     """
     coordinates = grid.centres if coordinates is None else coordinates
     along, down, turn = _under_pressure(pad, grid, depth)
@@ -194,7 +193,7 @@ def interior(
     if load.traction_waves is None:
         rotation = jnp.concatenate([rotation, jnp.zeros_like(rotation[:1])])
 
-    # As a thin plate: normals stay normals about the middle of its thickness.
+    # The sinking skin is a thin plate: normals stay normals about the middle of its thickness.
     shape, slope = (jnp.asarray(part, displacement.dtype) for part in _clamped(grid, coordinates))
     tilt_x, tilt_y = (-load.centre_sinking * jnp.outer(*pair) for pair in ((shape, slope), (slope, shape)))
     above = pad.thickness / 2 - depth
@@ -203,14 +202,14 @@ def interior(
 
 
 def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
-    """G at the grid's wavenumbers: downward displacement of the bonded layer per pressure.
+    """Compute G at the grid's wavenumbers: downward displacement of the bonded layer per pressure.
 
     Args:
         pad: The skin.
-        grid: Of the series.
+        grid: Grid of the series.
 
     Returns:
-        m/Pa, (modes, modes).
+        `(modes, modes)` compliance (m/Pa).
     """
     layer = _layer(pad, grid)
     flat = pad.thickness * (1 + pad.poisson) * (1 - 2 * pad.poisson) / (pad.young * (1 - pad.poisson))
@@ -220,14 +219,14 @@ def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
 
 
 def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
-    """As `compliance`, of the surface along a traction.
+    """Compute the tangential displacement of the bonded layer's surface per traction.
 
     Args:
         pad: The skin.
-        grid: Of the series.
+        grid: Grid of the series.
 
     Returns:
-        m/Pa, for the parts of the traction along and across each wave.
+        `(modes, modes)` compliances (m/Pa) for the parts of the traction along and across each wave.
     """
     layer = _layer(pad, grid)
     modulus = layer.shear * layer.k
@@ -237,15 +236,15 @@ def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k 
 
 
 def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "2 n n"]:
-    """Displacement of the surface along the skin under a pressure alone.
+    """Compute the displacement of the surface along the skin under a pressure alone.
 
     Args:
         pad: The skin.
-        pressure: Pa.
+        pressure: `(n, n)` pressure (Pa).
         grid: Cells of the pad.
 
     Returns:
-        m, along x and y.
+        `(2, n, n)` displacement (m) along x and y.
     """
     layer = _layer(pad, grid)
     along = layer.kappa * (layer.kappa - 1) * layer.sinh**2 - 2 * layer.q**2 * layer.fall
@@ -254,27 +253,27 @@ def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid 
 
 
 def clamped_load(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, ""]:
-    """The load on a skin clamped at its edge: the sum of w p over the pad.
+    """Compute the load on a skin clamped at its edge: the sum of w p over the pad.
 
     Args:
-        pressure: Pa.
+        pressure: `(n, n)` pressure (Pa).
         grid: Cells of the pad.
 
     Returns:
-        N.
+        The load (N).
     """
     return jnp.sum(clamped_shape(grid, pressure.dtype) * pressure) * grid.spacing**2
 
 
 def clamped_shape(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
-    """The shape w in which a skin clamped at its edge sinks, at the cell centres.
+    """Compute the shape w in which a skin clamped at its edge sinks, at the cell centres.
 
     Args:
         grid: Cells of the pad.
-        dtype: Of the result.
+        dtype: Data type of the result.
 
     Returns:
-        w, 1 in the middle and 0 at the edge.
+        `(n, n)` values of w, 1 in the middle and 0 at the edge.
     """
     shape, _ = _clamped(grid, grid.centres)
     return jnp.asarray(np.outer(shape, shape), dtype)
@@ -283,15 +282,15 @@ def clamped_shape(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
 def spectrum(
     pressure: Float[Array, "... n n"], grid: Grid = GRID, series: Grid | None = None
 ) -> Float[Array, "... k k"]:
-    """Coefficients of the series that equals a pressure on the pad's cells and zero on the rest of the period.
+    """Compute the coefficients of the series that equals a pressure on the pad's cells and zero elsewhere.
 
     Args:
-        pressure: Pa, or any other density.
+        pressure: `(..., n, n)` pressure (Pa), or any other density.
         grid: Cells of the pad.
-        series: A coarser grid of the same period whose waves are kept; by default all of those of `grid`.
+        series: A coarser grid of the same period, whose waves are kept; by default all waves of `grid`.
 
     Returns:
-        Coefficients (modes, modes), rows along y.
+        `(..., modes, modes)` coefficients in the unit of `pressure`, rows along y.
     """
     series = grid if series is None else series
     waves = basis(series, grid.centres)[0] * _weights(grid, series)[:, None]
@@ -301,15 +300,16 @@ def spectrum(
 def evaluate(
     waves: Float[Array, "... k k"], grid: Grid = GRID, coordinates: np.ndarray | None = None
 ) -> Float[Array, "... m m"]:
-    """A series at points.
+    """Evaluate a series at points.
 
     Args:
-        waves: Coefficients of the series.
-        grid: Of the series.
-        coordinates: (m,) of rows (y) and columns (x) of the points, m from the pad's centre; by default cell centres.
+        waves: `(..., modes, modes)` coefficients of the series.
+        grid: Grid of the series.
+        coordinates: `(m,)` coordinates (m from the pad's centre) of rows (y) and columns (x) of the points; by default
+            the cell centres.
 
     Returns:
-        Values at the points, rows along tool y.
+        `(..., m, m)` values at the points in the unit of `waves`, rows along tool y.
     """
     values, _ = basis(grid, grid.centres if coordinates is None else coordinates)
     return _product(values.T, waves, values.T)
@@ -319,25 +319,25 @@ def convolve(kernel: Float[Array, "k k"], pressure: Float[Array, "n n"], grid: G
     """Multiply each wave of a pressure by a kernel, and evaluate the series on the pad's cells.
 
     Args:
-        kernel: One factor for each wave, for instance `compliance` (m/Pa).
-        pressure: Pa.
+        kernel: `(modes, modes)` factors, one for each wave, such as `compliance` (m/Pa).
+        pressure: `(n, n)` pressure (Pa).
         grid: Cells of the pad.
 
     Returns:
-        Values at the cell centres, in units of kernel times pressure.
+        `(n, n)` values at the cell centres, in units of kernel times pressure.
     """
     return evaluate(kernel * spectrum(pressure, grid), grid)
 
 
 def basis(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The series' waves along one axis.
+    """Evaluate the series' waves along one axis.
 
     Args:
-        grid: Of the series.
-        coordinates: (m,) along the axis, m from the pad's centre.
+        grid: Grid of the series.
+        coordinates: `(m,)` coordinates along the axis (m from the pad's centre).
 
     Returns:
-        Values (modes, m) and slopes (modes, m) in 1/m.
+        `(modes, m)` values, and `(modes, m)` slopes (1/m).
     """
     k = grid.wavenumbers[:, None]
     cosine, sine = np.cos(k * coordinates[None]), np.sin(k * coordinates[None])
@@ -346,28 +346,28 @@ def basis(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """The series' waves along one axis on the cells of its outer half, by parity.
+    """Evaluate the series' waves along one axis on the cells of its outer half, by parity.
 
     Args:
-        grid: Of cells and waves.
+        grid: Grid of cells and waves.
 
     Returns:
-        Values (2, modes / 2, cells / 2) of cosines and sines, and the same with the weights that `spectrum` gives them.
+        `(2, modes / 2, cells / 2)` values of cosines and sines, and the same times the weights in `spectrum`.
     """
     waves = basis(grid, grid.centres[grid.cells // 2 :])[0].reshape(2, grid.modes // 2, grid.cells // 2)
     return waves, waves * _weights(grid, grid).reshape(2, grid.modes // 2, 1)
 
 
 def _weights(grid: Grid, series: Grid) -> np.ndarray:
-    """Weight (modes,) of each wave of `series` in the coefficients of the series of `grid`."""
+    """Compute the weight (modes,) of each wave of `series` in the coefficients of the series of `grid`."""
     k = series.wavenumbers
     lone = (k == 0) | (k == np.max(grid.wavenumbers))  # constant and shortest waves have no partner of their wavenumber
     return np.where(lone, 1, 2) / grid.modes
 
 
 def _slope(waves: Array, axis: int, grid: Grid) -> Array:
-    """Coefficients of the derivative along rows' (0: y) or columns' (1: x) axis. The shortest wave, whose slope has no
-    partner in the series, is left out: that slope vanishes at the cell centres.
+    """Compute the coefficients of the derivative along y (axis 0) or x (axis 1). The shortest wave is left out: the
+    series has no partner for its slope, which vanishes at the cell centres.
     """
     half = grid.modes // 2
     none, cosines, sines, last = jnp.split(waves, [1, half, grid.modes - 1], axis=axis)
@@ -376,18 +376,18 @@ def _slope(waves: Array, axis: int, grid: Grid) -> Array:
 
 
 def _clamped(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """cos^2(pi x / L) at `coordinates`, still outside the pad, and its slope (1/m)."""
+    """Compute cos^2(pi x / L) at `coordinates`, constant outside the pad, and its slope (1/m)."""
     turn = np.pi * np.clip(coordinates / grid.window, -0.5, 0.5)
     return np.cos(turn) ** 2, -np.pi / grid.window * np.sin(2 * turn)
 
 
 class _Layer(NamedTuple):
-    """Parts of the layer's response to each wave; sinh and cosh of q carry exp(-q), the determinant exp(-2q)."""
+    """Parts of the layer's response to each wave; sinh and cosh of q contain exp(-q), the determinant exp(-2q)."""
 
     kappa: Array
     shear: Array
     k: Array  # 1/m, with 1 / h in place of zero
-    uniform: Array  # where k = 0
+    uniform: Array  # true for k = 0
     q: Array  # k h
     fall: Array  # exp(-2q)
     sinh: Array
@@ -418,8 +418,8 @@ def _layer(pad: Pad, grid: Grid) -> _Layer:
 
 
 class _Height(NamedTuple):
-    """q, sinh q and cosh q at some height above the base. Both carry exp(-Q); a and b carry it too and D its square, so
-    that all these factors cancel.
+    """q, sinh q and cosh q at some height above the base. Both functions contain exp(-Q), like a and b, and D contains
+    its square, so that all these factors cancel.
     """
 
     above: Array  # m
@@ -435,7 +435,9 @@ def _height(pad: Pad, layer: _Layer, depth: Array | float) -> _Height:
 
 
 def _under_pressure(pad: Pad, grid: Grid, depth: Array | float) -> tuple[Array, Array, Array]:
-    """For each wave: displacement along x (y) per slope of the pressure, along z per pressure; rotation per slope."""
+    """Compute, for each wave, the displacement along x (y) and the rotation per slope of the pressure, and the
+    displacement along z per pressure: along, down, turn.
+    """
     layer = _layer(pad, grid)
     at = _height(pad, layer, depth)
     over = 1 / (2 * layer.shear * layer.k * layer.determinant)
@@ -449,8 +451,8 @@ def _under_pressure(pad: Pad, grid: Grid, depth: Array | float) -> tuple[Array, 
 
 
 def _under_traction(pad: Pad, grid: Grid, depth: Array | float) -> tuple[Array, Array, Array, Array, Array]:
-    """For each wave: displacement along its traction, for the parts along and across it; along z per divergence;
-    rotation about the axis square to the traction, for the parts along and across it.
+    """Compute, for each wave: the displacement along its traction, for the parts along and across it; the displacement
+    along z per divergence; the rotation about the axis perpendicular to the traction, for both parts.
     """
     layer = _layer(pad, grid)
     at = _height(pad, layer, depth)
@@ -466,7 +468,7 @@ def _under_traction(pad: Pad, grid: Grid, depth: Array | float) -> tuple[Array, 
 
 
 def _product(left: Array | np.ndarray, middle: Array, right: Array | np.ndarray) -> Array:
-    """left @ middle @ right.T, each product over the last axis, which is quickest in a batch."""
+    """Compute left @ middle @ right.T, each product over the last axis, which is fastest in a batch."""
     dtype = middle.dtype
     rows = _dot(middle, jnp.asarray(right.T, dtype)).swapaxes(-1, -2)
     return _dot(rows, jnp.asarray(left.T, dtype)).swapaxes(-1, -2)

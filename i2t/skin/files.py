@@ -1,4 +1,4 @@
-"""Pads on disk: a fitted (or any other) pad as one small file, to be used in place of a random one.
+"""Pads in files: a fitted (or any other) pad as one small file, for use in place of a random one.
 
 from i2t.skin.files import load_pad, save_pad
 
@@ -18,31 +18,27 @@ from i2t.files import serialization
 from i2t.types import Pad
 
 KIND = "i2t pad"
-PAD_FIELDS_OF_BEFORE = {
-    "magnetisation": "magnetization",
-    "give": "mount_compliance",
-}  # of fields in files of earlier versions
 
 
 class PadAbout(NamedTuple):
-    """Description in a pad's file."""
+    """Description of a pad in its file."""
 
-    name: str  # of the skin, as data sets call it
-    made_from: str  # a phrase such as ", fitted to 100 real presses"; empty where nothing is known
-    error_std: float  # uT, root mean square error on presses that it was not fitted to; 0 where unknown
-    r2_places: float | None = None  # R2 at places left out; None where unknown
+    name: str  # name of the skin in data sets
+    made_from: str  # a phrase such as ", fitted to 100 real presses"; empty if unknown
+    error_std: float  # uT, root mean square error on presses that it was not fitted to; 0 if unknown
+    r2_places: float | None = None  # R2 at places left out; None if unknown
 
 
 def save_pad(path: Path | str, pad: Pad, *, about: dict[str, Any] | None = None) -> None:
     """Write one pad.
 
     Args:
-        path: of the file.
-        pad: one pad, on a board of any number of chips.
-        about: anything that JSON can hold (whose pad it is, how it was fitted).
+        path: Path of the file.
+        pad: A pad on a board with any number of chips.
+        about: Data to be saved with the pad, such as its skin and its fit, in types that JSON can hold.
 
     Raises:
-        SerializationError: the file cannot be written.
+        SerializationError: The file cannot be written.
 
     Example:
         i2t.save_pad("pad.npz", i2t.sample_pad(jax.random.key(0)))
@@ -51,27 +47,32 @@ def save_pad(path: Path | str, pad: Pad, *, about: dict[str, Any] | None = None)
 
 
 def load_pad(path: Path | str) -> Pad:
-    """The pad in a file, also one that an earlier version wrote.
+    """Load a pad from a file, including files of earlier versions.
 
     Args:
-        path: of the file.
+        path: Path of the file.
 
     Returns:
         The pad, in float32.
 
     Raises:
-        SerializationError: the file is missing, damaged, holds no pad, or none that can be.
+        SerializationError: The file is missing, damaged, holds no pad, or holds impossible values.
 
     Example:
         pad = i2t.load_pad("pad.npz")
     """
-    pad, _ = serialization.load(path, KIND, Pad, renamed=PAD_FIELDS_OF_BEFORE)
+    pad, _ = _load(path)
     with serialization.fitting(path):
         return _checked(path, pad)
 
 
+def _load(path: Path | str) -> tuple[Pad, dict[str, Any]]:
+    """Load a pad and its metadata, with the field names of earlier versions replaced."""
+    return serialization.load(path, KIND, Pad, renamed={"magnetisation": "magnetization", "give": "mount_compliance"})
+
+
 def _checked(path: Path | str, pad: Pad) -> Pad:
-    """The pad in float32, if its parts are valid."""
+    """Convert the pad to float32; raise SerializationError if its parts are invalid."""
     side = pad.magnetization.shape[0] if pad.magnetization.ndim else 0
     chips = pad.board.chips.shape[0] if pad.board.chips.ndim else 0
     shapes = {
@@ -80,26 +81,26 @@ def _checked(path: Path | str, pad: Pad) -> Pad:
     }  # fmt: skip
     serialization.check_arrays(path, pad, shapes, "make the pad again")
     if not (pad.thickness > 0 and pad.young > 0 and 0 <= pad.poisson < 0.5):
-        raise SerializationError(f"{path}: thickness, stiffness or Poisson's ratio cannot be; make the pad again")
+        raise SerializationError(f"{path}: thickness, stiffness or Poisson's ratio is impossible; make the pad again")
     return jax.tree.map(lambda array: jnp.asarray(array, jnp.float32), pad)
 
 
 def load_pad_about(path: Path | str) -> PadAbout:
-    """Description in a pad's file.
+    """Load the description in a pad's file.
 
     Args:
-        path: of the file.
+        path: Path of the file.
 
     Returns:
-        Whose pad it is and how it was made; a file that names no skin is called after itself.
+        The skin's name, the source of the pad and its errors. Without a name in the file, the name is that of the file.
 
     Raises:
-        SerializationError: the file is missing, damaged or holds no pad.
+        SerializationError: The file is missing, damaged or holds no pad.
     """
-    _, about = serialization.load(path, KIND, Pad, renamed=PAD_FIELDS_OF_BEFORE)
+    _, about = _load(path)
     with serialization.fitting(path):
         presses = f", fitted to {about['presses']} {about.get('source', '')} presses" if "presses" in about else ""
         error_std = float(about.get("error_std_uT") or 0.0)
-        r2 = about.get("r2_places", about.get("r2"))  # files of earlier versions have that of presses left out
+        r2 = about.get("r2_places", about.get("r2"))  # files of earlier versions have the R2 of presses left out
         name = str(about.get("pad") or f"simulated, {Path(path).stem}")
         return PadAbout(name, presses, error_std, None if r2 is None else float(r2))

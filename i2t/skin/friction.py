@@ -1,21 +1,21 @@
-"""Coulomb friction between a pressed skin and a rigid object that drags it: where it sticks, where it slips, and the
-traction on it.
+"""Coulomb friction between a pressed skin and a rigid object that drags it: sticking, slipping and traction.
 
-The pressure is found first, without friction, and then the traction it can bear (Goodman, J. Appl. Mech. 29, 1962): the
-motion of the layer under both loads is exact, but the traction's push on the gap is left out, which vanishes for an
-incompressible half space and is small for a skin. On the skin's surface the traction q, along x and y, moves the
-material by C q (`i2t.skin.elasticity`) and the pressure by S p. From one state to the next the object moves by `slide`
-along the skin; relative to it the skin slips by s = C q + S p - (displacement before) - slide, and in every cell
+The pressure is computed first, without friction, and then the traction that it can bear (Goodman, J. Appl. Mech. 29,
+1962). The motion of the layer under both loads is exact. The traction's effect on the gap is neglected; it vanishes for
+an incompressible half space and is small for a skin. On the skin's surface the traction q, along x and y, moves the
+material by C q (`i2t.skin.elasticity`) and the pressure moves it by S p. From one state to the next the object moves by
+`slide` along the skin. Relative to the object the skin slips by s = C q + S p - (displacement before) - slide, and in
+every cell
 
-    |q| <= friction p,   and either s = 0 or q = -friction p s / |s|,
+    |q| <= friction p,   and either s = 0 or q = -friction p s / |s|.
 
-which are the optimality conditions of min q.Cq/2 - q.(displacement before + slide - S p) over those discs: a convex
-problem, solved as the normal one by spectral projected gradients (`i2t.skin.contact.descend`). Friction remembers: a
-path is a chain of states, each with the one before it, and the finer its steps the better it is followed. A press along
-a slant, a slide and a release are such paths; what an increment leaves of the traction depends on all before it.
+These are the optimality conditions of min q.Cq/2 - q.(displacement before + slide - S p) over those discs: a convex
+problem, solved like the normal one by spectral projected gradients (`i2t.skin.contact.descend`). Friction has a memory:
+a path is a chain of states, each following the previous one, and smaller steps follow it more closely. A press along a
+slant, a slide and a release are such paths. The traction after an increment depends on all previous increments.
 
 Derivatives are those of the conditions (see `i2t.skin.contact`) while sticking cells stick and slipping cells slip:
-C dq + ... = 0 on the first, and on the second the traction turns towards the change of the slip and grows with the
+C dq + ... = 0 on the former; on the latter the traction turns towards the change of the slip and grows with the
 friction. Tool frame; metres, pascals, newtons.
 """
 
@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from i2t.skin import lanes
-from i2t.skin.contact import MAX_STEPS, MIN_STRAIN, conjugate_gradients, descend, positive
+from i2t.skin.contact import CONTACT_SOLVER, at_least_tiny, conjugate_gradients, descend
 from i2t.skin.elasticity import (
     GRID,
     Grid,
@@ -40,31 +40,28 @@ from i2t.skin.elasticity import (
 )
 from i2t.types import Pad
 
-FRICTION_TOLERANCE = 1e-4  # of the largest displacement: ten times what the roundings of float32 leave
-SLIP_TOLERANCE = 1e-4  # of the friction that a slipping cell may lack
-
 
 class Shear(NamedTuple):
-    """A state of friction."""
+    """State of friction."""
 
     traction: Float[Array, "2 n n"]  # Pa, along x and y, on the skin
     displacement: Float[Array, "2 n n"]  # m, of the skin's surface along x and y
-    slipping: Bool[Array, "n n"]  # cells in contact that bear all the friction they can
+    slipping: Bool[Array, "n n"]  # cells in contact with the largest possible friction
     residual: Float[Array, ""]  # largest violation of the conditions, as a slip, relative to the largest displacement
-    steps: Int[Array, ""]  # applications of C
+    steps: Int[Array, ""]  # number of applications of C
     converged: Bool[Array, ""]
 
 
-def rest(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
-    """The skin under a pressure without traction: as pressed without friction, or before anything touches.
+def without_traction(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
+    """Compute the state of a skin under a pressure without traction: pressed without friction, or not yet touched.
 
     Args:
         pad: The skin.
-        pressure: Pa.
+        pressure: `(n, n)` pressure (Pa).
         grid: Cells of the pad.
 
     Returns:
-        Its state.
+        The state without traction, with the displacement (m) under the pressure.
     """
     none = jnp.zeros((2, grid.cells, grid.cells), pressure.dtype)
     return Shear(
@@ -85,19 +82,20 @@ def shear(
     grid: Grid = GRID,
     *,
     before: Shear | None = None,
-    tolerance: float = FRICTION_TOLERANCE,
-    max_steps: int = MAX_STEPS,
+    tolerance: float = 1e-4,
+    max_steps: int = CONTACT_SOLVER.max_steps,
 ) -> Shear:
-    """The state of friction after the object has moved along the skin.
+    """Solve the state of friction after the object has moved along the skin.
 
     Args:
-        pad: the skin.
-        pressure: Pa, at the end of the motion.
-        slide: m, along x and y of the skin, since the state before.
-        grid: cells of the pad.
-        before: the state before; by default the untouched skin.
-        tolerance: largest violation of the conditions, of the largest displacement.
-        max_steps: after which it is given up, and `converged` is False.
+        pad: The skin.
+        pressure: `(n, n)` pressure (Pa) at the end of the motion.
+        slide: Motion (m) along x and y of the skin since the previous state.
+        grid: Cells of the pad.
+        before: The previous state; by default the untouched skin.
+        tolerance: Largest violation of the conditions, relative to the largest displacement. The default is ten times
+            the rounding error of float32.
+        max_steps: Maximum number of steps; if they do not suffice, `converged` is False.
 
     Returns:
         The new state.
@@ -105,10 +103,10 @@ def shear(
     kernels = jnp.stack(tangential_compliance(pad, grid)) * pad.young / pad.thickness
     spreading = tangential_displacement(pad, pressure, grid)
     followed = slide[:, None, None] - spreading + (0 if before is None else before.displacement)
-    # Only where it is pressed can the skin follow, so only there does it count.
+    # The skin can follow only where it is pressed, so only these cells count.
     wanted = jnp.where(pressure[None] > 0, followed, 0) / pad.thickness
-    # The problem is homogeneous, so that its scale is no part of the derivative.
-    scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(wanted)), MIN_STRAIN))
+    # The problem is homogeneous, so its scale does not belong to the derivative.
+    scale = jax.lax.stop_gradient(jnp.maximum(jnp.max(jnp.abs(wanted)), CONTACT_SOLVER.min_strain))
     wanted, limit = wanted / scale, pad.friction * pressure[None] / (pad.young * scale)
     fixed_kernels, fixed_limit, given = jax.lax.stop_gradient((kernels, limit, wanted))
     start = jnp.zeros_like(given) if before is None else jax.lax.stop_gradient(before.traction / (pad.young * scale))
@@ -127,7 +125,7 @@ def shear(
 
 
 class _Descended(NamedTuple):
-    """A solved problem of friction, or some of them, in units of E and of h times its scale."""
+    """Solution of one friction problem or several, in units of E and of h times its scale."""
 
     traction: Array
     slip: Array
@@ -137,15 +135,15 @@ class _Descended(NamedTuple):
 
 @lru_cache
 def _solver(grid: Grid, tolerance: float, max_steps: int) -> Callable[..., _Descended]:
-    """The solver of problems of friction on lanes."""
+    """Make a solver of friction problems on lanes."""
 
     def solver(shared: tuple[Array, tuple[Array, Array]], wanted: Array, limit: Array, start: Array) -> _Descended:
         matrices, bounds = shared
         limit = lanes.to_quadrants(limit[:, 0])
 
         def onto_discs(q: Array) -> Array:
-            # Nothing is divided by a size of zero, however small a number stands for it: the limit is a quotient, and a
-            # compiler that divides by the product of both divisors takes that product for zero.
+            # Never divide by a size of zero, even if it is guarded by a tiny number: the limit is a quotient, and a
+            # compiler that divides by the product of both divisors rounds that product to zero.
             size = _size(q)[0]
             outside = (size > limit) & (limit > 0)
             factor = jnp.where(limit > 0, jnp.where(outside, limit / jnp.where(outside, size, 1), 1), 0)
@@ -170,30 +168,31 @@ def _solver(grid: Grid, tolerance: float, max_steps: int) -> Callable[..., _Desc
 
 
 def _quadrants(vectors: Float[Array, "lanes 2 n n"]) -> Float[Array, "2 2 h 2 h lanes"]:
-    """Both components, split into quadrants."""
+    """Split both components into quadrants."""
     return jnp.stack([lanes.to_quadrants(vectors[:, i]) for i in range(2)])
 
 
 def _yielding(kernels: Array, q: Array, grid: Grid) -> Array:
-    """C q: displacement of the surface under a traction, both along x and y."""
+    """Compute C q, the displacement of the surface under a traction, both along x and y."""
     parts = traction_waves(spectrum(q, grid), grid)
     return evaluate(kernels[:1] * parts.lengthwise + kernels[1:] * (parts.traction - parts.lengthwise), grid)
 
 
 def _size(vectors: Array) -> Array:
-    # Written out: XLA makes a loop of a sum over two components, ten times as slow.
+    # Written out, because XLA turns a sum over two components into a loop, which is ten times slower.
     return jnp.sqrt(vectors[:1] * vectors[:1] + vectors[1:] * vectors[1:])
 
 
-def _slipping(traction: Array, limit: Array) -> Array:
-    return (limit > 0) & (_size(traction) >= (1 - SLIP_TOLERANCE) * limit)
+def _slipping(traction: Array, limit: Array, *, tolerance: float = 1e-4) -> Array:
+    """Find the cells whose friction reaches its limit, up to a relative tolerance."""
+    return (limit > 0) & (_size(traction) >= (1 - tolerance) * limit)
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(5,))
 def _tracked(
     kernels: Array, limit: Array, wanted: Array, traction: Array, slip: Array, grid: Grid
 ) -> tuple[Array, Array]:
-    """The solution `traction` and `slip` of a problem of friction, with its derivatives by the other arrays."""
+    """Return the solution `traction` and `slip` of a friction problem, differentiable by the other arrays."""
     return traction, slip
 
 
@@ -203,14 +202,15 @@ def _track(grid: Grid, at: tuple, change: tuple) -> tuple[tuple, tuple]:
     d_kernels, d_limit, d_wanted, *_ = change
     slipping = _slipping(traction, limit)
     sticking = (limit > 0) & ~slipping
-    towards = traction / positive(_size(traction))  # against the slip
+    towards = traction / at_least_tiny(_size(traction))  # against the slip
     across = jnp.stack([-towards[1], towards[0]])
-    # The further a cell has slipped, the less a small motion turns its traction.
-    stiff = jnp.where(slipping, jnp.maximum(-jnp.sum(slip * towards, axis=0, keepdims=True), 0) / positive(limit), 0)
+    # The farther a cell has slipped, the less a small motion turns its traction.
+    slid = jnp.maximum(-jnp.sum(slip * towards, axis=0, keepdims=True), 0)
+    stiff = jnp.where(slipping, slid / at_least_tiny(limit), 0)
 
     def allowed(q: Array) -> Array:
-        """The nearest change of traction that leaves the size of a slipping cell's, and none where nothing touches."""
-        # Written as a multiple of `across`, it has no more of `towards` than its own rounding, however little is left.
+        """Project a change of traction onto those that keep the size on slipping cells and vanish without contact."""
+        # As a multiple of `across`, it contains `towards` only by its own rounding, however small it is.
         return jnp.where(sticking, q, jnp.where(slipping, across * jnp.sum(across * q, axis=0, keepdims=True), 0))
 
     def operator(q: Array) -> Array:

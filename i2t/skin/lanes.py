@@ -1,20 +1,20 @@
-"""Many contacts of one pad, solved side by side: the layout and the convolution of a batch.
+"""Contacts of one pad solved side by side: the layout and the convolution of a batch.
 
-Solvers of `i2t.skin` work on lanes: the contacts of a batch are the last axis of every array, so that a number of a
-contact is a row vector, sums over cells are sums of rows, and the convolution with the layer's compliance is three
-matrix products without a transpose. `by_lanes` gives such a solver a rule for `jax.vmap`: instead of being batched, it
-takes more lanes.
+Solvers of `i2t.skin` work on lanes: the contacts of a batch are the last axis of every array. A number per contact is
+then a row vector, sums over cells are sums of rows, and the convolution with the layer's compliance is three matrix
+products without a transpose. `by_lanes` gives such a solver a rule for `jax.vmap`: instead of being batched, it takes
+more lanes.
 
 Cells are split into four quadrants about the pad's centre, each counted outwards: shape (2, h, 2, h, lanes) for the
 halves x > 0 and x < 0, the h cells of a half, and both again along y. Sums and differences of mirrored cells are the
-parts that are even and odd along each axis. Cosines see the even part and sines the odd one, which halves the products.
-With E the waves on the outer half, S the same with the weights of the series, G the kernel, b and a the parities along
-x and y, and n and m the waves along y and x of these parities:
+even and odd parts along each axis. Cosines act only on the even part and sines only on the odd one, which halves the
+products. With E the waves on the outer half, S the same with the weights of the series, G the kernel, b and a the
+parities along x and y, and n and m the waves along y and x of these parities:
 
     result = E[b].T X2,   X2[b, m, a] = T[b, m, a] X1[b, m, a],   X1 = S[b] part,
     T[b, m, a] = sum over n of E[a, n].T G[(a, n), (b, m)] S[a, n].
 
-T depends on the pad and its grid alone.
+T depends only on the pad and its grid.
 """
 
 from collections.abc import Callable
@@ -28,17 +28,15 @@ from jaxtyping import Array, Float
 
 from i2t.skin.elasticity import Grid, half_waves
 
-HIGHEST = jax.lax.Precision.HIGHEST
-
 
 def to_quadrants(values: Float[Array, "lanes n n"]) -> Float[Array, "2 h 2 h lanes"]:
     """Split arrays over the pad into quadrants, lanes last.
 
     Args:
-        values: One array (rows along y) for each lane.
+        values: `(lanes, n, n)` arrays, rows along y.
 
     Returns:
-        The quadrants.
+        `(2, h, 2, h, lanes)` quadrants, with h = n / 2.
     """
     lanes, n, _ = values.shape
     halves = jnp.transpose(values, (2, 1, 0)).reshape(2, n // 2, 2, n // 2, lanes)
@@ -47,13 +45,13 @@ def to_quadrants(values: Float[Array, "lanes n n"]) -> Float[Array, "2 h 2 h lan
 
 
 def from_quadrants(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "lanes n n"]:
-    """Join quadrants, the inverse of `to_quadrants`.
+    """Join quadrants; the inverse of `to_quadrants`.
 
     Args:
-        quadrants: As `to_quadrants` gives them.
+        quadrants: `(2, h, 2, h, lanes)` quadrants.
 
     Returns:
-        One array (rows along y) for each lane.
+        `(lanes, n, n)` arrays, rows along y.
     """
     _, h, _, _, lanes = quadrants.shape
     along_y = jnp.stack([quadrants[:, :, 1, ::-1], quadrants[:, :, 0]], axis=2)
@@ -62,10 +60,10 @@ def from_quadrants(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "la
 
 
 def fold(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "2 h 2 h lanes"]:
-    """Sums and differences of mirrored cells along x and y; of parts that are even and odd, the cells they sum to.
+    """Compute sums and differences of mirrored cells along x and y, or the cells from their even and odd parts.
 
     Args:
-        quadrants: Of cells, or of parts by their parity.
+        quadrants: Quadrants of cells, or parts by their parity.
 
     Returns:
         Parts by their parity (even first), or cells.
@@ -75,20 +73,20 @@ def fold(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "2 h 2 h lane
 
 
 def convolution(kernel: Float[Array, "k k"], grid: Grid) -> Float[Array, "2 m 2 h h"]:
-    """The matrices T of a kernel.
+    """Compute the matrices T of a kernel.
 
     Args:
-        kernel: One factor for each wave.
-        grid: Of cells and waves.
+        kernel: `(k, k)` factors, one for each wave.
+        grid: Grid of cells and waves.
 
     Returns:
-        One matrix (h, h) for each wave and parity along x and each parity along y.
+        `(2, m, 2, h, h)`: one matrix (h, h) for each parity and wave along x and each parity along y.
     """
     waves, weighted = (jnp.asarray(part, kernel.dtype) for part in half_waves(grid))
     half = grid.modes // 2
     pairs = waves[:, :, :, None] * weighted[:, :, None, :]
     kernel = kernel.reshape(2, half, 2, half)
-    return jnp.einsum("anjk,anbm->bmajk", pairs, kernel, precision=HIGHEST)
+    return jnp.einsum("anjk,anbm->bmajk", pairs, kernel, precision="highest")
 
 
 def convolve(
@@ -97,12 +95,12 @@ def convolve(
     """Convolve each lane with the kernel of `matrices`, as `i2t.skin.elasticity.convolve`.
 
     Args:
-        matrices: Of the kernel, from `convolution`.
-        quadrants: Cells of each lane.
-        grid: Of cells and waves.
+        matrices: Matrices of the kernel from `convolution`.
+        quadrants: `(2, h, 2, h, lanes)` cells of each lane.
+        grid: Grid of cells and waves.
 
     Returns:
-        The convolved cells.
+        `(2, h, 2, h, lanes)` convolved cells.
     """
     waves, weighted = (jnp.asarray(part, quadrants.dtype) for part in half_waves(grid))
     along_x = _product(weighted, fold(quadrants), (2,), (1,), (0,))
@@ -111,14 +109,14 @@ def convolve(
 
 
 def vector_convolution(kernels: Float[Array, "2 k k"], grid: Grid) -> Float[Array, "2 m1 2 n n"]:
-    """The matrices of a kernel of vectors that has one factor along each wave and another one across it.
+    """Compute the matrices of a vector kernel that has one factor along each wave and another one across it.
 
-    A wave of number m along x that is even or odd as b, and as a along y, has vectors whose x component is of these
-    parities and whose y component of the opposite ones, because the derivatives that couple them change both.
+    A wave of number m along x with parity b, and with parity a along y, has vectors whose x component has these
+    parities and whose y component has the opposite ones, because the derivatives that couple them change both.
 
     Args:
-        kernels: Factors along and across each wave.
-        grid: Of cells and waves.
+        kernels: `(2, k, k)` factors along and across each wave.
+        grid: Grid of cells and waves.
 
     Returns:
         One matrix (2 h, 2 h), of the cells of both components, for each wave number 0 ... modes / 2 and parity along x
@@ -134,8 +132,9 @@ def vector_convolution(kernels: Float[Array, "2 k k"], grid: Grid) -> Float[Arra
     mixed = -steep * (slope[:, None] * slope[None, :])
 
     def matrices(left: Array, middle: Array, right: Array) -> Array:
-        """(a, m, i, j): left and right waves (a, n, cells) along y, and a factor (n, m) between them."""
-        return jnp.einsum("anij,nm->amij", left[:, :, :, None] * right[:, :, None, :], middle, precision=HIGHEST)
+        """Compute (a, m, i, j) from left and right waves (a, n, cells) along y and a factor (n, m) between them."""
+        pairs = left[:, :, :, None] * right[:, :, None, :]
+        return jnp.einsum("anij,nm->amij", pairs, middle, precision="highest")
 
     other, other_weighted = waves[::-1], weighted[::-1]  # of the opposite parity
     sign = jnp.asarray([1, -1], kernels.dtype)[:, None, None, None]
@@ -155,12 +154,12 @@ def convolve_vectors(
     """Convolve the vectors of each lane with the kernel of `matrices`.
 
     Args:
-        matrices: Of the kernel, from `vector_convolution`.
-        quadrants: Components along x and y of each lane.
-        grid: Of cells and waves.
+        matrices: Matrices of the kernel from `vector_convolution`.
+        quadrants: `(2, 2, h, 2, h, lanes)` components along x and y of each lane.
+        grid: Grid of cells and waves.
 
     Returns:
-        The convolved vectors.
+        `(2, 2, h, 2, h, lanes)` convolved vectors.
     """
     waves, weighted = (jnp.asarray(part, quadrants.dtype) for part in _numbered_half_waves(grid))
     along_x = [
@@ -175,46 +174,46 @@ def convolve_vectors(
 
 
 def _numbered_half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """As `half_waves`, by wave numbers 0 ... modes / 2 of both parities: zero where there is no such cosine or sine."""
+    """Order `half_waves` by wave numbers 0 ... modes / 2 of both parities, with zeros for missing cosines and sines."""
     waves, weighted = (np.pad(part, ((0, 0), (0, 1), (0, 0))) for part in half_waves(grid))
     return tuple(np.stack([part[0], np.roll(part[1], 1, axis=0)]) for part in (waves, weighted))  # type: ignore[return-value]
 
 
 def _by_number(kernel: Float[Array, "k k"], grid: Grid) -> Float[Array, "m1 m1"]:
-    """A kernel that depends on wave numbers alone, by the numbers 0 ... modes / 2 along y and x."""
+    """Order a kernel that depends only on wave numbers by the numbers 0 ... modes / 2 along y and x."""
     rows = np.append(np.arange(grid.modes // 2), grid.modes - 1)
     return kernel[rows[:, None], rows[None, :]]
 
 
 def cell_axes(values: Float[Array, "*cells lanes"]) -> tuple[int, ...]:
-    """All axes but that of the lanes.
+    """List all axes except that of the lanes.
 
     Args:
-        values: Of any cells.
+        values: Array with any axes of cells, lanes last.
 
     Returns:
-        Their numbers.
+        Numbers of the axes of cells.
     """
     return tuple(range(values.ndim - 1))
 
 
-def total(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
-    """Sum of each lane.
+def lane_sum(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
+    """Sum each lane.
 
     Args:
-        values: Of any cells.
+        values: Array with any axes of cells, lanes last.
 
     Returns:
-        Sums, with axes of length 1 for the cells.
+        Sums in the unit of `values`, with axes of length 1 for the cells.
     """
     return jnp.sum(values, cell_axes(values), keepdims=True)
 
 
-def largest(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
-    """Largest absolute value of each lane.
+def lane_max(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
+    """Find the largest absolute value of each lane.
 
     Args:
-        values: Of any cells.
+        values: Array with any axes of cells, lanes last.
 
     Returns:
         The values, with axes of length 1 for the cells.
@@ -225,19 +224,20 @@ def largest(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]
 def _product(
     left: Array | np.ndarray, right: Array, left_sum: tuple[int], right_sum: tuple[int], shared: tuple[int, ...]
 ) -> Array:
-    """A batch of matrix products in full float32; shared axes come first, then those left of `left` and `right`."""
-    return jax.lax.dot_general(jnp.asarray(left), right, ((left_sum, right_sum), (shared, shared)), precision=HIGHEST)
+    """Multiply a batch of matrices in full float32; shared axes come first, then those left of `left` and `right`."""
+    axes = (left_sum, right_sum), (shared, shared)
+    return jax.lax.dot_general(jnp.asarray(left), right, axes, precision="highest")
 
 
 def by_lanes(solver: Callable[..., Any]) -> Callable[..., Any]:
     """Give a solver on lanes a batching rule: `jax.vmap` adds lanes.
 
     Args:
-        solver: Takes a tree of arrays that all lanes share, then arrays and trees whose leading axis counts lanes, and
-            gives a tree of such arrays. It is not differentiated.
+        solver: Function of a tree of arrays that all lanes share, and of arrays and trees whose leading axis counts
+            lanes; it returns a tree of such arrays and is not differentiated.
 
     Returns:
-        The solver. Where a batch gives each of its items another shared tree, it is batched as usual.
+        The solver with the rule. If the shared tree differs from item to item of a batch, it is batched as usual.
     """
     batched = custom_vmap(solver)
 

@@ -1,14 +1,14 @@
 """Motion of a stack of bonded elastic layers on a rigid base under a pressure on its surface.
 
-The layers of `i2t.skin.elasticity` are one alone; here each has its own thickness, Young's modulus E and Poisson's
-ratio nu. A wave of wavenumber k moves each of them by u_z = W f and (u_x, u_y) = (d/dx, d/dy) U f / k, where U and W
-are sums of four solutions of Navier's equation, two for each sign s (Papkovich and Neuber), with zeta = k (z - z_s):
+`i2t.skin.elasticity` has a single layer; here each layer has its own thickness, Young's modulus E and Poisson's ratio
+nu. A wave of wavenumber k moves each layer by u_z = W f and (u_x, u_y) = (d/dx, d/dy) U f / k. U and W are sums of four
+solutions of Navier's equation, two for each sign s (Papkovich and Neuber), with zeta = k (z - z_s):
 
     (U, W) = (1, s) exp(s zeta),    (U, W) = (-zeta, kappa - s zeta) exp(s zeta),    kappa = 3 - 4 nu.
 
 z_s is the layer's upper face for the solution that grows upwards (s = 1) and its lower face for the other, so that no
 exponential exceeds 1. The base is at rest, displacement and traction are continuous between layers, and the surface
-carries the pressure alone (Burmister, J. Appl. Phys. 16, 1945): for n layers, 4 n linear equations in 4 n unknowns.
+carries only the pressure (Burmister, J. Appl. Phys. 16, 1945): 4 n linear equations in 4 n unknowns for n layers.
 
 NumPy in double precision, on the host. Metres, pascals; depths are below the surface.
 """
@@ -29,7 +29,7 @@ class Sheet(NamedTuple):
 
     @property
     def shear(self) -> float:
-        """Shear modulus, Pa."""
+        """Shear modulus (Pa)."""
         return self.young / (2 * (1 + self.poisson))
 
 
@@ -44,16 +44,16 @@ class WaveMotion(NamedTuple):
 def stack_motion(
     sheets: Sequence[Sheet], wavenumbers: Float[np.ndarray, "..."], depths: Float[np.ndarray, " d"]
 ) -> WaveMotion:
-    """Work out how a stack moves under waves of pressure.
+    """Compute how a stack moves under waves of pressure.
 
     Args:
-        sheets: Layers from the surface down, each bonded to the next and the last to the base.
-        wavenumbers: Of the waves, >= 0 (1/m).
-        depths: Below the surface, from 0 to the thickness of the whole (m).
+        sheets: Layers from the surface down, each bonded to the next, and the last to the base.
+        wavenumbers: Wavenumbers (1/m), >= 0.
+        depths: `(d,)` depths below the surface (m), from 0 to the thickness of the stack.
 
     Returns:
-        The motion of each wave at each depth. A uniform pressure (wavenumber 0) has no slope, and `along` and `turn`
-        are 0 there.
+        The motion of each wave at each depth. A uniform pressure (wavenumber 0) has no slope, so its `along` and `turn`
+        are 0.
     """
     k, place = np.unique(wavenumbers, return_inverse=True)
     faces = np.cumsum([0.0, *(-sheet.thickness for sheet in sheets)])  # z of each face
@@ -73,7 +73,7 @@ def stack_motion(
 
 
 def _uniaxial(sheet: Sheet) -> float:
-    """Strain per pressure of a layer that cannot spread, 1/Pa."""
+    """Compute the strain per pressure (1/Pa) of a layer that cannot spread."""
     return (1 + sheet.poisson) * (1 - 2 * sheet.poisson) / (sheet.young * (1 - sheet.poisson))
 
 
@@ -83,27 +83,27 @@ class _Waves(NamedTuple):
     U: np.ndarray
     W: np.ndarray
     normal: np.ndarray  # stress along z, in units of 2 mu k
-    shear: np.ndarray  # likewise, per slope over k
+    shear: np.ndarray  # shear stress in the same units, per slope over k
     turn: np.ndarray
 
 
 def _waves(sheet: Sheet, top: float, bottom: float, k: np.ndarray, z: float) -> _Waves:
-    nu, one, none = sheet.poisson, np.ones_like(k), np.zeros_like(k)
+    nu, ones, zeros = sheet.poisson, np.ones_like(k), np.zeros_like(k)
     parts = []
     for s, face in ((1, top), (-1, bottom)):
         zeta = k * (z - face)
         fall = np.exp(s * zeta)
-        gradient = (one, s * one, one, s * one, none)
-        other = (-zeta, 3 - 4 * nu - s * zeta, 2 * (1 - nu) * s - zeta, 1 - 2 * nu - s * zeta, 2 * (1 - nu) * one)
+        gradient = (ones, s * ones, ones, s * ones, zeros)
+        other = (-zeta, 3 - 4 * nu - s * zeta, 2 * (1 - nu) * s - zeta, 1 - 2 * nu - s * zeta, 2 * (1 - nu) * ones)
         parts += [[value * fall for value in solution] for solution in (gradient, other)]
     return _Waves(*(np.stack(part) for part in zip(*parts, strict=True)))
 
 
 def _weights(sheets: Sequence[Sheet], faces: np.ndarray, k: np.ndarray, unit: float) -> np.ndarray:
-    """(k, 4 n): weights of the four solutions of each layer under a pressure of 2 `unit` k."""
+    """Compute the weights (k, 4 n) of the four solutions of each layer under a pressure of 2 `unit` k."""
     equations = np.zeros((len(k), 4 * len(sheets), 4 * len(sheets)))
     for j, sheet in enumerate(sheets):
-        for face, sign in ((j, -1.0), (j + 1, 1.0)):  # the rows of a face are the layer above it less that below
+        for face, sign in ((j, -1.0), (j + 1, 1.0)):  # the rows of a face are the layer above it minus that below
             waves = _waves(sheet, faces[j], faces[j + 1], k, faces[face])
             stiff = sheet.shear / unit
             rows = np.stack([waves.U, waves.W, stiff * waves.normal, stiff * waves.shear])  # (4, 4, k)

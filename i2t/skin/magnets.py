@@ -1,18 +1,18 @@
-"""Discrete magnets: readings of the chips when solid magnets inside a soft lattice are moved and turned (eFlesh).
+"""Discrete magnets: readings of the chips when solid magnets inside a soft lattice are moved and rotated (eFlesh).
 
-A magnet is a cylinder of radius a and height 2b, magnetised by M along its axis, the same as a sheet of current M round
-its side (Jackson, Classical Electrodynamics, section 5.8). Along the axis Biot and Savart's integral is elementary;
-with e the unit vector to the sheet at the angle t, p and z the point's distances off and along the axis, R = |p - a e|,
-z+- = z +- b and D+- = sqrt(R^2 + z+-^2),
+A magnet is a cylinder of radius a and height 2b, magnetised by M along its axis, which is equivalent to a sheet of
+current M around its side (Jackson, Classical Electrodynamics, section 5.8). Along the axis Biot and Savart's integral
+is elementary. With e the unit vector to the sheet at the angle t, p and z the point's distances off and along the axis,
+R = |p - a e|, z+- = z +- b and D+- = sqrt(R^2 + z+-^2),
 
     B_side = mu0 M a / (4 pi) integral e (1 / D- - 1 / D+) dt
     B_axis = mu0 M a / (4 pi) integral (a - p . e) (z+ / D+ - z- / D-) / R^2 dt
 
-These are the integrals that Derby and Olbert (Am. J. Phys. 78, 229, 2010) reduce to elliptic ones. They are taken
-here by the trapezoidal rule, which for periodic integrands errs about as (1 + d / a)^-N with N nodes at the distance d
-from the magnet's surface (Trefethen and Weideman, SIAM Review 56, 2014): 64 nodes give 4e-5 at d = a / 6 and rounding
+Derby and Olbert (Am. J. Phys. 78, 229, 2010) reduce these to elliptic integrals. Here they are evaluated by the
+trapezoidal rule, whose error for periodic integrands is about (1 + d / a)^-N with N nodes at the distance d from the
+magnet's surface (Trefethen and Weideman, SIAM Review 56, 2014): 64 nodes give 4e-5 at d = a / 6, and rounding error
 from a / 4 on. Both differences, which would cancel far away, are rewritten as quotients, so that single precision is
-enough, on the axis too.
+enough, also on the axis.
 
 Tool frame; metres, A/m, tesla; readings in microtesla in the board's order and the chips' own axes.
 """
@@ -28,13 +28,13 @@ from i2t import geometry
 from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI
 from i2t.types import Board
 
-CYLINDER_NODES = 64  # of the integral round a magnet
+CYLINDER_NODES = 64  # nodes of the integral around a magnet
 
 
 class Magnets(NamedTuple):
     """k hard cylinder magnets."""
 
-    positions: Float[Array, "k 3"]  # m, of their centres
+    positions: Float[Array, "k 3"]  # m, of the centres
     rotations: Float[Array, "k 3 3"]  # from a magnet's own axes, in which it is magnetised along z, to tool axes
     radii: Float[Array, " k"]  # m
     heights: Float[Array, " k"]  # m
@@ -48,17 +48,17 @@ def cylinder_field(
     magnetization: Float[Array, ""] | float,
     nodes: int = CYLINDER_NODES,
 ) -> Float[Array, "3"]:
-    """Flux density of one cylinder centred at the origin, in the cylinder's own axes, inside it too.
+    """Compute the flux density of one cylinder centred at the origin, in the cylinder's own axes, also inside it.
 
     Args:
-        point: m.
-        radius: m.
-        height: m.
-        magnetization: A/m, along the axis.
-        nodes: Of the integral round the cylinder.
+        point: `(3,)` point (m).
+        radius: Radius of the cylinder (m).
+        height: Height of the cylinder (m).
+        magnetization: Magnetization along the axis (A/m).
+        nodes: Number of nodes of the integral around the cylinder.
 
     Returns:
-        T; not finite on the curved surface.
+        `(3,)` flux density (T); not finite on the curved surface.
     """
     angles = 2 * np.pi * np.arange(nodes) / nodes
     cosine, sine = np.cos(angles), np.sin(angles)
@@ -68,7 +68,7 @@ def cylinder_field(
     top, bottom = z + height / 2, z - height / 2
     far, near = jnp.sqrt(square + top**2), jnp.sqrt(square + bottom**2)
 
-    # 1 / D- - 1 / D+, and z+ / D+ - z- / D- over R^2: beyond the ends both z have one sign, and R^2 drops out.
+    # 1 / D- - 1 / D+, and z+ / D+ - z- / D- over R^2. Beyond the ends both z have the same sign, and R^2 cancels.
     change = 2 * z * height
     side = change / (far * near * (far + near))
     beyond = top * bottom > 0
@@ -81,33 +81,33 @@ def cylinder_field(
 
 @geometry.full_precision
 def field(points: Float[Array, "m 3"], magnets: Magnets, nodes: int = CYLINDER_NODES) -> Float[Array, "m 3"]:
-    """Flux density of all magnets together.
+    """Compute the flux density of all magnets together.
 
     Args:
-        points: m, tool frame.
-        magnets: In the tool frame.
-        nodes: Of the integral round each magnet.
+        points: `(m, 3)` points (m) in the tool frame.
+        magnets: Magnets in the tool frame.
+        nodes: Number of nodes of the integral around each magnet.
 
     Returns:
-        T, tool axes.
+        `(m, 3)` flux density (T) in tool axes.
     """
 
-    def one(point: Array, magnet: Magnets) -> Array:
+    def field_of(point: Array, magnet: Magnets) -> Array:
         local = magnet.rotations.T @ (point - magnet.positions)
         own = cylinder_field(local, magnet.radii, magnet.heights, magnet.magnetizations, nodes)
         return magnet.rotations @ own
 
-    return jnp.sum(jax.vmap(jax.vmap(one, (None, 0)), (0, None))(points, magnets), axis=1)
+    return jnp.sum(jax.vmap(jax.vmap(field_of, (None, 0)), (0, None))(points, magnets), axis=1)
 
 
 @geometry.full_precision
-def moved(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[Array, "k 3"]) -> Magnets:
-    """Magnets after displacements and rotations, each about its own centre.
+def move(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[Array, "k 3"]) -> Magnets:
+    """Displace and rotate magnets, each about its own centre.
 
     Args:
-        magnets: At rest.
-        displacement: m, tool axes.
-        rotation: Rotation vectors (rad), tool axes.
+        magnets: The magnets at rest.
+        displacement: `(k, 3)` displacements (m) in tool axes.
+        rotation: `(k, 3)` rotation vectors (rad) in tool axes.
 
     Returns:
         The moved magnets.
@@ -125,18 +125,18 @@ def response(
     rotation: Float[Array, "k 3"],
     nodes: int = CYLINDER_NODES,
 ) -> Float[Array, " c"]:
-    """The noise-free reading of magnets moved from rest (see `moved`): the change of field at the chips.
+    """Compute the noise-free reading of magnets moved from rest (see `move`): the change of the field at the chips.
 
     Args:
-        board: Whose chips read it.
-        magnets: At rest.
-        displacement: m, tool axes.
-        rotation: Rotation vectors (rad), tool axes.
-        nodes: Of the integral round each magnet.
+        board: The board that measures the field.
+        magnets: The magnets at rest.
+        displacement: `(k, 3)` displacements (m) in tool axes.
+        rotation: `(k, 3)` rotation vectors (rad) in tool axes.
+        nodes: Number of nodes of the integral around each magnet.
 
     Returns:
-        The reading (uT).
+        `(c,)` reading (uT).
     """
     chips = jnp.asarray(board.chips)
-    change = field(chips, moved(magnets, displacement, rotation), nodes) - field(chips, magnets, nodes)
+    change = field(chips, move(magnets, displacement, rotation), nodes) - field(chips, magnets, nodes)
     return MICROTESLA * board.to_board(change)

@@ -1,9 +1,9 @@
-"""Sensor errors added to the field: white noise, a slow ambient field, steps of the converter.
+"""Sensor errors added to the field: white noise, a slow ambient field, and the steps of the converter.
 
 A chip's sample is `quantise(field + ambient + white)`; a reading is the mean of the samples in contact minus the mean
-of the samples before it. Sizes come from recordings of real ReSkin boards at rest with the paper's settings (MLX90393,
-gain 7, resolution 0, oversampling 0, filter 2): 3.1 uT (x, y) and 4.6 uT (z) in one sample, 20-33 % of that variance
-one slow field that all chips share once turned to common axes, steps of 0.150 and 0.242 uT, drifts of 1-15 uT over a
+of the samples before contact. Sizes come from recordings of real ReSkin boards at rest with the paper's settings
+(MLX90393, gain 7, resolution 0, oversampling 0, filter 2): 3.1 uT (x, y) and 4.6 uT (z) in one sample; 20-33 % of that
+variance is one slow field that all chips share in common axes; steps of 0.150 and 0.242 uT; drifts of 1-15 uT over a
 session of thousands of presses.
 
 Readings are microtesla in the board's order and the chips' own axes. Each function takes one reading and is lifted by
@@ -25,15 +25,15 @@ from i2t.types import Board
 @traced_floats
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the sensor's errors (uT); zero switches one off."""
+    """Sizes of the sensor's errors (uT); zero turns an error off."""
 
-    xy: float = 3.1  # standard deviation of one sample at rest, each of x and y
-    z: float = 4.6  # and of z
-    common: float = 0.26  # part of that variance that is the slow ambient field
-    step_xy: float = 0.150  # of the converter
+    xy: float = 3.1  # standard deviation of one sample at rest, for each of x and y
+    z: float = 4.6  # the same for z
+    common: float = 0.26  # share of that variance that is the slow ambient field
+    step_xy: float = 0.150  # step of the converter
     step_z: float = 0.242
-    ambient_samples: int = 10  # averaged before contact, as in the paper
-    contact_samples: int = 10  # and in contact
+    ambient_samples: int = 10  # number of samples averaged before contact, as in the paper
+    contact_samples: int = 10  # number of samples averaged in contact
 
     @classmethod
     def none(cls) -> "Noise":
@@ -41,41 +41,41 @@ class Noise:
         return cls(xy=0.0, z=0.0, common=0.0, step_xy=0.0, step_z=0.0)
 
     def scaled(self, factor: float) -> "Noise":
-        """The same sensor with more or less noise; its steps stay.
+        """Scale the noise; the steps of the converter stay.
 
         Args:
-            factor: Of the noise.
+            factor: Factor on the standard deviations.
 
         Returns:
-            The new noise.
+            The sensor with the scaled noise.
         """
         return replace(self, xy=factor * self.xy, z=factor * self.z)
 
     def sigma(self, chips: int) -> Float[Any, " c"]:
-        """Standard deviation of one sample at rest.
+        """Compute the standard deviation of one sample at rest.
 
         Args:
-            chips: Of the board.
+            chips: Number of chips of the board.
 
         Returns:
-            (3 chips,) uT.
+            `(3 chips,)` standard deviations (uT).
         """
         return _of_axes(self.xy, self.z, chips)
 
     def steps(self, chips: int) -> Float[Any, " c"]:
-        """Steps of the converter.
+        """List the steps of the converter.
 
         Args:
-            chips: Of the board.
+            chips: Number of chips of the board.
 
         Returns:
-            (3 chips,) uT.
+            `(3 chips,)` steps (uT).
         """
         return _of_axes(self.step_xy, self.step_z, chips)
 
 
 def _of_axes(xy: Any, z: Any, chips: int) -> Float[Any, " c"]:
-    """A value of each axis of each chip: NumPy's of numbers, JAX's where one is traced."""
+    """Repeat values of x, y and z for each chip, in JAX if one of them is traced and otherwise in NumPy."""
     xp = jnp if isinstance(xy, jax.Array) or isinstance(z, jax.Array) else np
     return xp.tile(xp.array([xy, xy, z]), chips)
 
@@ -83,19 +83,20 @@ def _of_axes(xy: Any, z: Any, chips: int) -> Float[Any, " c"]:
 def add_sensor_noise(
     key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise | None = None
 ) -> Float[Array, " c"]:
-    """A touch as it is recorded: mean of the samples in contact minus mean of the samples before it.
+    """Simulate a recorded touch: the mean of the samples in contact minus the mean of the samples before contact.
 
-    The slow field is taken as constant within a burst of samples (25 ms for 10 at 400 Hz) and drawn afresh for the next
-    (a press later), so averaging more samples does not remove it. Drift within one touch is far smaller and left out.
+    The slow field is assumed constant within a burst of samples (25 ms for 10 at 400 Hz) and drawn anew for the next
+    one (a press later), so averaging more samples does not remove it. Drift within one touch is far smaller and is
+    neglected.
 
     Args:
-        key: random key.
-        reading: uT, of an ideal sensor.
-        board: whose chips read it.
-        noise: sizes of the errors, by default those of real boards.
+        key: Random key.
+        reading: `(c,)` reading (uT) of an ideal sensor.
+        board: The board that measures it.
+        noise: Sizes of the errors, by default those of real boards.
 
     Returns:
-        The reading in uT.
+        `(c,)` reading (uT) with errors.
     """
     noise = Noise() if noise is None else noise
     key_contact, key_ambient = jax.random.split(key)
@@ -107,17 +108,17 @@ def add_sensor_noise(
 def sample_burst(
     key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise, samples: int
 ) -> Float[Array, "s c"]:
-    """Raw samples, quick enough after one another that only the white noise differs between them.
+    """Draw raw samples in such quick succession that they differ only in the white noise.
 
     Args:
-        key: random key.
-        reading: uT, of an ideal sensor.
-        board: whose chips read it.
-        noise: sizes of the errors.
-        samples: how many.
+        key: Random key.
+        reading: `(c,)` reading (uT) of an ideal sensor.
+        board: The board that measures it.
+        noise: Sizes of the errors.
+        samples: Number of samples.
 
     Returns:
-        Samples in uT.
+        `(samples, c)` samples (uT).
     """
     key_ambient, key_white = jax.random.split(key)
     field = reading + ambient(key_ambient, board, noise)
@@ -127,29 +128,29 @@ def sample_burst(
 
 
 def ambient(key: Key[Array, ""], board: Board, noise: Noise) -> Float[Array, " c"]:
-    """The slow ambient field at one moment: one vector in tool axes, seen by every chip in its own.
+    """Draw the slow ambient field at one moment: one vector in tool axes, measured by every chip in its own axes.
 
     Args:
-        key: random key.
-        board: whose chips see it.
-        noise: sizes of the errors.
+        key: Random key.
+        board: The board that measures it.
+        noise: Sizes of the errors.
 
     Returns:
-        A reading in uT.
+        `(c,)` reading of the field (uT).
     """
     field = jnp.sqrt(noise.common) * noise.sigma(1) * jax.random.normal(key, (3,))
     return board.to_board(jnp.broadcast_to(field, (board.num_chips, 3)))
 
 
 def quantise(readings: Float[Array, "*n c"], noise: Noise) -> Float[Array, "*n c"]:
-    """Readings rounded to the converter's steps.
+    """Round readings to the converter's steps.
 
     Args:
-        readings: uT.
-        noise: whose steps.
+        readings: `(..., c)` readings (uT).
+        noise: The sensor's errors with the steps.
 
     Returns:
-        Readings in uT.
+        `(..., c)` rounded readings (uT).
     """
     channels = readings.shape[-1]
     steps = noise.steps(channels // 3).reshape((1,) * (readings.ndim - 1) + (channels,))

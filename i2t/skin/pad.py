@@ -1,9 +1,10 @@
-"""Pads, random pads as different as real ones, and the press of a pad on a surface.
+"""Pads, random pads that vary like real ones, and the press of a pad on a surface.
 
 Sizes are those of ReSkin (Bhirangi et al., CoRL 2021): 20 x 20 mm of magnetic silicone, 2-3 mm thick, on a board of
 five magnetometers (`i2t.skin.boards`). Frames and units as in `i2t.types`.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -20,25 +21,30 @@ from i2t.skin.boards import reskin_board
 from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
-from i2t.skin.friction import Shear, rest, shear
+from i2t.skin.friction import Shear, shear, without_traction
 from i2t.types import Board, Pad, in_one_line
 
-THICKNESS_M = 2e-3
-CHIP_GAP_M = 1.5e-3  # from the layer's base to the sensing elements: half of the chip's 1 mm package, glue and film
-YOUNG_PA = 150e3  # soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
-POISSON_RATIO = 0.48
-POISSON_RATIO_RANGE = (0.475, 0.485)  # of pads, an assumption; see `sample_pad`
-FRICTION_COEFFICIENT = 0.6  # of dry silicone on plastic, between 0.4 and 1 as a rule
-MOUNT_COMPLIANCE_M_PER_N = 0.25e-3  # middling, of those that are clamped at their edge; see `sample_pad`
-EDGE_CLAMPED_FRACTION = 1 / 3  # of skins are
-MAGNETIZATION_A_PER_M = 2e4  # root mean square of one component of a random magnetization; see `sample_pad`
-MAX_RANGE_FRACTION = 0.85  # of the converter's range, which no axis exceeds at rest
-FIRST_PAD_SEED = 1000  # of pad 0 of `numbered_pad`
-PATH_TOLERANCE = 1e-4  # of the contacts on the way of `friction_response`
-TRACTION_TOLERANCE = 1e-3  # of its tractions, of the largest displacement
-# What `sample_pad` draws, each from a key of its own.
+
+@dataclass(frozen=True)
+class NominalSkin:
+    """Properties of a middling ReSkin, and assumptions on how skins differ; see `sample_pad`."""
+
+    thickness: float = 2e-3  # m
+    chip_gap: float = 1.5e-3  # m from the base to the sensing elements: half of the 1 mm package, glue and film
+    young: float = 150e3  # Pa, soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
+    poisson: float = 0.48
+    friction: float = 0.6  # dry silicone on plastic, typically between 0.4 and 1
+    mount_compliance: float = 0.25e-3  # m/N, of a middling skin that is clamped at its edge
+    magnetization: float = 2e4  # A/m, root mean square of one component of a random magnetization
+    poisson_range: tuple[float, float] = (0.475, 0.485)
+    edge_clamped_share: float = 1 / 3  # share of skins that are clamped at their edge
+    max_range_share: float = 0.85  # largest field at rest along any axis, as a share of the converter's range
+
+
+NOMINAL_SKIN = NominalSkin()
+# Quantities that `sample_pad` draws, each from its own key.
 DRAWN = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
-MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and whole cells to each of 4 poles
+MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and a whole number for each of 4 poles
 
 
 @in_one_line
@@ -64,19 +70,20 @@ def press(
     """Press the pad onto a surface to an indentation; see `contact.solve`.
 
     Args:
-        pad: the skin.
-        height: m, of the surface behind its nearest point at each cell centre, row along tool y; inf for air.
-        indentation: m past first touch.
-        grid: of the contact.
-        start: Pa, a pressure to begin from.
-        dipoles: a coarser grid of the same period for the field.
+        pad: The skin.
+        height: `(n, n)` distance (m) of the surface behind its nearest point at each cell centre, row along tool y; inf
+            for air.
+        indentation: Distance (m) past first touch.
+        grid: Grid of the contact.
+        start: `(n, n)` pressure (Pa) to start from.
+        dipoles: A coarser grid of the same period for the field.
 
     Returns:
         Reading, force, indentation and pressure.
 
     Raises:
-        ValueError: the heights are not the grid's, NaN or nowhere finite, or the indentation is no length.
-        TypeError: one of them holds no real numbers.
+        ValueError: The heights do not fit the grid, are NaN or nowhere finite, or the indentation is not a length.
+        TypeError: An argument does not contain real numbers.
 
     Example:
         pressed = i2t.press(i2t.nominal_pad(), height, 0.4e-3)
@@ -103,12 +110,12 @@ def press_force(
     """Press the pad onto a surface to a normal force; see `contact.solve_force`.
 
     Args:
-        pad: the skin.
-        height: m, as for `press`.
-        force: N, > 0.
-        grid: of the contact.
-        start: Pa, a pressure to begin from.
-        dipoles: a coarser grid of the same period for the field.
+        pad: The skin.
+        height: `(n, n)` distance (m) of the surface behind its nearest point, as for `press`.
+        force: Normal force (N), > 0.
+        grid: Grid of the contact.
+        start: `(n, n)` pressure (Pa) to start from.
+        dipoles: A coarser grid of the same period for the field.
 
     Returns:
         Reading, force, indentation and pressure.
@@ -116,7 +123,7 @@ def press_force(
     return _press(pad, solve_force(pad, jnp.asarray(height), force, grid, start=start), grid, dipoles)
 
 
-@partial(jax.jit, static_argnames=("grid", "increments"))
+@partial(jax.jit, static_argnames=("grid", "increments", "pressure_tolerance", "traction_tolerance"))
 def friction_response(
     pad: Pad,
     height: Float[Array, "n n"],
@@ -126,58 +133,63 @@ def friction_response(
     grid: Grid = GRID,
     increments: int = 3,
     pressed: Press | None = None,
+    pressure_tolerance: float = 1e-4,
+    traction_tolerance: float = 1e-3,
 ) -> Float[Array, " c"]:
-    """Friction's part in the reading of a press whose surface slides evenly on its way; see `i2t.skin.friction`.
+    """Compute friction's part in the reading of a press whose surface slides evenly on its way.
 
-    Not zero without a slide: friction also holds what pressure would spread. Contacts and tractions on the way are
-    solved to `PATH_TOLERANCE` and `TRACTION_TOLERANCE`, which moves the result by about 5 nT.
+    The part is not zero without a slide, because friction also holds material that the pressure would spread; see
+    `i2t.skin.friction`. The default tolerances on the way change the result by about 5 nT.
 
     Args:
-        pad: the skin.
-        height: m, as for `press`.
-        indentation: m past first touch.
-        slide: m, along x and y of the skin, from first touch to the indentation.
-        grid: of the contact.
-        increments: equal steps of the path.
-        pressed: `press` of the same pad, height, indentation and grid, where it is known.
+        pad: The skin.
+        height: `(n, n)` distance (m) of the surface behind its nearest point, as for `press`.
+        indentation: Distance (m) past first touch.
+        slide: Motion (m) along x and y of the skin, from first touch to the indentation.
+        grid: Grid of the contact.
+        increments: Number of equal steps of the path.
+        pressed: `press` of the same pad, height, indentation and grid, if it is available.
+        pressure_tolerance: Tolerance of the contacts on the way, as of `contact.solve`.
+        traction_tolerance: Tolerance of the tractions, relative to the largest displacement.
 
     Returns:
-        The change of the reading in uT.
+        `(c,)` change of the reading (uT).
     """
     pressed = press(pad, height, indentation, grid=grid) if pressed is None else pressed
 
     def pressure_after(part: Float[Array, ""]) -> Float[Array, "n n"]:
         start = part * pressed.pressure
-        return solve(pad, height, part * indentation, grid, start=start, tolerance=PATH_TOLERANCE).pressure
+        return solve(pad, height, part * indentation, grid, start=start, tolerance=pressure_tolerance).pressure
 
     def advance(before: Shear, reached: tuple[Array, Array]) -> tuple[Shear, None]:
         number, pressure = reached
-        begun = before._replace(traction=before.traction * number / jnp.maximum(number - 1, 1))
-        state = shear(pad, pressure, slide / increments, grid, before=begun, tolerance=TRACTION_TOLERANCE)
+        start = before._replace(traction=before.traction * number / jnp.maximum(number - 1, 1))
+        state = shear(pad, pressure, slide / increments, grid, before=start, tolerance=traction_tolerance)
         return state, None
 
     numbers = jnp.arange(1, increments + 1, dtype=pressed.pressure.dtype)
     pressures = jnp.append(jax.vmap(pressure_after)(numbers[:-1] / increments), pressed.pressure[None], axis=0)
-    state, _ = jax.lax.scan(advance, rest(pad, jnp.zeros_like(pressed.pressure), grid), (numbers, pressures))
+    untouched = without_traction(pad, jnp.zeros_like(pressed.pressure), grid)
+    state, _ = jax.lax.scan(advance, untouched, (numbers, pressures))
     return response(pad, pressed.pressure, grid, traction=state.traction) - pressed.reading
 
 
 def nominal_pad(
-    pattern: str = "poles", *, strength: float | Array = MAGNETIZATION_A_PER_M, board: Board | None = None
+    pattern: str = "poles", *, strength: float | Array = NOMINAL_SKIN.magnetization, board: Board | None = None
 ) -> Pad:
-    """A middling ReSkin with a known magnetization: a pattern times its strength.
+    """Make a middling ReSkin with a known magnetization: a pattern times its strength.
 
     Args:
-        pattern: name of a `magnetization_pattern`.
-        strength: A/m.
-        board: whose chips lie below the skin, by default ReSkin's five; the depth of its chips is replaced by that
+        pattern: Name of a `magnetization_pattern`.
+        strength: Strength of the magnetization (A/m).
+        board: Board below the skin, by default ReSkin's with five chips. The depth of its chips is replaced by that
             below a nominal layer.
 
     Returns:
         The pad, bonded and without friction.
 
     Raises:
-        ValueError: the pattern is not known, or the strength is not finite.
+        ValueError: The pattern is unknown, or the strength is not finite.
 
     Example:
         pad = i2t.nominal_pad("uniform", board=make_board("grid-4x4"))
@@ -185,44 +197,46 @@ def nominal_pad(
     validation.number("strength", strength, "A/m")
     board = reskin_board() if board is None else board
     return Pad(
-        thickness=jnp.float32(THICKNESS_M),  # typed as those of `sample_pad`, so that programs serve both
-        young=jnp.float32(YOUNG_PA),
-        poisson=jnp.float32(POISSON_RATIO),
+        thickness=jnp.float32(NOMINAL_SKIN.thickness),  # typed like `sample_pad`, so that compiled programs serve both
+        young=jnp.float32(NOMINAL_SKIN.young),
+        poisson=jnp.float32(NOMINAL_SKIN.poisson),
         magnetization=strength * magnetization_pattern(pattern),
         gains=jnp.ones(board.num_readings),
-        board=_at_depth(board, jnp.asarray(THICKNESS_M + CHIP_GAP_M)),
+        board=_at_depth(board, jnp.asarray(NOMINAL_SKIN.thickness + NOMINAL_SKIN.chip_gap)),
         friction=jnp.zeros(()),
         mount_compliance=jnp.zeros(()),
     )
 
 
 def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board | None = None) -> Pad:
-    """A pad as different from the next as real skins are; with `spread` 0 only its magnetization is random.
+    """Draw a random pad that varies like real skins; with `spread` 0 only its magnetization is random.
 
-    Thickness 2-3 mm (ReSkin's range); stiffness within 15 %, gap within 0.25 mm, gains within 5 % and friction within
-    20 % (one sigma). Poisson's ratio is 0.475-0.485, an assumption: silicone rubber is hardly compressible (0.49 and
-    more), what is between its powder is not all rubber, and nobody measured it of a skin. A wide flat press feels the
-    layer as stiff as (1 - nu) / ((1 + nu) (1 - 2 nu)), 19 % less to 32 % more than at 0.48; a small tip hardly feels
-    it. One skin in three is clamped at its edge instead of
-    bonded, and its mounting compliance is MOUNT_COMPLIANCE_M_PER_N within a factor of 1.8: on one of a few real boards
-    a press anywhere moved two chips by 60-100 uT. The magnetization is that of `sample_magnetization`, and its strength
-    varies by 25 % from skin to skin; a skin that would bring an axis at rest near the end of its range (most would) is
-    weaker: makers magnetize as strongly as the chips bear. MAGNETIZATION_A_PER_M and MOUNT_COMPLIANCE_M_PER_N are such
-    that presses of a small tip to 0.6-1.0 N change the readings as on real boards (`tests/skin/test_pad.py`).
+    The thickness is 2-3 mm (ReSkin's range). Stiffness varies by 15 %, the gap by 0.25 mm, gains by 5 % and friction by
+    20 % (one sigma). Poisson's ratio is 0.475-0.485, an assumption: silicone rubber is nearly incompressible (0.49 and
+    more), the material between the powder is not all rubber, and there is no measurement of a skin. To a wide flat
+    press the layer's stiffness is proportional to (1 - nu) / ((1 + nu) (1 - 2 nu)), 19 % less to 32 % more than at
+    0.48; to a small tip it hardly changes.
+
+    One skin in three is clamped at its edge instead of bonded, with a nominal mounting compliance within a factor of
+    1.8: on one of a few real boards a press anywhere moved two chips by 60-100 uT. The magnetization is that of
+    `sample_magnetization`, and its strength varies by 25 % from skin to skin. A skin that would bring an axis at rest
+    near the end of its range (most would) is weakened, because makers magnetize as strongly as the chips allow. The
+    nominal magnetization and compliance are such that presses of a small tip to 0.6-1.0 N change the readings as on
+    real boards (`tests/skin/test_pad.py`).
 
     Args:
-        key: random key. Pads of one key on different boards differ in their gains, and in strength where the range of
-            a chip bounds it.
-        spread: factor of all that varies but the magnetization.
-        board: whose chips lie below the skin, by default ReSkin's five; the depth of its chips is replaced by that of
-            the pad, thickness and gap.
+        key: Random key. Pads of the same key on different boards differ in their gains, and in strength if the range of
+            a chip limits it.
+        spread: Factor on all variations except that of the magnetization.
+        board: Board below the skin, by default ReSkin's with five chips. The depth of its chips is replaced by the
+            pad's thickness and gap.
 
     Returns:
-        The pad.
+        The random pad on its board.
 
     Raises:
         ValueError: `spread` is negative or not finite.
-        TypeError: the key is none.
+        TypeError: `key` is not a random key.
 
     Example:
         pad = i2t.sample_pad(jax.random.key(0))
@@ -232,7 +246,8 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
         "spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", least=0
     )
     board = reskin_board() if board is None else board
-    # Apart from the rest: gains name a board (`i2t.skin.faults.board_key`), and fused with it they end in other bits.
+    # Drawn separately: gains identify a board (`i2t.skin.faults.board_key`), and compiled with the rest their last bits
+    # would differ.
     key_gains = jax.random.split(key, len(DRAWN))[DRAWN.index("gains")]
     gains = 1 + spread * 0.05 * jax.random.truncated_normal(key_gains, -3.0, 3.0, (board.num_readings,))
     return _sample_pad(jax.random.clone(key), spread, board, gains)
@@ -240,55 +255,55 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
 
 @jit_quickly
 def _sample_pad(key: Key[Array, ""], spread: float | Array, board: Board, gains: Float[Array, " c"]) -> Pad:
-    """`sample_pad` of what was checked, with the gains of its board."""
+    """Draw a pad with checked arguments and the gains of its board; see `sample_pad`."""
     keys = dict(zip(DRAWN, jax.random.split(key, len(DRAWN)), strict=True))
-    clamped = jax.random.uniform(keys["clamped"]) < EDGE_CLAMPED_FRACTION
-    compliance = spread * MOUNT_COMPLIANCE_M_PER_N * jnp.exp(0.6 * jax.random.normal(keys["compliance"]))
-    strength = MAGNETIZATION_A_PER_M * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"]))
-    thickness = THICKNESS_M + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
-    gap = CHIP_GAP_M + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
-    low, high = POISSON_RATIO_RANGE  # drawn from a key of its own, so that what else is drawn of a key stays
+    clamped = jax.random.uniform(keys["clamped"]) < NOMINAL_SKIN.edge_clamped_share
+    compliance = spread * NOMINAL_SKIN.mount_compliance * jnp.exp(0.6 * jax.random.normal(keys["compliance"]))
+    strength = NOMINAL_SKIN.magnetization * jnp.exp(spread * 0.25 * jax.random.normal(keys["strength"]))
+    thickness = NOMINAL_SKIN.thickness + spread * jax.random.uniform(keys["thickness"], maxval=1e-3)
+    gap = NOMINAL_SKIN.chip_gap + spread * 0.25e-3 * jax.random.truncated_normal(keys["gap"], -2.0, 2.0)
+    low, high = NOMINAL_SKIN.poisson_range  # drawn from a separate key, so that the other draws of a key stay the same
     poisson = jax.random.uniform(jax.random.fold_in(key, len(DRAWN)), minval=low, maxval=high)
     pad = Pad(
         thickness=thickness,
-        young=YOUNG_PA * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
-        poisson=POISSON_RATIO + spread * (poisson - POISSON_RATIO),
+        young=NOMINAL_SKIN.young * jnp.exp(spread * 0.15 * jax.random.normal(keys["young"])),
+        poisson=NOMINAL_SKIN.poisson + spread * (poisson - NOMINAL_SKIN.poisson),
         magnetization=strength * sample_magnetization(keys["map"], spread),
         gains=gains,
         board=_at_depth(board, thickness + gap),
-        friction=FRICTION_COEFFICIENT * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
+        friction=NOMINAL_SKIN.friction * jnp.exp(spread * 0.2 * jax.random.normal(keys["friction"])),
         mount_compliance=jnp.where(clamped, compliance, 0.0),
     )
     full_scale = np.tile([RANGE_XY_UT, RANGE_XY_UT, RANGE_Z_UT], board.num_chips)
     use = jnp.max(jnp.abs(pad.board.to_board(rest_field(pad))) / full_scale)
-    return pad._replace(magnetization=pad.magnetization * jnp.minimum(1.0, MAX_RANGE_FRACTION / use))
+    return pad._replace(magnetization=pad.magnetization * jnp.minimum(1.0, NOMINAL_SKIN.max_range_share / use))
 
 
 def numbered_pad(number: int, *, board: Board | None = None) -> Pad:
-    """The random pad of a number, by which experiments, emulators and their results name it.
+    """Make the random pad of a number, by which experiments, emulators and their results identify it.
 
     Args:
-        number: of the pad, from 0; the same number is the same pad.
-        board: as for `sample_pad`.
+        number: Number of the pad, from 0; equal numbers give equal pads.
+        board: As for `sample_pad`.
 
     Returns:
-        The pad.
+        The random pad with this number.
     """
-    return sample_pad(jax.random.key(FIRST_PAD_SEED + number), board=board)
+    return sample_pad(jax.random.key(1000 + number), board=board)
 
 
 def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:
-    """A magnetization as uneven as real skins': patches of some 2.5 mm about a common direction.
+    """Draw a magnetization as uneven as that of real skins: patches of some 2.5 mm about a common direction.
 
-    It is stronger along some axes than others and at some positions than others (some chips 100 uT, others 10 uT for
-    the same press). The sizes are assumptions that meet what real boards show; see `sample_pad`.
+    It is stronger along some axes and at some positions than at others (some chips 100 uT, others 10 uT for the same
+    press). The sizes are assumptions that agree with real boards; see `sample_pad`.
 
     Args:
         key: Random key.
-        spread: Of the patches' length, as a multiple of the assumed one; 0 gives 2.5 mm.
+        spread: Factor on the assumed variation of the patches' length; 0 gives 2.5 mm.
 
     Returns:
-        The map, of root mean square 1.
+        `(m, m, 3)` magnetization map with a root mean square of 1.
     """
     key_length, key_patches, key_common, key_axes, key_places = jax.random.split(key, 5)
     length = 2.5e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
@@ -299,25 +314,25 @@ def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Fl
 
 
 def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
-    """A regular magnetization map.
+    """Make a regular magnetization map.
 
     Args:
-        pattern: `poles` (4 x 4, up and down in turn, as in ReSkin's first paper), `uniform` (up) or `magnets` (four
-            upright magnets of 6 mm, up and down in turn, in a skin that is else not magnetic; `i2t.skin.magnets` has
+        pattern: `poles` (4 x 4, alternating up and down, as in ReSkin's first paper), `uniform` (up) or `magnets` (four
+            upright magnets of 6 mm, alternating up and down, in an otherwise nonmagnetic skin; `i2t.skin.magnets` has
             their exact field).
-        cells: Of the map along an edge.
+        cells: Number of the map's cells along an edge.
 
     Returns:
-        The map, in units of its strength.
+        `(m, m, 3)` magnetization map, in units of its strength.
 
     Raises:
-        ValueError: There is no such pattern.
+        ValueError: The pattern is unknown.
     """
     quarter = np.arange(cells) * 4 // cells
     half = np.arange(cells) * 2 // cells
     place = (np.arange(cells) + 0.5) / cells * PAD_WINDOW
-    aside = np.square(place % (PAD_WINDOW / 2) - PAD_WINDOW / 4)  # of the nearest magnet's middle
-    inside = aside[:, None] + aside[None, :] <= 3e-3**2
+    offset_square = np.square(place % (PAD_WINDOW / 2) - PAD_WINDOW / 4)  # from the nearest magnet's centre
+    inside = offset_square[:, None] + offset_square[None, :] <= 3e-3**2
     maps = {
         "poles": 1 - 2 * ((quarter[:, None] + quarter[None, :]) % 2),
         "uniform": np.ones((cells, cells)),
@@ -329,15 +344,15 @@ def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, 
 
 
 def smooth_random(key: Key[Array, ""], length: float | Array, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
-    """A random vector map: normal, each component of variance 1, correlated as exp(-d^2 / (2 length^2)) over d.
+    """Draw a normal random vector map whose components have variance 1 and the correlation exp(-d^2 / (2 length^2)).
 
     Args:
         key: Random key.
-        length: m.
-        cells: Of the map along an edge.
+        length: Correlation length (m).
+        cells: Number of the map's cells along an edge.
 
     Returns:
-        The map.
+        `(m, m, 3)` random map, dimensionless.
     """
     places = (np.arange(cells) + 0.5) / cells * PAD_WINDOW
     distance = places[:, None] - places[None, :]

@@ -1,9 +1,9 @@
-"""Models of one skin, fitted to its touches: each is fitted, left out, saved and loaded by four verbs (`base`).
+"""Models of one skin, fitted to its touches, with one interface (`base`): fit, predict, left_out, save and load.
 
-`calibration` is of one tip, by the Gaussian process of `tip_gp`. Of any contact are `pressure_gp`, a Gaussian process
-over contact pressure, and `pad_model`, which `pad_fit` fits to touches of known objects: a `reading_model` of the
-pressure on a `layer`, and the `likelihood` of its errors. `magnetization` fits a `Pad` to simulate with.
-`check_presses` finds what in recorded presses contradicts any sound skin.
+`calibration` models one tip by the Gaussian process of `tip_gp`. Two models serve any contact: `pressure_gp`, a
+Gaussian process over contact pressure, and `pad_model`, which `pad_fit` fits to touches of known objects and which
+combines a `reading_model` of the pressure on a `layer` with the `likelihood` of its errors. `magnetization` fits a
+`Pad` to simulate with. `check_presses` reports recorded presses that contradict any sound skin.
 """
 
 from collections.abc import Callable
@@ -29,13 +29,13 @@ __all__ = [
 
 
 def load(path: Path | str) -> FittedSkinModel[Any]:
-    """Read a model of a skin, whichever it is.
+    """Read a fitted model of a skin, of any kind.
 
     Args:
-        path: Of a file that `save` of a fitted model wrote.
+        path: Path of a file that the `save` of a fitted model wrote.
 
     Returns:
-        The fitted model.
+        The fitted model; its class depends on the kind of file.
 
     Raises:
         SerializationError: The file is missing, damaged or holds no model of a skin.
@@ -49,5 +49,7 @@ def load(path: Path | str) -> FittedSkinModel[Any]:
         pressure_gp.FILE_KIND: pressure_gp.load_pressure_gp,
     }
     if (kind := serialization.file_kind(path)) not in readers:
-        raise SerializationError(f"{path}: holds a {kind}, which is no model of a skin; name a file that `save` wrote")
+        raise SerializationError(
+            f"{path}: holds a {kind}, which is not a model of a skin; name a file that `save` wrote"
+        )
     return readers[kind](path)

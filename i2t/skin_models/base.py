@@ -1,11 +1,11 @@
-"""The four verbs of every model of one skin: fit, predict, left_out, save and load.
+"""Interface of all models of one skin: fit, predict, left_out, save and load.
 
     fitted = model.fit(key, data)            # data: touches of one skin
     mean, std = fitted.predict(contact)      # (m, c) uT each, noise included
     errors = fitted.left_out                 # (n, c) uT, of the same touches, each predicted from all others
     fitted.save(path)
 
-A model is a value, a frozen dataclass of options; what `fit` returns is of one skin.
+A model is a frozen dataclass of options; `fit` returns the model of one skin.
 
 | model | data | contact | fitted |
 | --- | --- | --- | --- |
@@ -14,8 +14,8 @@ A model is a value, a frozen dataclass of options; what `fit` returns is of one 
 | `pad_fit.ContactModel` | touches of known objects | `ContactPressure` on its layer | `pad_model.KnownPad` |
 | `magnetization.MagnetizationModel` | presses of one tip | `ContactPressure` | `PadFit` |
 
-Files are of one format (`i2t.files.serialization`); their header says which model they hold, and
-`i2t.skin_models.load` reads any of them.
+All files have one format (`i2t.files.serialization`), whose header names the model; `i2t.skin_models.load` reads any of
+them.
 """
 
 from collections.abc import Callable
@@ -35,22 +35,22 @@ Record, Fitted = TypeVar("Record"), TypeVar("Fitted")
 
 @runtime_checkable
 class FittedSkinModel(Protocol[Contact]):
-    """Model of one skin."""
+    """Fitted model of one skin."""
 
     @property
     def left_out(self) -> Float[np.ndarray, "n c"]:
-        """Errors (uT) on the touches of the fit, measured minus predicted from all others."""
+        """Errors (uT) on the touches of the fit: measured minus predicted from all other touches."""
         ...
 
     def predict(self, *contact: Contact.args, **options: Contact.kwargs) -> tuple[Any, Any]:
         """Predict readings of contacts that were not measured.
 
         Args:
-            contact: m contacts, as the model describes them.
-            options: Of the model.
+            contact: m contacts, in the model's own form.
+            options: Options of the model.
 
         Returns:
-            Mean and standard deviation, (m, c) uT each, noise included.
+            `(m, c)` means and standard deviations of the readings (uT), noise included.
         """
         ...
 
@@ -58,23 +58,23 @@ class FittedSkinModel(Protocol[Contact]):
         """Write one file, which appears whole or not at all.
 
         Args:
-            path: Of the file; `.npz` by custom.
+            path: Path of the file; `.npz` by convention.
         """
         ...
 
 
 class SkinModel(Protocol[Data, Contact]):
-    """Options of a model, which is fitted to touches of one skin."""
+    """Options of a model that is fitted to touches of one skin."""
 
     def fit(self, key: Key[Array, ""] | None, data: Data) -> FittedSkinModel[Contact]:
         """Fit the model to touches.
 
         Args:
-            key: Of what the fit draws; None where it draws nothing.
+            key: Random key of the fit; None if it draws nothing.
             data: n touches of one skin.
 
         Returns:
-            The model of that skin.
+            The fitted model of that skin.
         """
         ...
 
@@ -90,14 +90,14 @@ def load_fitted(
     """Read a fitted model from its file.
 
     Args:
-        path: Of the file, or the name of a ready model that has such a part.
-        kind: Of file.
-        form: Type of the NamedTuple that it holds.
-        build: Makes the model of the path, that NamedTuple and what was kept with it.
+        path: Path of the file, or the name of a ready model that has this part.
+        kind: Kind of file.
+        form: Type of the NamedTuple in the file.
+        build: Function that builds the model from the path, the NamedTuple and the metadata.
         ready: Part of the ready models that `path` may name.
 
     Returns:
-        The model.
+        The fitted model that `build` returns.
 
     Raises:
         SerializationError: The file is missing, damaged, of another kind, or its parts do not fit each other.

@@ -1,4 +1,4 @@
-"""A calibrated skin: presses in, readings out, on disk in one file.
+"""Calibration of a skin for one tip: fitted to presses, predicts readings, kept in one file.
 
     import i2t
 
@@ -7,9 +7,9 @@
     calibration.save("skin.npz")
     calibration = i2t.load_calibration("skin.npz")
 
-A press's load is its depth (m), its normal force (N), both, or not known at all, the same throughout a calibration. The
+The load of a press is its depth (m), its normal force (N), both, or unknown, the same throughout a calibration. The
 model is the Gaussian process of `i2t.skin_models.tip_gp.population`, whose hyperparameters are marginalised over a
-population of skins; with `hyperparameters` given it is the one kernel of `i2t.skin_models.tip_gp.structured`.
+population of skins. With `hyperparameters` given, it is a single kernel (`i2t.skin_models.tip_gp.structured`).
 """
 
 from dataclasses import dataclass, field, replace
@@ -28,17 +28,14 @@ from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin_models.base import load_fitted
 from i2t.skin_models.tip_gp import population
 from i2t.skin_models.tip_gp.candidates import board_candidates
-from i2t.skin_models.tip_gp.left_out import Conditioned, one_thread_for_few
+from i2t.skin_models.tip_gp.left_out import Conditioned, limit_blas_threads
 from i2t.skin_models.tip_gp.population import PopulationGP, PressTable
 from i2t.skin_models.tip_gp.structured import StructuredGPHyperparameters, fit_structured
 from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibrated skin"
-MAX_POSITION_M = 1.0
-MAX_LOAD = {"depth": 0.1, "force": 1e3}  # m, N
-LOAD_UNITS = {"depth": "m", "force": "N"}
-NO_BOARD_NAME, GIVEN_BOARD = "none", "the given board"
-LINEAR_TERMS = "linear_terms"  # in the metadata of files of an earlier version, which are refused
+GIVEN_BOARD = "the given board"
+LOADS = {"depth": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind
 
 LoadKind: TypeAlias = Literal["depth", "force", "both", "none"]
 LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -47,24 +44,24 @@ LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
 
 
 class CalibrationRecord(NamedTuple):
-    """A calibration on disk."""
+    """Calibration in the form of its file."""
 
-    gp: PopulationGP  # fitted to the presses
+    gp: PopulationGP
     interval_scaling: Array  # (c,)
-    previous: PopulationGP | None = None  # of an earlier session
+    previous: PopulationGP | None = None  # mixture of an earlier session
 
 
 @dataclass(frozen=True, repr=False)
 class Calibration:
-    """Predicts the readings of presses of one tip on one skin; make one with `calibrate` or `load_calibration`.
+    """Model of the readings of one tip on one skin; make one with `calibrate` or `load_calibration`.
 
     Attributes:
         gp: The Gaussian process, conditioned on the presses.
         interval_scaling: (c,) factors on its standard deviations, so that nine in ten readings lie in the 90 % range.
         load_kind: Whether loads are depths (m), forces (N), both or unknown.
-        metadata: Whatever the caller wants to remember, as JSON can hold it.
-        previous: An earlier session of the same skin, whose predictions are the mean of some of the mixture.
-        boards: Name of the board that takes part, or nothing.
+        metadata: The caller's own data, in types that JSON can hold.
+        previous: Calibration of an earlier session of the same skin; part of the mixture uses its predictions as mean.
+        boards: Name of the board that takes part, if any.
     """
 
     gp: PopulationGP
@@ -83,24 +80,24 @@ class Calibration:
 
     @property
     def board_shares(self) -> dict[str, float]:
-        """Weight of the board that takes part, and of none, by presses left out; they sum to 1."""
-        return dict(zip((NO_BOARD_NAME, *self.boards), map(float, population.board_shares(self.gp)), strict=True))
+        """Weights of the board that takes part and of no board, by leave-one-out errors; they sum to 1."""
+        return dict(zip(("none", *self.boards), map(float, population.board_shares(self.gp)), strict=True))
 
     @property
     def about_board(self) -> str:
-        """The board that weighs most, or none, in words."""
+        """Description of the board with the largest weight, or of its absence."""
         shares = self.board_shares
         best = max(shares, key=lambda name: shares[name])
-        said = "no board" if best == NO_BOARD_NAME else best if best == GIVEN_BOARD else f"board {best}"
+        board = "no board" if best == "none" else best if best == GIVEN_BOARD else f"board {best}"
         if len(shares) == 1:
-            return said
+            return board
         rest = ", ".join(f"{name} {share:.2f}" for name, share in shares.items() if name != best)
-        return f"{said} by evidence ({shares[best]:.2f}; {rest})"
+        return f"{board} by evidence ({shares[best]:.2f}; {rest})"
 
     @property
     def left_out(self) -> Float[np.ndarray, "n c"]:
-        """Errors (uT) on the presses of the fit, each predicted from all others."""
-        with one_thread_for_few(len(self.gp.readings)):
+        """Errors (uT) on the presses of the fit: measured minus predicted from all other presses."""
+        with limit_blas_threads(len(self.gp.readings)):
             return population.left_out_errors(self.gp)
 
     def predict(
@@ -108,17 +105,17 @@ class Calibration:
         positions: ArrayLike | None,
         loads: ArrayLike | float | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Predict readings, with uncertainty.
+        """Predict readings and their uncertainty.
 
         Args:
-            positions: (n, 2) or (2,) positions of the tip in the tool frame (m); None where the calibration has none.
-            loads: (n,) or () depths (m) or forces (N), (n, 2) or (2,) of both, None of neither.
+            positions: `(n, 2)` or `(2,)` positions of the tip in the tool frame (m); None if the calibration has none.
+            loads: `(n,)` or `()` depths (m) or forces (N), `(n, 2)` or `(2,)` of both, None if loads are unknown.
 
         Returns:
-            Mean and standard deviation (uT), noise included, (n, c) or (c,) each.
+            Means and standard deviations (uT), noise included, `(n, c)` or `(c,)` each.
 
         Raises:
-            ValueError: Shapes do not belong together, or a value cannot be.
+            ValueError: The shapes do not fit each other, or a value is impossible.
         """
         positions, loads, single = _as_rows(positions, loads, self.load_kind)
         _check_rows(positions, loads, self.load_kind)
@@ -127,20 +124,20 @@ class Calibration:
         return (mean[0], std[0]) if single else (mean, std)
 
     def _predict_table(self, table: PressTable) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and standard deviation (uT) of the mixture; the mean of an earlier session is that of this one."""
+        """Predict means and standard deviations (uT), without `interval_scaling`."""
         if self.previous is not None:
             table = table._replace(previous_mean=self.previous._predict_table(table)[0])
-        with one_thread_for_few(len(self.gp.readings)):
+        with limit_blas_threads(len(self.gp.readings)):
             return population.predict_population(self.gp, table, self._conditioned)
 
     def save(self, path: Path | str) -> None:
         """Write one file, which appears whole or not at all.
 
         Args:
-            path: File to write; `.npz` by custom.
+            path: Path of the file; `.npz` by convention.
 
         Raises:
-            SerializationError: It cannot be written.
+            SerializationError: The file cannot be written.
         """
         about = {"load": self.load_kind, "about": self.metadata, "boards": list(self.boards)}
         if self.previous is not None:
@@ -154,7 +151,7 @@ class Calibration:
 
 
 class TipPresses(NamedTuple):
-    """Presses of one skin with one tip; what each holds is in the arguments of `calibrate`."""
+    """Presses of one skin with one tip; the fields are arguments of `calibrate`."""
 
     positions: ArrayLike | None
     loads: ArrayLike | None
@@ -165,11 +162,11 @@ class TipPresses(NamedTuple):
 
 @dataclass(frozen=True)
 class TipModel:
-    """The Gaussian process of one tip.
+    """Options of the Gaussian process of one tip.
 
     Attributes:
-        load_kind: Whether loads are depths (m), forces (N), both (first column the depth), or not known.
-        hyperparameters: Of one kernel, in place of a population's.
+        load_kind: Whether loads are depths (m), forces (N), both (first column the depth), or unknown.
+        hyperparameters: Hyperparameters of a single kernel, in place of a population's.
     """
 
     load_kind: LoadKind
@@ -179,39 +176,40 @@ class TipModel:
         """Calibrate one skin from n presses, as `calibrate` does.
 
         Args:
-            key: Not used, as the fit draws nothing.
-            data: The presses.
+            key: Ignored, because the fit draws nothing.
+            data: n presses.
 
         Returns:
             The calibrated skin.
 
         Raises:
-            ValueError: Shapes do not belong together, or a value cannot be.
+            ValueError: The shapes do not fit each other, or a value is impossible.
         """
         table, readings = _checked(data, self.load_kind)
-        with one_thread_for_few(len(readings)):
-            fit = self._of_population if self.hyperparameters is None else self._of_one
+        with limit_blas_threads(len(readings)):
+            fit = self._fit_population if self.hyperparameters is None else self._fit_kernel
             return fit(data, table, readings)
 
-    def _of_one(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
-        """The mixture of one kernel."""
-        if self.load_kind not in MAX_LOAD or data.previous_session is not None:
-            raise ValueError("with hyperparameters given, loads are depths or forces, and no earlier session is known")
+    def _fit_kernel(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
+        """Condition the single kernel."""
+        if self.load_kind not in LOADS or data.previous_session is not None:
+            raise ValueError("with given hyperparameters, loads must be depths or forces, without an earlier session")
         assert self.hyperparameters is not None
         chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD,))
         gp = fit_structured(self.hyperparameters, table, readings, chips)
         return Calibration(gp, population.interval_scaling(gp), self.load_kind, boards=boards)
 
-    def _of_population(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
-        """The mixture over a population of skins."""
-        known, previous = data.board, data.previous_session
-        boards = board_candidates(table.position, readings) if known is None else {GIVEN_BOARD: _chips(known)}
+    def _fit_population(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
+        """Condition the mixture over a population of skins."""
+        board, previous = data.board, data.previous_session
+        boards = board_candidates(table.position, readings) if board is None else {GIVEN_BOARD: _chips(board)}
         if previous is not None:
             if previous.previous is not None:
-                raise ValueError("an earlier session must itself be calibrated without one")
+                raise ValueError("the earlier session must itself be calibrated without an earlier session")
             if previous.gp.readings.shape[1] != readings.shape[1] or previous.load_kind != self.load_kind:
                 raise ValueError(
-                    "the earlier session has other channels or another kind of load; calibrate it as this one"
+                    "the earlier session has other channels or another kind of load; calibrate it in the same way as "
+                    "this session"
                 )
             table = table._replace(previous_mean=previous._predict_table(table)[0])
         chips = np.stack(list(boards.values())) if boards else None
@@ -234,26 +232,27 @@ def calibrate(
 ) -> Calibration:
     """Calibrate one skin from n presses with one tip.
 
-    What the skin's board tells is weighed by presses left out (`Calibration.board_shares`): the board that is given, or
-    else the likeliest of the named boards of as many chips that fit best to where each chip reads most.
+    The chip positions of a board are used as far as leave-one-out errors support them (`Calibration.board_shares`). The
+    board is the given one, or the most probable of the named boards that have as many chips and whose chips lie where
+    the channels read most.
 
     Args:
-        positions: (n, 2) positions of the tip in the tool frame (m); None where they are not known.
-        loads: (n,) depths past first contact (m) or normal forces (N), (n, 2) of both, or None.
-        readings: (n, c) readings (uT), ambient subtracted.
-        load_kind: Whether `loads` are depths, forces, both (first column the depth), or not known.
-        board: The sensor board, c / 3 chips: each channel's amplitude may then fall with the distance from its chip, as
-            far as the presses bear it out. By default boards of a name are tried.
-        previous_session: An earlier session of the same skin, aligned with this one: the presses decide how much of its
-            predictions is kept as the mean.
-        hyperparameters: Of one kernel, in place of a population's.
-        metadata: Whatever shall be saved with it, as JSON can hold it.
+        positions: `(n, 2)` positions of the tip in the tool frame (m); None if they are unknown.
+        loads: `(n,)` depths past first contact (m) or normal forces (N), `(n, 2)` of both, or None.
+        readings: `(n, c)` readings (uT), ambient subtracted.
+        load_kind: Whether `loads` are depths, forces, both (first column the depth), or unknown.
+        board: The sensor board with c / 3 chips. Each channel's amplitude may then fall with the distance from its
+            chip, as far as the presses support it. By default named boards are tried.
+        previous_session: An earlier session of the same skin in the same frame. The presses determine how much of its
+            predictions is used as the mean.
+        hyperparameters: Hyperparameters of a single kernel, in place of a population's.
+        metadata: Data to be saved with the calibration, in types that JSON can hold.
 
     Returns:
         The calibrated skin.
 
     Raises:
-        ValueError: Shapes do not belong together, or a value cannot be.
+        ValueError: The shapes do not fit each other, or a value is impossible.
 
     Example:
         calibration = i2t.calibrate(positions, forces, readings, load_kind="force", board=i2t.reskin_board())
@@ -266,15 +265,14 @@ def load_calibration(path: Path | str) -> Calibration:
     """Load a calibration from its file.
 
     Args:
-        path: A file that `Calibration.save` wrote; or the name of a ready model, "eflesh"
-            (`i2t.models`), of one real skin.
+        path: Path of a file that `Calibration.save` wrote, or the name of a ready model: "eflesh" (`i2t.models`), of
+            one real skin.
 
     Returns:
         The calibrated skin.
 
     Raises:
         SerializationError: The file is missing, damaged or something else.
-
     Example:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
     """
@@ -282,7 +280,7 @@ def load_calibration(path: Path | str) -> Calibration:
 
 
 def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:
-    """A calibration from its record on disk, if its parts fit."""
+    """Build a calibration from its record on disk."""
     load_kind, gp, boards = about.get("load", ""), record.gp, tuple(about.get("boards") or ())
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)
@@ -293,9 +291,9 @@ def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, A
     )
     if not fits or len(boards) != (0 if gp.chip_positions is None else len(gp.chip_positions)):
         raise serialization.SerializationError(f"{path}: its parts do not fit each other; calibrate again")
-    if about["about"].get(LINEAR_TERMS):
+    if about["about"].get("linear_terms"):  # written by an earlier version
         raise serialization.SerializationError(
-            f"{path}: its predictions need the reading before or the temperature; calibrate again, with neither"
+            f"{path}: its predictions need the previous reading or the temperature; calibrate again without them"
         )
     previous = None
     if record.previous is not None:
@@ -308,10 +306,10 @@ def _chips(board: Board) -> np.ndarray:
 
 
 def _checked(data: TipPresses, load_kind: str) -> tuple[PressTable, np.ndarray]:
-    """Valid presses and their readings (n, c), or ValueError."""
+    """Check presses, and return them with their readings (n, c); raise ValueError if they are invalid."""
     positions, loads, readings, board, _ = data
     if load_kind not in LOAD_COLUMNS:
-        raise ValueError(f"{load_kind!r} is no load; {did_you_mean(load_kind, LOAD_COLUMNS)}")
+        raise ValueError(f"{load_kind!r} is not a kind of load; {did_you_mean(load_kind, LOAD_COLUMNS)}")
     if positions is None and load_kind == "none":
         raise ValueError(
             "readings alone can be segmented into presses and checked, but say nothing about another press; give "
@@ -324,7 +322,7 @@ def _checked(data: TipPresses, load_kind: str) -> tuple[PressTable, np.ndarray]:
         where = validation.numbers("positions", positions, "(n, 2) metres").astype(np.float64)
     if loads is not None:
         amount = validation.numbers("loads", loads, "(n,) metres or newtons").astype(np.float64)
-    shape = (n,) if load_kind in MAX_LOAD else (n, len(LOAD_COLUMNS[load_kind]))
+    shape = (n,) if load_kind in LOADS else (n, len(LOAD_COLUMNS[load_kind]))
     if n == 0 or where.shape != (n, 2) or amount.shape != shape:
         raise ValueError(
             f"positions {where.shape}, loads {amount.shape} and readings {readings.shape} do not belong together; "
@@ -347,11 +345,11 @@ def _checked(data: TipPresses, load_kind: str) -> tuple[PressTable, np.ndarray]:
 def _as_rows(
     positions: ArrayLike | None, loads: ArrayLike | float | None, load_kind: str
 ) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Positions (n, 2) and loads (n, kinds) to be predicted, and whether a single press was asked for."""
+    """Shape the inputs of a prediction as positions (n, 2) and loads (n, kinds); also return whether it is single."""
     kinds = len(LOAD_COLUMNS[load_kind])
     amount = None if loads is None else validation.numbers("loads", loads, "metres or newtons").astype(np.float64)
     if (amount is None) != (kinds == 0):
-        raise ValueError(f"loads are missing or not known to this calibration, whose loads are: {load_kind}")
+        raise ValueError(f"loads do not match this calibration, whose loads are: {load_kind}")
     if positions is None:
         assert amount is not None
         rows = amount.shape[: amount.ndim - (kinds > 1)]
@@ -369,11 +367,9 @@ def _as_rows(
 
 def _check_rows(positions: np.ndarray, loads: np.ndarray, load_kind: str) -> None:
     """Refuse impossible positions and loads (ValueError)."""
-    if not (np.abs(positions) < MAX_POSITION_M).all():
-        raise ValueError(f"positions must be finite and within {MAX_POSITION_M:g} m of the skin's centre; give metres")
+    if not (np.abs(positions) < 1.0).all():
+        raise ValueError("positions must be finite and within 1 m of the skin's centre; give metres")
     for kind, amount in zip(LOAD_COLUMNS[load_kind], loads.T, strict=True):
-        largest = MAX_LOAD[kind]
-        if not ((amount >= 0) & (amount < largest)).all():
-            raise ValueError(
-                f"a {kind} must lie between 0 and {largest:g} {LOAD_UNITS[kind]}; correct it or leave the press out"
-            )
+        unit, limit = LOADS[kind]
+        if not ((amount >= 0) & (amount < limit)).all():
+            raise ValueError(f"a {kind} must lie between 0 and {limit:g} {unit}; correct it or leave the press out")

@@ -1,7 +1,8 @@
 """Contact of the elastic layer that stands for a pad.
 
-The flat skin meets an object at some distance along the approach (`i2t.contact.approach`), which comes with its
-Jacobian along the six coordinates of the object's pose; there the layer is pressed onto it (`i2t.contact.pressure`).
+The approach (`i2t.contact.approach`) finds the distance at which the flat skin first meets an object, with its
+Jacobian along the six coordinates of the object's pose. There the layer is pressed onto the object
+(`i2t.contact.pressure`).
 
 Pure functions on one example; metres, newtons; frames as in `i2t.types`.
 """
@@ -15,30 +16,30 @@ from jaxtyping import Array, Float
 from i2t.contact.approach import FirstContact, first_contact
 from i2t.contact.pressure import PressureModelConfig
 from i2t.geometry import from_twist, full_precision, inverse
-from i2t.skin.pad import POISSON_RATIO, YOUNG_PA, nominal_pad
+from i2t.skin.pad import NOMINAL_SKIN, nominal_pad
 from i2t.types import Pad, Surface
 
-MIN_LOAD_N = PressureModelConfig.floor  # a noisy wrench sensor says less
+MIN_LOAD_N = PressureModelConfig.floor  # smaller loads are within the noise of a wrench sensor
 
 
 class Layer(NamedTuple):
-    """Elastic layer that stands for a pad in contacts; the rest is that of `nominal_pad`."""
+    """Elastic layer that stands for a pad in contacts; its other properties are those of `nominal_pad`."""
 
-    poisson: Float[Array, ""] | float = POISSON_RATIO
-    young: Float[Array, ""] | float = YOUNG_PA
+    poisson: Float[Array, ""] | float = NOMINAL_SKIN.poisson
+    young: Float[Array, ""] | float = NOMINAL_SKIN.young
 
 
 NOMINAL_LAYER = Layer()
 
 
 def layer_pad(layer: Layer) -> Pad:
-    """The nominal pad with another layer.
+    """Build the nominal pad with another layer.
 
     Args:
-        layer: Its Poisson's ratio and Young's modulus (Pa).
+        layer: Poisson's ratio and Young's modulus (Pa) of the layer.
 
     Returns:
-        The pad.
+        The nominal pad with this Poisson's ratio and Young's modulus.
     """
     return nominal_pad()._replace(poisson=jnp.float32(layer.poisson), young=jnp.float32(layer.young))
 
@@ -50,18 +51,18 @@ def approach(
     T_w_site: Float[Array, "4 4"],
     overtravel: float | Float[Array, ""],
 ) -> tuple[FirstContact, Float[Array, "6"]]:
-    """First contact of the skin with an object along z of a site.
+    """Find the first contact of the skin with an object along z of a site.
 
     Args:
-        surface: Of the object, in its frame.
+        surface: Surface of the object, in its frame.
         T_w_o: Pose of the object.
-        twist: Its error, in the world (m and rad), by which the distance is differentiated.
+        twist: Error of that pose in the world (m and rad), by which the distance is differentiated.
         T_w_site: Contact pose of the tool.
-        overtravel: m beyond the site after which nothing was met.
+        overtravel: Distance (m) beyond the site at which the approach gives up.
 
     Returns:
-        The contact, its pose T_o_t in the object's frame, and the Jacobian of its distance from the site along the
-        twist, zero where it is not finite.
+        The contact with its pose T_o_t in the object's frame, and the Jacobian of its distance from the site along the
+        twist, which is zero if it is not finite.
     """
 
     @full_precision

@@ -7,14 +7,14 @@ Readings are linear in the weights of the magnetization map and nonlinear in the
     -log p(y | theta) = log |M| / 2 + N log s + (|y - Phi m|^2 / s^2 + |m|^2) / 2 + const,
     M = I + Phi' Phi / s^2,   m = M^-1 Phi' y / s^2,
 
-of which the derivative by Phi is (Phi M^-1 - (y - Phi m) m') / s^2. Together with the parameters' prior it is maximised
-as Gauss-Newton does, by taking Phi as linear, with slopes by central differences, in a trust region whose size follows
-the gain ratio: what the step gains over what the linear model promised (Nocedal and Wright, "Numerical Optimization",
-algorithm 4.1). The curvature at the maximum gives the ranges of the parameters (Laplace).
+whose derivative by Phi is (Phi M^-1 - (y - Phi m) m') / s^2. Together with the parameters' prior it is maximised as in
+Gauss-Newton: Phi is taken as linear, with slopes by central differences, in a trust region. The region's size follows
+the gain ratio, the gain of a step over the gain that the linear model promised (Nocedal and Wright, "Numerical
+Optimization", algorithm 4.1). The curvature at the maximum gives the ranges of the parameters (Laplace).
 
 The search runs in the coordinates of the prior: standard deviations from its median. Linear algebra is in double
-precision. `n` is the number of presses, `c` of channels, `N = n c` of readings, `k` of weights, `d` of coordinates, of
-which `e` change Phi by more than a scale.
+precision. `n` is the number of presses, `c` of channels, `N = n c` of readings, `k` of weights and `d` of coordinates;
+`e` coordinates change Phi by more than a scale.
 """
 
 import warnings
@@ -34,34 +34,43 @@ from i2t.skin_models.magnetic_layer import SHAPE_PARAMETERS, LayerParameters, La
 from i2t.types import in_one_line
 
 NO_PAD = "no pad explains these presses; check the tip, the unit of the loads and the board"
-MAX_STEPS = 30  # of the trust region, rejected ones included
-INNER_STEPS = 300  # of L-BFGS in each
-SMALL_GAIN = 0.1  # in log density: a step that promises less, under half a posterior standard deviation, is the last
-MIN_GAIN_RATIO = 0.1  # of a step that is taken
-FIRST_RADIUS, MAX_RADIUS = 1.0, 3.0  # of the trust region, in standard deviations of the prior
-STDS_WITHIN_95 = 1.96
-# Prior standard deviations, of slopes. Contacts on cells make features rough over some hundredths, so that derivatives
-# at one place would promise too much of tip and board, which move readings at the skin's edges only.
-SLOPE_STEP = 0.25
-DIFFERENCE_STEP = 1e-3  # prior standard deviations, of second derivatives
-IMPLAUSIBLE_STDS = 3.0  # prior standard deviations from the median beyond which a parameter is reported
+
+
+@dataclass(frozen=True)
+class LayerSearch:
+    """Trust-region search for the layer; lengths are in standard deviations of the prior."""
+
+    max_steps: int = 30  # of the trust region, including rejected ones
+    inner_steps: int = 300  # of L-BFGS in each step
+    small_gain: float = 0.1  # promised gain in log density, under half a posterior standard deviation, that ends it
+    min_gain_ratio: float = 0.1  # gain ratio above which a step is taken
+    first_radius: float = 1.0
+    max_radius: float = 3.0
+    # Step of the slopes. Contacts on cells make features rough over a few hundredths, so derivatives at one place would
+    # promise too much for tip and board, which move readings only at the skin's edges.
+    slope_step: float = 0.25
+    curvature_step: float = 1e-3  # step of the second derivatives
+    implausible_stds: float = 3.0  # distance from the median above which a parameter is reported
+
+
+_SEARCH = LayerSearch()
 
 
 @in_one_line
 class LayerPosterior(NamedTuple):
-    """Fitted layer and how well it is known."""
+    """Fitted layer and the ranges of its parameters."""
 
-    layer: LayerParameters  # the most likely one
-    low: LayerParameters  # ends of each parameter's 95 % range
+    layer: LayerParameters  # the most probable parameters
+    low: LayerParameters  # lower ends of the 95 % ranges
     high: LayerParameters
     converged: Bool[Array, ""] | bool
 
 
 class UnitFeatures(NamedTuple):
-    """Readings of weights on a layer whose gains and map strengths are 1, and their derivatives."""
+    """Readings of weights on a layer with gains and map strengths of 1, and their derivatives."""
 
     value: Float[np.ndarray, "n c k"]  # uT
-    changes: Float[np.ndarray, "e n c k"]  # along each coordinate of SHAPE_PARAMETERS
+    changes: Float[np.ndarray, "e n c k"]  # derivatives along the coordinates of SHAPE_PARAMETERS
 
 
 def fit_layer(
@@ -69,17 +78,18 @@ def fit_layer(
     readings: Float[np.ndarray, "n c"],
     prior: LayerPrior,
 ) -> LayerPosterior:
-    """Find the most likely layer and the ranges of its parameters.
+    """Find the most probable layer and the ranges of its parameters.
 
     Args:
-        unit_features: Readings (uT) of weights at coordinates of the prior, on a layer whose gains and map strengths
-            are 1; first those of the map's patches, in three equal parts, then three of the uniform part.
-        readings: Of the n presses (uT).
-        prior: Of the parameters.
+        unit_features: Function from coordinates of the prior to `(n, c, k)` readings (uT) of the weights on a layer
+            with gains and map strengths of 1. The weights are those of the map's patches, in three equal parts, then
+            three of the uniform part.
+        readings: `(n, c)` readings of the presses (uT).
+        prior: Prior of the parameters.
 
     Returns:
-        The layer and its ranges. A warning says that the search did not converge, and which parameters are far from
-        the medians of their prior.
+        The layer and its ranges. Warnings report a search that did not converge, and parameters that are far from the
+        medians of their prior.
 
     Raises:
         ValueError: The search cannot begin, because no press is finite at the prior's median.
@@ -89,14 +99,15 @@ def fit_layer(
     def coordinates(x: np.ndarray) -> LayerParameters:
         return unravel(jnp.asarray(x, jnp.float32))
 
-    moves = SLOPE_STEP * np.eye(len(start))[shape_coordinates(prior)]
+    step = _SEARCH.slope_step
+    moves = step * np.eye(len(start))[shape_coordinates(prior)]
 
     def features(x: np.ndarray) -> np.ndarray:
         return np.asarray(unit_features(coordinates(x)), np.float64)
 
     def linear_model(x: np.ndarray, rows: np.ndarray) -> tuple[_LinearModel, np.ndarray]:
         value = features(x)
-        changes = np.stack([features(x + move) - features(x - move) for move in moves]) / (2 * SLOPE_STEP)
+        changes = np.stack([features(x + move) - features(x - move) for move in moves]) / (2 * step)
         rows = _finite_rows(rows, np.isfinite(value).all((1, 2)) & np.isfinite(changes).all((0, 2, 3)))
         return _LinearModel(x, UnitFeatures(value[rows], changes[:, rows]), readings[rows], prior), rows
 
@@ -104,18 +115,18 @@ def fit_layer(
         value = features(x)[rows]
         return _LinearModel(x, UnitFeatures(value, value[:0, None]), readings[rows], prior).value_and_gradient(x)[0]
 
-    x, radius, converged = np.asarray(start, np.float64), FIRST_RADIUS, False
+    x, radius, converged = np.asarray(start, np.float64), _SEARCH.first_radius, False
     model, rows = linear_model(x, np.arange(len(readings)))
     value = model.value_and_gradient(x)[0]
     if not np.isfinite(value):
         raise ValueError(NO_PAD)
-    for _ in range(MAX_STEPS):
+    for _ in range(_SEARCH.max_steps):
         proposal, promised = model.minimize(radius)
         length = model.shape_step(proposal)
         at_bound = length > 0.99 * radius
-        if value - promised < SMALL_GAIN:
-            # A region that shrank promises little, too. Where steps were taken before, that is the end: contacts on
-            # cells make the objective rough, by about 0.1, over a few hundredths of the prior's standard deviations.
+        if value - promised < _SEARCH.small_gain:
+            # A region that shrank promises little as well. If steps were taken before, the search has ended: contacts
+            # on cells make the objective rough, by about 0.1, over a few hundredths of a prior standard deviation.
             converged = not at_bound or bool(x.any())
             x = proposal
             break
@@ -124,8 +135,8 @@ def fit_layer(
         if gain < 0.25 or not np.isfinite(gain):
             radius = 0.25 * length
         elif gain > 0.75 and at_bound:
-            radius = min(2 * radius, MAX_RADIUS)
-        if gain > MIN_GAIN_RATIO:
+            radius = min(2 * radius, _SEARCH.max_radius)
+        if gain > _SEARCH.min_gain_ratio:
             x = proposal
             model, rows = linear_model(x, rows)
             value = model.value_and_gradient(x)[0]
@@ -137,20 +148,20 @@ def fit_layer(
 
 
 def shape_coordinates(prior: LayerPrior) -> Int[np.ndarray, " e"]:
-    """Find the coordinates that features change with by more than a scale.
+    """List the coordinates that change features by more than a scale.
 
     Args:
-        prior: Of the parameters.
+        prior: Prior of the parameters.
 
     Returns:
-        Their numbers, in the order of SHAPE_PARAMETERS.
+        `(e,)` numbers of the coordinates, in the order of SHAPE_PARAMETERS.
     """
     numbers = _numbers(prior)
     return np.concatenate([getattr(numbers, name).ravel() for name in SHAPE_PARAMETERS])
 
 
 def _numbers(prior: LayerPrior) -> LayerParameters:
-    """Numbers of the coordinates of each parameter."""
+    """Number the coordinates of each parameter."""
     start, unravel = ravel_pytree(prior.median)
     return jax.tree.map(
         lambda number: np.asarray(np.rint(number), int), unravel(jnp.arange(len(start), dtype=jnp.float32))
@@ -160,18 +171,18 @@ def _numbers(prior: LayerPrior) -> LayerParameters:
 def ranges(
     x: Float[np.ndarray, " d"], std: Float[np.ndarray, " d"], prior: LayerPrior
 ) -> tuple[LayerParameters, LayerParameters]:
-    """Ends of the 95 % ranges of parameters.
+    """Compute the ends of the 95 % ranges of parameters.
 
     Args:
-        x: Mean of the coordinates.
-        std: Their standard deviations.
-        prior: Of the parameters.
+        x: `(d,)` means of the coordinates.
+        std: `(d,)` standard deviations of the coordinates.
+        prior: Prior of the parameters.
 
     Returns:
-        The lower and the upper ends; a mount compliance whose root may be zero has a range from zero on.
+        The lower and the upper ends. If the root of the mount compliance may be zero, its range begins at zero.
     """
     unravel = ravel_pytree(prior.median)[1]
-    below, above = (unravel(jnp.float32(x + step * std)) for step in (-STDS_WITHIN_95, STDS_WITHIN_95))
+    below, above = (unravel(jnp.float32(x + step * std)) for step in (-1.96, 1.96))
     ends = parameters_at(below, prior), parameters_at(above, prior)
     low, high = (jax.tree.map(choose, *ends) for choose in (jnp.minimum, jnp.maximum))
     may_be_zero = 1 + prior.std.mount_compliance * below.mount_compliance < 0
@@ -180,7 +191,7 @@ def ranges(
 
 @dataclass(frozen=True)
 class _LinearModel:
-    """Negative log posterior of a layer whose unit features are linear about some coordinates."""
+    """Negative log posterior of a layer whose unit features are linear about given coordinates."""
 
     at: np.ndarray  # (d,)
     features: UnitFeatures
@@ -189,21 +200,21 @@ class _LinearModel:
 
     @cached_property
     def _index(self) -> LayerParameters:
-        """Numbers of the coordinates of each parameter."""
+        """Number the coordinates of each parameter."""
         return _numbers(self.prior)
 
     @cached_property
     def _shape(self) -> np.ndarray:
-        """(e,) numbers of the coordinates that features change with."""
+        """List the numbers (e,) of the coordinates that change features."""
         return shape_coordinates(self.prior)
 
     @cached_property
     def _host_prior(self) -> LayerPrior:
-        """The prior in double precision."""
+        """Convert the prior to double precision."""
         return jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), self.prior)
 
     def _scales(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Gains (c, 1), strengths (k,) and noise at coordinates."""
+        """Compute gains (c, 1), strengths (k,) and noise at coordinates."""
         index, (median, std) = self._index, self._host_prior
         gains = median.gains + std.gains * x[index.gains]
         strength = median.patch_strength * np.exp(std.patch_strength * x[index.patch_strength])
@@ -213,8 +224,8 @@ class _LinearModel:
         return gains[:, None], strengths, float(noise)
 
     def value_and_gradient(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Negative log posterior density at coordinates, up to a constant, and its gradient; infinite where the
-        regression cannot be solved.
+        """Compute the negative log posterior density at coordinates, up to a constant, and its gradient. It is infinite
+        if the regression cannot be solved.
         """
         gains, strength, noise = self._scales(x)
         scale = gains * strength
@@ -248,34 +259,34 @@ class _LinearModel:
         return float(value), gradient
 
     def minimize(self, radius: float) -> tuple[np.ndarray, float]:
-        """Coordinates of the least value within a radius of where features are linear, and that value."""
+        """Minimise within a radius of the expansion point; return the coordinates and the value there."""
         bounds = [(None, None)] * len(self.at)
         for number in self._shape:
             bounds[number] = (self.at[number] - radius, self.at[number] + radius)
-        found = optimize.minimize(
+        result = optimize.minimize(
             self.value_and_gradient,
             self.at,
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,
-            options={"maxiter": INNER_STEPS},
+            options={"maxiter": _SEARCH.inner_steps},
         )
-        return found.x, float(found.fun)
+        return result.x, float(result.fun)
 
     def shape_step(self, x: np.ndarray) -> float:
-        """Largest move from where features are linear, in standard deviations of the prior."""
+        """Compute the largest move from the expansion point, in standard deviations of the prior."""
         return float(np.abs(x - self.at)[self._shape].max())
 
     def curvature(self, x: np.ndarray) -> np.ndarray:
-        """Second derivatives (d, d) at coordinates, by differences of the gradient."""
-        ways = DIFFERENCE_STEP * np.eye(len(x))
-        change = [self.value_and_gradient(x + way)[1] - self.value_and_gradient(x - way)[1] for way in ways]
-        curvature = np.stack(change) / (2 * DIFFERENCE_STEP)
+        """Compute the second derivatives (d, d) at coordinates, by differences of the gradient."""
+        moves = _SEARCH.curvature_step * np.eye(len(x))
+        change = [self.value_and_gradient(x + move)[1] - self.value_and_gradient(x - move)[1] for move in moves]
+        curvature = np.stack(change) / (2 * _SEARCH.curvature_step)
         return 0.5 * (curvature + curvature.T)
 
 
 def _posterior_stds(curvature: np.ndarray) -> np.ndarray:
-    """Standard deviations (d,) of coordinates; no direction is less certain than by the prior alone."""
+    """Compute the standard deviations (d,) of coordinates; none is larger than by the prior alone."""
     values, vectors = np.linalg.eigh(curvature)
     return np.sqrt((vectors**2 / np.maximum(values, 1.0)).sum(1))
 
@@ -288,7 +299,7 @@ def _cholesky(matrix: np.ndarray) -> np.ndarray | None:
 
 
 def _finite_rows(rows: np.ndarray, finite: np.ndarray) -> np.ndarray:
-    """Rows of the presses whose features and derivatives are finite; a warning counts those that are lost."""
+    """Select the presses whose features and derivatives are finite, and warn of the others."""
     lost = rows[~finite[rows]]
     if len(lost) == len(rows):
         raise ValueError(NO_PAD)
@@ -302,11 +313,12 @@ def _finite_rows(rows: np.ndarray, finite: np.ndarray) -> np.ndarray:
 
 
 def _report_implausible(coordinates: LayerParameters) -> None:
-    """Warn of parameters that ended where the prior hardly allows them."""
-    far = [name for name, at in coordinates._asdict().items() if np.abs(at).max() > IMPLAUSIBLE_STDS]
+    """Warn of parameters far from the prior's median."""
+    limit = _SEARCH.implausible_stds
+    far = [name for name, at in coordinates._asdict().items() if np.abs(at).max() > limit]
     if far:
         warnings.warn(
-            f"the fitted {', '.join(far)} {'is' if len(far) == 1 else 'are'} more than {IMPLAUSIBLE_STDS:g} standard "
+            f"the fitted {', '.join(far)} {'is' if len(far) == 1 else 'are'} more than {limit:g} standard "
             "deviations from the prior's median; check the tip, the unit of the loads and the board",
             stacklevel=4,
         )

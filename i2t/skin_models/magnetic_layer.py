@@ -1,4 +1,4 @@
-"""An elastic magnetic layer over a board: its parameters, and what a press reads for each part of its magnetization.
+"""Elastic magnetic layer over a board: its parameters, and the reading of a press for each part of its magnetization.
 
 For a known displacement the reading is linear in the magnetization (`i2t.skin.dipoles`). The magnetization map is a
 series of cosines on the pad with the covariance of `i2t.skin.pad.smooth_random`. Derivatives run forward through the
@@ -23,88 +23,72 @@ from i2t.skin import elasticity as elastic
 from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
 from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
 from i2t.skin.elasticity import GRID, Grid
-from i2t.skin.pad import (
-    CHIP_GAP_M,
-    FRICTION_COEFFICIENT,
-    MAGNETIZATION_A_PER_M,
-    MAP_CELLS,
-    MOUNT_COMPLIANCE_M_PER_N,
-    POISSON_RATIO,
-    THICKNESS_M,
-    YOUNG_PA,
-)
+from i2t.skin.pad import MAP_CELLS, NOMINAL_SKIN
 from i2t.types import Board, Pad, in_one_line
 from i2t.validation import round_tip
 
 MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
-DESIGN_BATCH = 8  # at a time, for the caches
-MIN_FORCE_N = 1e-3
-MAX_RADIUS_MM = 50.0  # of a tip
-MAGNETIZATION_STD = 0.7 * MAGNETIZATION_A_PER_M  # A/m: patches and the uniform part share the variance
+DESIGN_BATCH = 8  # design matrices computed at a time, so that they fit the caches
 
 
 @in_one_line
 class LayerParameters(NamedTuple):
-    """Parameters that readings are nonlinear in; also their coordinates in the prior, and their ranges."""
+    """Parameters in which readings are nonlinear; also used for their coordinates in the prior and their ranges."""
 
     thickness: Float[Array, ""]  # m
     gap: Float[Array, ""]  # m, from the layer's base to the chips
-    young: Float[Array, ""]  # Pa; only the prior's where presses are controlled by depth
+    young: Float[Array, ""]  # Pa; stays at the prior's median if presses are controlled by depth
     poisson: Float[Array, ""]
-    contact_offset: Float[Array, ""]  # m, first contact later than believed; zero where controlled by force
+    contact_offset: Float[Array, ""]  # m by which first contact is later than assumed; zero if controlled by force
     mount_compliance: Float[Array, ""]  # m/N, of an edge-clamped skin
-    tip_offset: Float[Array, "2"]  # m, of the tip from where it was believed
-    tip_scale: Float[Array, ""]  # true radius of the tip over the stated one
+    tip_offset: Float[Array, "2"]  # m, true minus assumed position of the tip
+    tip_scale: Float[Array, ""]  # true radius of the tip divided by the stated radius
     board_offset: Float[Array, "2"]  # m, of the board in the plane of the skin
-    board_rotation: Float[Array, "3"]  # rad, rotation vector of the board about its middle
+    board_rotation: Float[Array, "3"]  # rad, rotation vector of the board about its centre
     gains: Float[Array, " c"]  # of the channels
     patch_strength: Float[Array, "3"]  # A/m, of the map's patches along each axis
     uniform_strength: Float[Array, ""]  # A/m, of the uniform part
     patch_length: Float[Array, ""]  # m
-    noise_std: Float[Array, ""]  # uT, of a reading, with everything that the model leaves out
+    noise_std: Float[Array, ""]  # uT, standard deviation of a reading's noise and of model errors
 
 
-# Parameters that change the design matrices; the others only scale what the matrices give.
+# Parameters that change the design matrices; the other parameters only scale their products.
 DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
                      "tip_scale", "board_offset", "board_rotation")  # fmt: skip
-SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # those that change features by more than a scale
-# Priors are normal for NORMAL_PARAMETERS and lognormal for the others, with two exceptions: the distance of Poisson's
-# ratio from INCOMPRESSIBLE is lognormal, and the root of the mount compliance, which is 0 for bonded skins, is normal.
-INCOMPRESSIBLE = 0.5  # Poisson's ratio
-NORMAL_PARAMETERS = ("contact_offset", "tip_offset", "board_offset", "board_rotation", "gains")
-ROOT_NORMAL = "mount_compliance"
+SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # parameters that change features by more than a scale
 
 
 class LayerPrior(NamedTuple):
     """Prior of `LayerParameters`."""
 
     median: LayerParameters
-    std: LayerParameters  # of the parameter, its logarithm, or the root of its share of the median
+    std: LayerParameters  # of the parameter, its logarithm, or the root of its ratio to the median
 
 
 def layer_prior(channels: int) -> LayerPrior:
-    """Prior that approximates `sample_pad` and the errors of a careful mount.
+    """Build a prior that approximates `sample_pad` and the errors of a careful mount.
 
     Args:
         channels: Number of channels of the board, three for each chip.
 
     Returns:
-        Medians and standard deviations.
+        Medians and standard deviations of the parameters.
     """
+    strength = 0.7 * NOMINAL_SKIN.magnetization  # A/m: patches and the uniform part share the variance
     median = LayerParameters(
-        thickness=jnp.asarray(THICKNESS_M + 0.5e-3),
-        gap=jnp.asarray(CHIP_GAP_M),
-        young=jnp.asarray(YOUNG_PA),
-        poisson=jnp.asarray(POISSON_RATIO),
+        thickness=jnp.asarray(NOMINAL_SKIN.thickness + 0.5e-3),
+        gap=jnp.asarray(NOMINAL_SKIN.chip_gap),
+        young=jnp.asarray(NOMINAL_SKIN.young),
+        poisson=jnp.asarray(NOMINAL_SKIN.poisson),
         contact_offset=jnp.asarray(0.0),
-        mount_compliance=jnp.asarray(0.3 * MOUNT_COMPLIANCE_M_PER_N),
+        mount_compliance=jnp.asarray(0.3 * NOMINAL_SKIN.mount_compliance),
         tip_offset=jnp.zeros(2),
         tip_scale=jnp.asarray(1.0),
         board_offset=jnp.zeros(2),
         board_rotation=jnp.zeros(3),
         gains=jnp.ones(channels),
-        patch_strength=jnp.full(3, MAGNETIZATION_STD),
-        uniform_strength=jnp.asarray(MAGNETIZATION_STD),
+        patch_strength=jnp.full(3, strength),
+        uniform_strength=jnp.asarray(strength),
         patch_length=jnp.asarray(3e-3),
         noise_std=jnp.asarray(2.0),
     )
@@ -129,7 +113,11 @@ def layer_prior(channels: int) -> LayerPrior:
 
 
 def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParameters:
-    """Parameters at coordinates of the prior.
+    """Convert coordinates of the prior to parameters.
+
+    Offsets, rotations and gains have a normal prior, the other parameters a lognormal one, with two exceptions: the
+    difference of Poisson's ratio from that of an incompressible layer is lognormal, and the root of the mount
+    compliance, which is 0 for bonded skins, is normal.
 
     Args:
         coordinates: Standard deviations from the median; their prior is normal with variance 1.
@@ -138,56 +126,57 @@ def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParam
     Returns:
         The parameters in their units.
     """
+    normal = ("contact_offset", "tip_offset", "board_offset", "board_rotation", "gains")
 
     def value(name: str) -> Array:
         median, std, at = (getattr(part, name) for part in (prior.median, prior.std, coordinates))
-        if name in NORMAL_PARAMETERS:
+        if name in normal:
             return median + std * at
         if name == "poisson":
-            return INCOMPRESSIBLE - (INCOMPRESSIBLE - median) * jnp.exp(-std * at / (INCOMPRESSIBLE - median))
-        return median * (1 + std * at) ** 2 if name == ROOT_NORMAL else median * jnp.exp(std * at)
+            return 0.5 - (0.5 - median) * jnp.exp(-std * at / (0.5 - median))
+        return median * (1 + std * at) ** 2 if name == "mount_compliance" else median * jnp.exp(std * at)
 
     return LayerParameters(**{name: value(name) for name in LayerParameters._fields})
 
 
 @runtime_checkable
 class Tip(Protocol):
-    """Any tip whose surface over the skin is known."""
+    """A tip whose surface over the skin is known."""
 
     def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Distance of the tip's surface behind its lowest point over each cell.
+        """Compute the distance of the tip's surface behind its lowest point over each cell.
 
         Args:
-            position: (2,) m, of the tip's axis on the skin.
+            position: `(2,)` position of the tip's axis on the skin (m).
             grid: Cells of the pad.
 
         Returns:
-            (n, n) m, row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
+            `(n, n)` heights (m), row along tool y; `MAX_HEIGHT_M` if the tip is not over the cell.
         """
         ...
 
 
 @dataclass(frozen=True)
 class RoundTip:
-    """A sphere or the flat end of an upright cylinder.
+    """Sphere, or the flat end of an upright cylinder.
 
     Attributes:
-        shape: Which of them.
-        radius: In metres.
+        shape: "sphere" or "cylinder".
+        radius: Radius in metres.
     """
 
     shape: Literal["sphere", "cylinder"]
     radius: float | Float[Array, ""]
 
     def height(self, position: Float[Array, "2"] | Float[np.ndarray, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Distance of the tip's surface behind its lowest point over each cell.
+        """Compute the distance of the tip's surface behind its lowest point over each cell.
 
         Args:
-            position: Of the tip's axis on the skin (m).
+            position: `(2,)` position of the tip's axis on the skin (m).
             grid: Cells of the pad.
 
         Returns:
-            Heights (m), row along tool y; `MAX_HEIGHT_M` where the tip is not over the cell.
+            `(n, n)` heights (m), row along tool y; `MAX_HEIGHT_M` if the tip is not over the cell.
         """
         y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
         square = (x - position[0]) ** 2 + (y - position[1]) ** 2
@@ -198,35 +187,36 @@ class RoundTip:
 
 
 def parse_tip(text: str) -> RoundTip:
-    """A tip from its name, as `python -m i2t.convert presses --indenter` writes it.
+    """Parse a tip's name, as `python -m i2t.convert presses --indenter` writes it.
 
     Args:
         text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm.
 
     Returns:
-        The tip.
+        The tip, with its radius in metres.
 
     Raises:
-        ValueError: It is neither.
+        ValueError: The text has neither form, or the radius is out of range.
     """
+    max_radius_mm = 50.0
     try:
-        shape, millimetres = round_tip(text, MAX_RADIUS_MM)
+        shape, millimetres = round_tip(text, max_radius_mm)
     except ValueError as error:
-        forms = f"--tip sphere:RADIUS or cylinder:RADIUS takes one in mm, up to {MAX_RADIUS_MM:g}"
+        forms = f"--tip sphere:RADIUS or cylinder:RADIUS takes one in mm, up to {max_radius_mm:g}"
         raise ValueError(f'"{text}" is no tip that a pad can be fitted to ({forms}): {error}') from None
     return RoundTip("sphere" if shape == "sphere" else "cylinder", 1e-3 * millimetres)
 
 
 def make_pad(layer: LayerParameters, board: Board, magnetization: Float[Array, "cells cells 3"] | None = None) -> Pad:
-    """A pad of a layer over a board.
+    """Build the pad of a layer over a board.
 
     Args:
         layer: Parameters of the layer.
-        board: The sensor board, any number of chips, all in one plane.
-        magnetization: Map (A/m); by default none.
+        board: The sensor board; all of its chips lie in one plane.
+        magnetization: Magnetization map (A/m); by default none.
 
     Returns:
-        The pad.
+        The pad, with the nominal coefficient of friction.
     """
     turned = so3_exp(jnp.asarray(layer.board_rotation))
     chips = jnp.matmul(jnp.asarray(board.chips).at[:, 2].set(0.0), turned.T, precision="highest")
@@ -239,16 +229,16 @@ def make_pad(layer: LayerParameters, board: Board, magnetization: Float[Array, "
         magnetization=empty,
         gains=jnp.asarray(layer.gains),
         board=Board(chips + shift[None], jnp.matmul(turned, jnp.asarray(board.rotations), precision="highest")),
-        friction=jnp.asarray(FRICTION_COEFFICIENT),
+        friction=jnp.asarray(NOMINAL_SKIN.friction),
         mount_compliance=jnp.asarray(layer.mount_compliance),
     )
 
 
 def cosine_basis() -> Float[np.ndarray, "cells m"]:
-    """Orthonormal cosines on the map's cells along an edge (the discrete cosine transform's), the slowest first.
+    """Compute orthonormal cosines on the map's cells along an edge (discrete cosine transform), the slowest first.
 
     Returns:
-        A column for each cosine.
+        `(cells, m)` values, one column for each cosine.
     """
     k, i = np.arange(MODES), np.arange(MAP_CELLS)
     waves = np.cos(np.pi * (i[:, None] + 0.5) * k / MAP_CELLS) * np.sqrt(2 / MAP_CELLS)
@@ -256,14 +246,15 @@ def cosine_basis() -> Float[np.ndarray, "cells m"]:
 
 
 def cosine_prior_factor(patch_length: Float[Array, ""], window: float) -> Float[Array, "m m"]:
-    """Cholesky factor of the covariance of an edge's cosines: that of `smooth_random`, in their basis.
+    """Compute a Cholesky factor of the covariance of an edge's cosines, which is that of `smooth_random` in their
+    basis.
 
     Args:
-        patch_length: Length of the patches (m).
+        patch_length: Correlation length of the patches (m).
         window: Edge of the pad (m).
 
     Returns:
-        The lower factor.
+        `(m, m)` lower factor.
     """
     at = (np.arange(MAP_CELLS) + 0.5) / MAP_CELLS * window
     scaled = (at[:, None] - at[None, :]) / patch_length
@@ -282,44 +273,44 @@ def design_matrix(
     by_force: bool,
     grid: Grid = GRID,
 ) -> Float[Array, "c 3 m m"]:
-    """Reading of one press for each cosine of each component of the magnetization.
+    """Compute the reading of one press for each cosine of each component of the magnetization.
 
     Args:
         layer: Parameters of the layer.
         board: The sensor board.
-        tip: What presses.
-        position: Where, as believed (m).
+        tip: The pressing tip.
+        position: `(2,)` assumed position of the tip (m).
         load: Force (N) or depth (m).
         by_force: Whether the load is a force.
         grid: Cells of the pad.
 
     Returns:
-        Readings (uT) of 1 A/m: channels, components, cosines along y and along x.
+        `(c, 3, m, m)` readings (uT) of 1 A/m: channels, components, cosines along y and along x.
     """
     pad = make_pad(layer, board)
     if isinstance(tip, RoundTip):
         tip = replace(tip, radius=tip.radius * layer.tip_scale)
     height = tip.height(position + layer.tip_offset, grid)
     if by_force:
-        contact = solve_force(pad, height, jnp.maximum(load, MIN_FORCE_N), grid)
+        contact = solve_force(pad, height, jnp.maximum(load, 1e-3), grid)  # N; a force of zero has no solution
     else:
         contact = solve(pad, height, load - layer.contact_offset, grid)
     return pressure_design(pad, contact.pressure, grid)
 
 
 def pressure_design(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "c 3 m m"]:
-    """Reading under a pressure for each cosine of each component of the magnetization.
+    """Compute the reading under a pressure for each cosine of each component of the magnetization.
 
     Args:
-        pad: A skin; its own magnetization is not asked for.
-        pressure: Pa, on its cells.
+        pad: A skin; its own magnetization is ignored.
+        pressure: `(n, n)` pressure (Pa) on its cells.
         grid: Cells of the pad.
 
     Returns:
-        Readings (uT) of 1 A/m: channels, components, cosines along y and along x.
+        `(c, 3, m, m)` readings (uT) of 1 A/m: channels, components, cosines along y and along x.
     """
     loaded = elastic.load(pad, pressure, grid=grid)
-    # Moments of magnetization 1 along one cosine in y and one in x are a product: the sheets' of each edge.
+    # The moments of magnetization 1 along one cosine in y and one in x are a product of the edges' moments (`sheets`).
     share, depths = _edge_moments(grid), sheets(pad, grid)[0]
     thick = pad.thickness * np.polynomial.legendre.leggauss(CELL_NODES)[1] / 2
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
@@ -328,7 +319,7 @@ def pressure_design(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) 
         depth, size = at
         displacement, rotation = elastic.interior(pad, loaded, depth, grid)
         rest = jnp.stack([jnp.asarray(x), jnp.asarray(y), jnp.broadcast_to(-depth, x.shape)])
-        turned = jax.vmap(lambda one: turn(rotation, jnp.broadcast_to(one[:, None, None], rest.shape)))(jnp.eye(3))
+        turned = jax.vmap(lambda axis: turn(rotation, jnp.broadcast_to(axis[:, None, None], rest.shape)))(jnp.eye(3))
 
         def chip(point: Array) -> Array:
             before, after = _dipole_tensor(point, rest), _dipole_tensor(point, rest + displacement)
@@ -353,52 +344,52 @@ def design_matrices(
     by_force: bool,
     grid: Grid = GRID,
 ) -> Float[Array, "n c 3 m m"]:
-    """`design_matrix` of many presses.
+    """Compute `design_matrix` for many presses.
 
     Args:
         layer: Parameters of the layer.
         board: The sensor board.
-        tip: What presses; hashable.
-        position: Positions (m), as believed.
-        load: Forces (N) or depths (m).
+        tip: The pressing tip; hashable.
+        position: `(n, 2)` assumed positions (m).
+        load: `(n,)` forces (N) or depths (m).
         by_force: Whether the loads are forces.
         grid: Cells of the pad.
 
     Returns:
-        Readings (uT) of 1 A/m for each press.
+        `(n, c, 3, m, m)` readings (uT) of 1 A/m for each press.
     """
 
-    def one(press: tuple[Array, Array]) -> Array:
+    def design(press: tuple[Array, Array]) -> Array:
         return design_matrix(layer, board, tip, *press, by_force=by_force, grid=grid)
 
-    return map_batches(one, (position, load), batch_size=DESIGN_BATCH)
+    return map_batches(design, (position, load), batch_size=DESIGN_BATCH)
 
 
 def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], window: float) -> Float[Array, "n c k"]:
-    """Readings of weights of prior variance 1.
+    """Compute the readings of weights with prior variance 1.
 
     Args:
         layer: Strengths and length of the magnetization's patches.
-        designs: Design matrices.
+        designs: `(n, c, 3, m, m)` design matrices.
         window: Edge of the pad (m).
 
     Returns:
-        Readings (uT) of each weight: those of the patches, then three of the uniform part.
+        `(n, c, k)` readings (uT) of each weight: those of the patches, then three of the uniform part.
     """
     r = cosine_prior_factor(layer.patch_length, window)
     patches = jnp.einsum("nocab,ax,by,c->nocxy", designs, r, r, layer.patch_strength, precision="highest")
-    level = designs[:, :, :, 0, 0] * (MAP_CELLS * layer.uniform_strength)  # the first cosines are 1 / sqrt(MAP)
+    level = designs[:, :, :, 0, 0] * (MAP_CELLS * layer.uniform_strength)  # the first cosines are 1 / sqrt(MAP_CELLS)
     return jnp.concatenate([patches.reshape(*designs.shape[:2], -1), level], axis=-1)
 
 
 def _edge_moments(grid: Grid) -> Float[np.ndarray, "n m"]:
-    """Weights of the map's cosines in each cell of the grid along an edge, times the cell's width (`sheets`)."""
+    """Compute the weights of the map's cosines in each cell along an edge, times the cell's width (`sheets`)."""
     cell = (2 * np.arange(grid.cells) + 1) * MAP_CELLS // (2 * grid.cells)
     return (cell_means(grid.cells).T @ cosine_basis()[cell] * grid.spacing).astype(np.float32)
 
 
 def _dipole_tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3 n n"]:
-    """Field (T) at a point per moment (A m2) at each position."""
+    """Compute the field (T) at a point per moment (A m2) at each position."""
     d = point[:, None, None] - at
     inverse = jax.lax.rsqrt(jnp.sum(d**2, axis=0))
     along = d * inverse[None]
@@ -408,15 +399,15 @@ def _dipole_tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3
 def magnetization_map(
     layer: LayerParameters, weights: Float[Any, " k"], window: float
 ) -> Float[Array, "cells cells 3"]:
-    """Magnetization (A/m) of weights of prior variance 1.
+    """Compute the magnetization of weights with prior variance 1.
 
     Args:
         layer: Strengths and length of the magnetization's patches.
-        weights: As for `weight_features`.
+        weights: `(k,)` weights in the order of `weight_features`.
         window: Edge of the pad (m).
 
     Returns:
-        The map.
+        `(cells, cells, 3)` magnetization (A/m).
     """
     weights = jnp.float32(weights)
     patches, level = weights[:-3].reshape(3, MODES, MODES), weights[-3:]

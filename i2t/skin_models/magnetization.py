@@ -1,15 +1,15 @@
-"""A pad from a few presses with a known tip: its magnetization map, and the few parameters of the layer under it.
+"""Pad fitted to a few presses with a known tip: its magnetization map, and the few parameters of the layer.
 
-For a known displacement the reading is linear in the magnetization (`i2t.skin.dipoles`), so that presses give a linear
+For a known displacement the reading is linear in the magnetization (`i2t.skin.dipoles`), so presses give a linear
 system for the map, reading = Phi w + noise. The map is a series of cosines on the pad with the covariance of
-`i2t.skin.pad.smooth_random`, of which a few hundred weights w are left, normal with variance 1; their posterior is that
-of Bayesian linear regression (Bishop, "Pattern Recognition and Machine Learning", section 3.3).
+`i2t.skin.pad.smooth_random`. It has a few hundred weights w, normal with variance 1, whose posterior is that of
+Bayesian linear regression (Bishop, "Pattern Recognition and Machine Learning", section 3.3).
 
-`i2t.skin_models.layer_fit` finds the other parameters, in which the reading is not linear, with the weights integrated
-out; derivatives of the readings run forward through the contact and the design matrices.
+`i2t.skin_models.layer_fit` fits the other parameters, in which the reading is nonlinear, with the weights integrated
+out. Derivatives of the readings run forward through the contact and the design matrices.
 
-A press leaves behind others at its own place when it is left out alone; how well a pad predicts where it was not
-pressed, the errors at places left out say.
+If a press is left out alone, other presses at its place stay. The errors at places left out therefore measure how well
+a pad predicts where it was not pressed.
 
 Metres, newtons, pascals, microtesla. `c` is the number of channels, three for each chip of the board; `m` is the number
 of cosines along an edge, `k` the number of weights.
@@ -53,15 +53,13 @@ from i2t.skin_models.magnetic_layer import (
 )
 from i2t.types import Board, Pad, in_one_line
 
-MAX_LAYER_PRESSES = 48  # that the layer's parameters are fitted to; they need no more, and the map takes all
-
 
 class LinearRegression(NamedTuple):
     """Posterior of the map's weights, and the readings predicted without their own group of presses."""
 
-    weights: Float[np.ndarray, " k"]  # mean
+    weights: Float[np.ndarray, " k"]  # posterior mean
     left_out: Float[np.ndarray, "n c"]  # uT, each press as predicted from all other groups
-    log_density: Float[np.ndarray, " groups"]  # of each group as predicted from all others
+    log_density: Float[np.ndarray, " groups"]  # of each group, predicted from all other groups
 
 
 def bayesian_linear_regression(
@@ -74,10 +72,10 @@ def bayesian_linear_regression(
     """Regress readings on weights of prior variance 1, and leave out groups of presses, in closed form.
 
     Args:
-        features: Readings of each weight.
-        readings: Readings of the presses, in the features' unit.
+        features: `(n, c, k)` readings of each weight.
+        readings: `(n, c)` readings of the presses, in the features' unit.
         noise_std: Standard deviation of a reading's noise, in the same unit.
-        group: Group of each press, counted from 0; by default each press is its own.
+        group: `(n,)` number of each press's group, from 0; by default each press is a group of its own.
 
     Returns:
         The posterior, and each press as predicted from all other groups.
@@ -95,7 +93,7 @@ def bayesian_linear_regression(
     for size in np.unique(sizes):
         some = np.flatnonzero(sizes == size)
         presses = np.stack([np.flatnonzero(group == number) for number in some])
-        # In units of the noise the precision of a group's readings is I - H, H its part of the hat matrix.
+        # In units of the noise the precision of a group's readings is I - H, where H is its part of the hat matrix.
         part = half[presses].reshape(len(some), size * channels, k)
         precision = np.eye(size * channels) - part @ part.swapaxes(1, 2)
         blocks = leave_out_blocks(precision, error[presses].reshape(len(some), -1, 1))
@@ -106,7 +104,7 @@ def bayesian_linear_regression(
 
 @in_one_line
 class PadFit(NamedTuple):
-    """A fitted pad, and its errors on its own presses."""
+    """Fitted pad, and its leave-one-out errors."""
 
     pad: Pad
     posterior: LayerPosterior
@@ -117,29 +115,29 @@ class PadFit(NamedTuple):
         """Simulate the readings of contacts.
 
         Args:
-            contact: m contact pressures on cells of 1 mm, as this pad has them (`predict_pressures` with `pad`).
+            contact: m contact pressures of this pad on cells of 1 mm (`predict_pressures` with `pad`).
 
         Returns:
-            Mean reading (uT), and the root mean square of each channel's errors at places left out.
+            `(m, c)` readings (uT), and `(m, c)` root mean squares of each channel's errors at places left out (uT).
         """
         std = np.sqrt(np.mean(np.asarray(self.left_out_places, np.float64) ** 2, axis=0))
         return _simulate_readings(self.pad, contact), np.broadcast_to(std, (len(contact.load), len(std)))
 
     def save(self, path: Path | str, about: dict[str, Any] | None = None) -> None:
-        """Write one file, which `i2t.load_pad` reads too.
+        """Write one file, which `i2t.load_pad` reads as well.
 
         Args:
-            path: Of the file; `.npz` by custom.
-            about: Anything that JSON can hold (whose pad it is, how it was fitted).
+            path: Path of the file; `.npz` by convention.
+            about: Data to be saved with the pad, such as its skin and its fit, in types that JSON can hold.
 
         Raises:
-            SerializationError: It cannot be written.
+            SerializationError: The file cannot be written.
         """
         serialization.save(path, FILE_KIND, self.pad, about, beside=_FitRecord(*self[1:]))
 
 
 class _FitRecord(NamedTuple):
-    """Fields of a fitted pad's file that stand beside the pad's; none of them where the pad was saved alone."""
+    """Fields of a fitted pad's file besides the pad's; all are None if the pad was saved alone."""
 
     posterior: LayerPosterior | None
     left_out: np.ndarray | None
@@ -150,10 +148,10 @@ def load_pad_fit(path: Path | str) -> PadFit:
     """Read a fitted pad with its errors from its file.
 
     Args:
-        path: Of a file that `PadFit.save` wrote.
+        path: Path of a file that `PadFit.save` wrote.
 
     Returns:
-        The pad and what is known of its fit.
+        The pad, the ranges of its parameters and its errors.
 
     Raises:
         SerializationError: The file is missing, damaged or something else, a pad of an earlier version, or a pad alone,
@@ -162,7 +160,7 @@ def load_pad_fit(path: Path | str) -> PadFit:
 
     def build(path: Path | str, record: _FitRecord, about: dict[str, Any]) -> PadFit:
         if record.posterior is None or record.left_out is None or record.left_out_places is None:
-            raise SerializationError(f"{path}: holds a pad without its fit; read it by i2t.load_pad, or fit it again")
+            raise SerializationError(f"{path}: holds a pad without its fit; read it with i2t.load_pad, or fit it again")
         pad = load_pad(path)
         shapes = {f"posterior.{end}.{name}": np.shape(value) for end in ("layer", "low", "high")
                   for name, value in layer_prior(len(pad.gains)).median._asdict().items()}  # fmt: skip
@@ -185,40 +183,40 @@ class TipReadings(NamedTuple):
     position: Float[Array, "n 2"]  # m, tool frame
     load: Float[Array, " n"]  # depth in m, or normal force in N
     reading: Float[Array, "n c"]  # uT
-    board: Board  # of any number of chips
+    board: Board
 
 
 @dataclass(frozen=True)
 class MagnetizationModel:
-    """A pad of an elastic layer with an unknown map of magnetization, pressed by a known tip.
+    """Options of a pad with an elastic layer and an unknown magnetization map, pressed by a known tip.
 
     Attributes:
-        tip: What pressed; hashable.
+        tip: The pressing tip; hashable.
         by_force: Whether the loads are forces.
         grid: Cells of the pad.
-        max_layer_presses: The layer's parameters are fitted to at most so many presses, the first ones; with 0 the
-            layer stays at the median of its prior.
+        max_layer_presses: Maximum number of presses, the first ones, to which the layer's parameters are fitted; they
+            need no more, and the map uses all. With 0 the layer stays at the median of its prior.
     """
 
     tip: RoundTip
     by_force: bool
     grid: Grid = GRID
-    max_layer_presses: int = MAX_LAYER_PRESSES
+    max_layer_presses: int = 48
 
     def fit(self, key: Key[Array, ""] | None, data: TipReadings) -> PadFit:
         """Fit a pad to presses: first the layer, then the map for that layer.
 
         Args:
-            key: Not used, as the fit draws nothing.
+            key: Ignored, because the fit draws nothing.
             data: The presses, in random order.
 
         Returns:
             The pad, the layer's parameters with their ranges, and the errors of presses and of places left out.
-            Presses whose derivatives are not finite are left out of the layer's fit with a warning, and another warning
-            says if the fit did not converge.
+            Warnings report presses whose derivatives are not finite, which the layer's fit ignores, and a fit that did
+            not converge.
 
         Raises:
-            ValueError: A press is not finite, or what is fitted is not.
+            ValueError: A press or the result of the fit is not finite.
         """
         _check_finite(data)
         readings = np.asarray(data.reading, np.float64)
@@ -245,7 +243,7 @@ class MagnetizationModel:
             data: The presses, in random order.
 
         Returns:
-            The most likely parameters and their ranges.
+            The most probable parameters and their ranges.
 
         Raises:
             ValueError: The search cannot begin.
@@ -265,7 +263,7 @@ class MagnetizationModel:
 
 
 def _check_finite(pressed: TipReadings) -> None:
-    """Raise ValueError where a position, load or reading is not finite."""
+    """Raise ValueError if a position, load or reading is not finite."""
     for name in ("position", "load", "reading"):
         values = np.asarray(getattr(pressed, name))
         wrong = ~np.isfinite(values).reshape(len(values), -1).all(1)
@@ -280,7 +278,7 @@ def _check_finite(pressed: TipReadings) -> None:
 def _unit_features(
     coordinates: LayerParameters, *, prior: LayerPrior, pressed: TipReadings, tip: RoundTip, by_force: bool, grid: Grid
 ) -> Float[Array, "n c k"]:
-    """Readings of weights on a layer whose map has strength 1."""
+    """Compute the readings of weights on a layer whose map has strength 1."""
     layer = _of_unit_strength(parameters_at(coordinates, prior))
     designs = design_matrices(layer, pressed.board, tip, pressed.position, pressed.load, by_force=by_force, grid=grid)
     return weight_features(layer, designs, grid.window)

@@ -1,13 +1,13 @@
 """Pad models: readings of one pad at a contact and the errors of their prediction, fitted to recorded touches.
 
-Each recorded session's object is registered by its own contacts first (`i2t.registration`): the contact is then
-known ten times better than from the camera's view. The contact's pressure on the layer that explains the readings best,
-at the measured force, and the reading fit a reading model (`i2t.skin_models.reading_model`); its errors on touches left
-out fit the likelihood of `i2t.recognition.belief`.
+The object of each recorded session is first registered by its own contacts (`i2t.registration`), which locates a
+contact ten times better than the camera's view. A reading model (`i2t.skin_models.reading_model`) is fitted to the
+readings and to the contacts' pressures at the measured forces, on the layer that explains the readings best. Its
+leave-one-out errors give the likelihood of `i2t.recognition.belief`.
 
-Where presses end is predicted worse than the contacts that a pose was fitted to suggest. So each session is registered
-once more from a part of its touches, and the errors of predicting where the others ended, less what the pose's own
-uncertainty and that of an indentation make, give the distribution of a position's error, tails included
+The ends of presses are predicted worse than the contacts that a pose was fitted to suggest. Each session is therefore
+registered again from a part of its touches, which predicts where the other touches end. The errors, after subtraction
+of the uncertainties of pose and indentation, give the distribution of a position's error, including its tails
 (`fit_position_errors`).
 
 Metres, newtons, microtesla.
@@ -38,8 +38,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.layer import MIN_LOAD_N, Layer, approach, layer_pad
 from i2t.skin_models.likelihood import (
-    INDENTATION_ERROR,
-    OUTLIER_RATE,
+    TOUCH_ERRORS,
     ScaleMixture,
     fit_likelihood,
     fit_position_errors,
@@ -48,7 +47,7 @@ from i2t.skin_models.likelihood import (
 from i2t.skin_models.pad_model import KnownPad, PadModel, PadOrigin
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.skin_models.reading_model import (
-    CHOOSING_TOUCHES,
+    AVERAGING,
     DISCREPANCY,
     READING_PRIOR,
     FittedReadings,
@@ -59,37 +58,48 @@ from i2t.skin_models.reading_model import (
 )
 from i2t.types import Board, Surface, Touches, Truth
 
-POSITION_FOLDS = 3  # of a session's touches, each predicted from the others
-FEW_SESSIONS = 5  # of no more, compiling their registrations quickly pays; last digits may differ from those of more
-REGISTERED_TOUCHES = 36  # of a session at least, filled up with repeated ones: one compilation serves most sessions
+
+@dataclass(frozen=True)
+class SessionRegistration:
+    """Registrations of recorded sessions."""
+
+    position_folds: int = 3  # parts of a session's touches, each predicted from the others
+    # Up to this number of sessions, a quick compilation of their registrations pays; it may change last digits.
+    few_sessions: int = 5
+    # Minimum number of touches in a session, filled up with repeated ones, so that one compilation serves most
+    # sessions.
+    min_touches: int = 36
+
+
+_REGISTRATION = SessionRegistration()
 
 
 class _Positions(NamedTuple):
-    """Ends of left-out touches, by a registration from others."""
+    """Ends of left-out touches, predicted by a registration from other touches."""
 
-    indentation: Float[np.ndarray, " n"]  # m past the predicted contact, less what the arm yields
-    nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer there
-    variance: Float[np.ndarray, " n"]  # m^2, of the predicted contact, as the pose is uncertain
-    hit: Bool[np.ndarray, " n"]  # whether the object was there at all
+    indentation: Float[np.ndarray, " n"]  # m past the predicted contact, without the arm's yielding
+    nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer
+    variance: Float[np.ndarray, " n"]  # m^2, variance of the predicted contact by the pose's uncertainty
+    hit: Bool[np.ndarray, " n"]  # whether the predicted touch meets the object
 
 
 class ObjectTouches(NamedTuple):
-    """Touches of one skin on objects whose surfaces are known."""
+    """Touches of one skin on objects with known surfaces."""
 
     dataset: Dataset  # with measured forces
     rows: Bool[np.ndarray, " n"]  # which of its touches are used
-    surfaces: Mapping[str, Surface]  # of their objects, by name
-    made_from: str = "touches at hand"  # the run, data set or file, which messages name
+    surfaces: Mapping[str, Surface]  # surfaces of the touched objects, by name
+    made_from: str = "touches at hand"  # the run, data set or file, for messages
 
 
 @dataclass(frozen=True)
 class ContactModel:
-    """A pad model, which predicts the reading of any contact.
+    """Options of a pad model, which predicts the reading of any contact.
 
     Attributes:
-        errors: How far objects may be from where they are believed.
-        limits: How the touches were pressed.
-        prior: Of the readings, from other pads.
+        errors: Assumed errors of the objects' believed poses.
+        limits: Limits at which the touches were pressed.
+        prior: Prior of the readings, from other pads.
     """
 
     errors: SimulationErrors
@@ -97,17 +107,17 @@ class ContactModel:
     prior: ReadingPrior = READING_PRIOR
 
     def fit(self, key: Key[Array, ""], data: ObjectTouches) -> KnownPad:
-        """Fit a pad model to touches of objects whose surfaces are known.
+        """Fit a pad model to touches of objects with known surfaces.
 
         Args:
-            key: Of the registrations.
-            data: The touches, of one skin.
+            key: Random key of the registrations.
+            data: The touches of one skin.
 
         Returns:
             The pad model with its skin; its r2 and errors are those of left-out touches.
 
         Raises:
-            ValueError: The touches say nothing finite of how soft the pad is.
+            ValueError: The touches do not determine how soft the pad is.
         """
         dataset, rows, _, made_from = data
         touches = dataset.touches
@@ -118,19 +128,19 @@ class ContactModel:
 
     def _fit(self, key: Key[Array, ""], data: ObjectTouches) -> PadModel:
         errors, limits, touches = self.errors, self.limits, data.dataset.touches
-        sessions, often = _registered(key, data, errors)
+        sessions, often = _register_sessions(key, data, errors)
         layer = _choose_layer(sessions, touches, data.dataset.board, self.prior, limits.overtravel)
         used, nominal, pressed = _pressed_touches(sessions, touches, layer, limits.overtravel)
         load = np.asarray(pressed.pressure.load)
         depth = touches.depth[used] - load / limits.stiffness
         if not (np.isfinite(nominal * depth).all() and nominal.any()):
             raise ValueError(
-                "the softness of the pad is not known from these touches; leave out those whose depth or force is not "
-                "finite, and give some that press a known object"
+                "the softness of the pad cannot be determined from these touches; leave out those whose depth or "
+                "force is not finite, and add some that press a known object"
             )
         softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
         left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits, often=often)
-        folds = map_in_threads(left_out, product(sessions, range(POSITION_FOLDS)))
+        folds = map_in_threads(left_out, product(sessions, range(_REGISTRATION.position_folds)))
         positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
         position = _position_errors(positions, softness, limits)
         fitted = fit_readings(pressed, layer, data.dataset.board, softness=softness, discrepancy=self.prior.discrepancy)
@@ -145,14 +155,15 @@ def fit_oracle_pad_model(
     *,
     discrepancy: GPHyperparameters = DISCREPANCY,
 ) -> PadModel:
-    """Fit the pad model that the same simulated touches would give without errors of pose and reading: a bound, not a
-    method.
+    """Fit the pad model that the same simulated touches would give without errors of pose and reading.
+
+    It is a bound, not a method.
 
     Args:
         dataset: Simulated touches with their truth.
-        rows: Which of them are used.
-        pad_model: What was fitted to them; gives the mechanics.
-        limits: How the touches were pressed.
+        rows: `(n,)` mask of the touches that are used.
+        pad_model: The pad model fitted to these touches, which provides the mechanics.
+        limits: Limits at which the touches were pressed.
         discrepancy: As for `i2t.skin_models.reading_model.fit_readings`.
 
     Returns:
@@ -160,7 +171,7 @@ def fit_oracle_pad_model(
     """
     touches = jax.tree.map(lambda x: x[np.flatnonzero(rows)], dataset.touches)
     own, likelihood = pad_model.reading_model, pad_model.likelihood
-    exact = press_exactly(touches.truth, own.layer)
+    exact = press_at_truth(touches.truth, own.layer)
     fitted = fit_readings(exact, own.layer, dataset.board, softness=float(own.softness), discrepancy=discrepancy)
     recorded = np.asarray(touches.reading)
     fitted = fitted._replace(left_out=fitted.left_out + recorded - exact.reading)
@@ -168,15 +179,15 @@ def fit_oracle_pad_model(
     return _pad_model(fitted, recorded, position, limits)
 
 
-def press_exactly(truth: Truth, layer: Layer) -> PressedTouches:
+def press_at_truth(truth: Truth, layer: Layer) -> PressedTouches:
     """Press a layer at the true contacts of simulated touches.
 
     Args:
-        truth: Of n touches.
-        layer: That is pressed.
+        truth: True contacts of n touches.
+        layer: The layer that is pressed.
 
     Returns:
-        The contact pressures, with the readings that have no noise.
+        The contact pressures, with the noise-free readings.
     """
     exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
     pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, layer_pad(layer))
@@ -184,16 +195,16 @@ def press_exactly(truth: Truth, layer: Layer) -> PressedTouches:
 
 
 class _SessionContacts(NamedTuple):
-    """Touches of one session, filled up with repeated ones so that one compilation serves most sessions."""
+    """Touches of one session, filled up with repeated ones, so that one compilation serves most sessions."""
 
     touches: Touches
-    T_w_contact: Float[np.ndarray, "m 4 4"]  # at first contact
-    met: Bool[np.ndarray, " m"]  # no repeated one
+    T_w_contact: Float[np.ndarray, "m 4 4"]  # poses at first contact
+    met: Bool[np.ndarray, " m"]  # false for repeated touches
     own: int  # number of touches that are not repeated
 
 
 def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
-    padded = np.resize(here, max(REGISTERED_TOUCHES, len(here)))
+    padded = np.resize(here, max(_REGISTRATION.min_touches, len(here)))
     some = select_rows(touches, padded)
     T_w_contact, met = contact_poses(some)
     return _SessionContacts(some, T_w_contact, met & (np.arange(len(padded)) < len(here)), len(here))
@@ -202,42 +213,45 @@ def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
 class _Session(NamedTuple):
     """A session whose object is registered."""
 
-    rows: np.ndarray  # of its touches
+    rows: np.ndarray  # rows of its touches
     key: Array
     surface: Surface
     contacts: _SessionContacts
-    found: PoseEstimate
+    pose: PoseEstimate
 
 
-def _registered(key: Key[Array, ""], data: ObjectTouches, errors: SimulationErrors) -> tuple[list["_Session"], bool]:
-    """Sessions with their objects registered, and whether these are so many that compiling takes its time."""
+def _register_sessions(
+    key: Key[Array, ""], data: ObjectTouches, errors: SimulationErrors
+) -> tuple[list["_Session"], bool]:
+    """Register the objects of all sessions; also return whether a slow compilation pays for them."""
     touches = data.dataset.touches
-    seen = []
+    unregistered = []
     for session in np.unique(touches.session[data.rows]):
         here = np.flatnonzero(data.rows & (touches.session == session))
         surface = data.surfaces[data.dataset.objects[int(touches.object[here[0]])]]
-        seen.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
-    often = len(seen) > FEW_SESSIONS
+        unregistered.append((here, jax.random.fold_in(key, int(session)), surface, _session_contacts(touches, here)))
+    often = len(unregistered) > _REGISTRATION.few_sessions
     register = partial(_register_session, errors=errors, often=often)
-    found = map_in_threads(register, ((key, surface, contacts, contacts.met) for _, key, surface, contacts in seen))
-    sessions = [_Session(*session, pose) for session, pose in zip(seen, found, strict=True)]
+    calls = ((key, surface, contacts, contacts.met) for _, key, surface, contacts in unregistered)
+    poses = map_in_threads(register, calls)
+    sessions = [_Session(*session, pose) for session, pose in zip(unregistered, poses, strict=True)]
     return sessions, often
 
 
 def _pressed_touches(
     sessions: Sequence[_Session], touches: Touches, layer: Layer, overtravel: float
 ) -> tuple[np.ndarray, np.ndarray, PressedTouches]:
-    """Press a layer onto the registered objects: rows of the touches that met one, the layer's indentations (m), and
-    the touches.
+    """Press a layer onto the registered objects. Return the rows of the touches that met one, the layer's indentations
+    (m), and the touches.
     """
     calls = (
-        (each.surface, each.found.T_w_o, each.contacts.T_w_contact, each.contacts.touches.force, layer, True)
-        for each in sessions
+        (session.surface, session.pose.T_w_o, session.contacts.T_w_contact, session.contacts.touches.force, layer, True)
+        for session in sessions
     )
     press = partial(_press, overtravel=overtravel)
     parts = [
-        (each.rows, pressed.indentation[: each.contacts.own], pressed.newtons[: each.contacts.own])
-        for each, pressed in zip(sessions, map_in_threads(press, calls), strict=True)
+        (session.rows, pressed.indentation[: session.contacts.own], pressed.newtons[: session.contacts.own])
+        for session, pressed in zip(sessions, map_in_threads(press, calls), strict=True)
     ]
     rows, nominal, newtons = (np.concatenate(part) for part in zip(*parts, strict=True))
     met = np.isfinite(nominal)
@@ -250,9 +264,10 @@ def _pressed_touches(
 def _choose_layer(
     sessions: Sequence[_Session], touches: Touches, board: Board, prior: ReadingPrior, overtravel: float
 ) -> Layer:
-    """Choose the layer on some sessions, as every layer presses their touches."""
+    """Choose the layer from some sessions, because the touches are pressed onto every layer."""
     shuffled = [sessions[i] for i in np.random.default_rng(0).permutation(len(sessions))]
-    enough = int(np.searchsorted(np.cumsum([len(each.rows) for each in shuffled]), CHOOSING_TOUCHES)) + 1
+    counts = np.cumsum([len(session.rows) for session in shuffled])
+    enough = int(np.searchsorted(counts, AVERAGING.max_touches)) + 1
     some = shuffled[:enough]
     pressed = [_pressed_touches(some, touches, layer, overtravel)[2] for layer in prior.layers]
     return prior.layers[choose_layer(pressed, prior.layers, board, prior.discrepancy)]
@@ -267,7 +282,7 @@ def _register_session(
     errors: SimulationErrors,
     often: bool,
 ) -> PoseEstimate:
-    """The object's pose by the contacts that met it, or by some of them."""
+    """Estimate the object's pose from the contacts that met it, or from some of them."""
     return register_by_touch(
         key, surface, contacts.touches.T_w_o[0], contacts.T_w_contact, met,
         translation_std=errors.placement, rotation_std=errors.placement_angle, often=often,
@@ -277,18 +292,18 @@ def _register_session(
 def _left_out_positions(
     session: _Session, which: int, *, layer: Layer, errors: SimulationErrors, limits: PressLimits, often: bool
 ) -> _Positions:
-    """Ends of the touches of one fold of a session that met something, predicted from those of the other folds."""
+    """Predict the ends of the touches of one fold of a session from the touches of its other folds."""
     _, key, surface, contacts, _ = session
-    fold = np.arange(len(contacts.met)) % POSITION_FOLDS
-    # The same starts and draws in every fold, so that they differ in their touches alone.
+    fold = np.arange(len(contacts.met)) % _REGISTRATION.position_folds
+    # All folds use the same starts and draws, so that they differ only in their touches.
     key = jax.random.clone(key)
-    found = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors, often=often)
+    pose = _register_session(key, surface, contacts, contacts.met & (fold != which), errors=errors, often=often)
     force = np.maximum(contacts.touches.force, np.float32(MIN_LOAD_N))
     T_w_t, overtravel = contacts.touches.T_w_t, limits.overtravel
-    predicted = jax.device_get(_press(surface, found.T_w_o, T_w_t, force, layer, False, overtravel=overtravel))
-    # A press ends at the pose it reports, which is its site here: contact lies as far before it.
+    predicted = jax.device_get(_press(surface, pose.T_w_o, T_w_t, force, layer, False, overtravel=overtravel))
+    # A press ends at the pose that it reports, which is its site here; contact lies before it by the indentation.
     indentation = -predicted.distance - force / limits.stiffness
-    variance = np.einsum("ni,ij,nj->n", predicted.jacobian, np.asarray(found.covariance), predicted.jacobian)
+    variance = np.einsum("ni,ij,nj->n", predicted.jacobian, np.asarray(pose.covariance), predicted.jacobian)
     rows = np.asarray(contacts.met) & (fold == which)
     nominal = np.where(predicted.hit, predicted.indentation, 0.0)
     return _Positions(indentation[rows], nominal[rows], variance[rows], predicted.hit[rows])
@@ -297,8 +312,8 @@ def _left_out_positions(
 def _position_errors(positions: _Positions, softness: float, limits: PressLimits) -> ScaleMixture:
     expected = softness * positions.nominal
     error = positions.indentation - expected
-    variance = positions.variance + (INDENTATION_ERROR * expected) ** 2
-    density = OUTLIER_RATE / outlier_range(limits.overtravel)
+    variance = positions.variance + (TOUCH_ERRORS.indentation_error * expected) ** 2
+    density = TOUCH_ERRORS.outlier_rate / outlier_range(limits.overtravel)
     return fit_position_errors(error[positions.hit], variance[positions.hit], outlier_density=density)
 
 
@@ -306,10 +321,10 @@ class _Pressed(NamedTuple):
     """Presses of a layer on an object."""
 
     distance: Float[Array, " n"]  # m, from the pose to first contact
-    jacobian: Float[Array, "n 6"]  # of that along the twist of the object's pose
+    jacobian: Float[Array, "n 6"]  # derivative of that distance along the twist of the object's pose
     hit: Bool[Array, " n"]  # whether the object is there
-    indentation: Float[Array, " n"]  # m, infinite where there is nothing to press on
-    newtons: Float[Array, "n cells"]  # on each cell
+    indentation: Float[Array, " n"]  # m, infinite if there is nothing to press on
+    newtons: Float[Array, "n cells"]  # N on each cell
 
 
 @jit_quickly
@@ -324,22 +339,22 @@ def _press(
     *,
     overtravel: float | Array,
 ) -> _Pressed:
-    """Press a layer where it meets an object along z of each pose, or at the pose itself (`at_once`): one compilation
-    serves both.
+    """Press a layer where it meets an object along z of each pose, or at the pose itself (`at_once`). Both use the same
+    compiled program.
     """
 
-    def one(T: Array, f: Array) -> _Pressed:
+    def press(T: Array, f: Array) -> _Pressed:
         (T_o_t, distance, hit), jacobian = approach(surface, T_w_o, jnp.zeros(6), T, overtravel)
         T_o_t = jnp.where(at_once, inverse(T_w_o) @ T, T_o_t)
         pressed, indentation = surface_pressure(layer_pad(layer), surface, T_o_t, f[None])
         met = hit & jnp.isfinite(indentation[0])
         return _Pressed(distance, jnp.where(met, jacobian, 0.0), met, indentation[0], pressed.pressure.reshape(-1))
 
-    return jax.vmap(one)(T_w_t, force)
+    return jax.vmap(press)(T_w_t, force)
 
 
 def _pad_model(fitted: FittedReadings, recorded: np.ndarray, position: ScaleMixture, limits: PressLimits) -> PadModel:
-    """The pad model of a reading model with its errors on left-out touches, and of errors (m) of where presses end."""
+    """Combine a reading model with its leave-one-out errors, and with the errors (m) of where presses end."""
     errors, model = fitted.left_out, fitted.model
     likelihood = fit_likelihood(
         errors, model.scale, model.loads,

@@ -1,9 +1,9 @@
-"""Pad models with their skin: what they predict, on disk, and refused for touches of another skin.
+"""Pad models with their skin: predictions, files, and the refusal of touches of another skin.
 
 origin = PadOrigin("skin A", "real", ("hexagon", "parallelogram"), touches=300, made_from="DATA")
 KnownPad(pad_model, dataset.board, origin).save("pad_model.npz")
-known = load_pad_model("pad_model.npz")
-require_skin(known, ["skin A"], dataset.board, "DATA/later")
+skin = load_pad_model("pad_model.npz")
+require_skin(skin, ["skin A"], dataset.board, "DATA/later")
 """
 
 from collections.abc import Sequence
@@ -31,13 +31,13 @@ PAD_MODEL_KIND = "i2t pad model"
 
 @in_one_line
 class PadModel(NamedTuple):
-    """Model of a pad from its touches of known objects."""
+    """Model of a pad, fitted to its touches of known objects."""
 
-    reading_model: LinearReadingModel  # the reading of a contact
+    reading_model: LinearReadingModel  # predicts the reading of a contact
     likelihood: Likelihood  # of readings and positions
-    reading_std: Float[np.ndarray, " c"]  # uT, of the readings
-    r2: float  # of touches left out one at a time; other touches of their sessions stay
-    held_out_errors: Float[np.ndarray, "n c"]  # uT, measured minus predicted
+    reading_std: Float[np.ndarray, " c"]  # uT, standard deviation of the readings
+    r2: float  # of touches left out one at a time; the other touches of their sessions stay
+    held_out_errors: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other touches
 
 
 @dataclass(frozen=True)
@@ -45,15 +45,15 @@ class PadOrigin:
     """Origin of a pad model."""
 
     pad: str  # name of the skin in the data set
-    source: str  # of the touches: real, simulated or mixed
-    objects: tuple[str, ...]  # that were touched
-    touches: int
+    source: str  # source of the touches: real, simulated or mixed
+    objects: tuple[str, ...]  # touched objects
+    touches: int  # number of touches
     made_from: str  # a run, a data set or a file
 
 
 @in_one_line
 class KnownPad(NamedTuple):
-    """A pad model and its skin."""
+    """Pad model and its skin."""
 
     model: PadModel
     board: Board
@@ -61,7 +61,7 @@ class KnownPad(NamedTuple):
 
     @property
     def left_out(self) -> Float[np.ndarray, "n c"]:
-        """Errors (uT) on the touches of the fit, each predicted from all others."""
+        """Errors (uT) on the touches of the fit, each predicted from all other touches."""
         return np.asarray(self.model.held_out_errors)
 
     def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m c"], Float[Array, "m c"]]:
@@ -71,7 +71,7 @@ class KnownPad(NamedTuple):
             contact: m contact pressures on the layer of the reading model.
 
         Returns:
-            Mean and standard deviation (uT), with the errors on left-out touches.
+            `(m, c)` means and standard deviations (uT); the latter include the leave-one-out errors.
         """
         return _predict(self.model.reading_model, self.model.likelihood, contact)
 
@@ -79,10 +79,10 @@ class KnownPad(NamedTuple):
         """Write one file, which appears whole or not at all.
 
         Args:
-            path: Of the file; `.npz` by custom.
+            path: Path of the file; `.npz` by convention.
 
         Raises:
-            SerializationError: It cannot be written.
+            SerializationError: The file cannot be written.
         """
         record = _Record(**self.model._asdict() | {"r2": np.asarray(self.model.r2)}, board=self.board)
         serialization.save(path, PAD_MODEL_KIND, record, asdict(self.origin))
@@ -95,7 +95,7 @@ def _predict(
     mean, variance = jax.vmap(partial(read_pressure, model))(
         contact.pressure.reshape(len(contact.load), -1), contact.load
     )
-    errors = jnp.sum(jnp.linalg.inv(likelihood.whiten) ** 2, axis=1)  # their covariance's diagonal
+    errors = jnp.sum(jnp.linalg.inv(likelihood.whiten) ** 2, axis=1)  # diagonal of the errors' covariance
     return mean, likelihood.inflation * jnp.sqrt(errors[None] + variance[:, None] * model.scale[None] ** 2)
 
 
@@ -111,10 +111,10 @@ class _Record(NamedTuple):
 
 
 def load_pad_model(path: Path | str) -> KnownPad:
-    """The pad model in a file, or the ready one that comes with i2t.
+    """Load a pad model from a file, or the ready one that comes with i2t.
 
     Args:
-        path: Of a file that `KnownPad.save` wrote; or the name of a ready model, "nominal" (`i2t.models`), of one
+        path: Path of a file that `KnownPad.save` wrote, or the name of a ready model: "nominal" (`i2t.models`), of one
             simulated pad.
 
     Returns:
@@ -124,14 +124,14 @@ def load_pad_model(path: Path | str) -> KnownPad:
         SerializationError: The file is missing, damaged, holds something else, or its parts do not fit each other.
 
     Example:
-        known = i2t.load_pad_model("nominal")
-        recognizer = i2t.ObjectRecognizer(jax.random.key(0), known.model, {"mug": mug, "bowl": bowl})
+        skin = i2t.load_pad_model("nominal")
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), skin.model, {"mug": mug, "bowl": bowl})
     """
     return load_fitted(path, PAD_MODEL_KIND, _Record, _known_pad, ready="pad_model.npz")
 
 
 def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> KnownPad:
-    """A pad model from its record on disk, if its parts fit."""
+    """Build a pad model from its record on disk."""
     channels = 3 * len(record.board.chips)
     loads, cells = record.reading_model.mean.shape[:2]
     shapes = {
@@ -153,26 +153,26 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 
-def with_press_errors(model: PadModel, error_std: float) -> PadModel:
-    """A pad model whose errors of readings include those of the pad that its touches were simulated with.
+def add_press_errors(model: PadModel, error_std: float) -> PadModel:
+    """Add, to a pad model's errors of readings, those of the pad with which its touches were simulated.
 
     Args:
-        model: Fitted to touches simulated with a pad.
-        error_std: uT, root mean square of what that pad leaves of presses it was not fitted to; 0 where it is unknown.
+        model: Pad model fitted to touches that were simulated with a pad.
+        error_std: Root mean square (uT) of that pad's errors on presses it was not fitted to; 0 if it is unknown.
 
     Returns:
         The pad model with a larger inflation of its errors.
     """
     own = float(np.mean(np.asarray(model.held_out_errors, np.float64) ** 2))
-    return inflated(model, float(np.sqrt(1 + error_std**2 / own)))
+    return inflate_errors(model, float(np.sqrt(1 + error_std**2 / own)))
 
 
-def inflated(model: PadModel, factor: float) -> PadModel:
-    """A pad model whose errors of readings are larger.
+def inflate_errors(model: PadModel, factor: float) -> PadModel:
+    """Enlarge the errors of readings in a pad model.
 
     Args:
-        model: As fitted.
-        factor: By which its errors' standard deviation grows.
+        model: A pad model.
+        factor: Factor on the standard deviation of its errors.
 
     Returns:
         The pad model with a larger inflation.
@@ -182,38 +182,38 @@ def inflated(model: PadModel, factor: float) -> PadModel:
 
 
 def require_skin(
-    known: KnownPad, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
+    model: KnownPad, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
 ) -> str | None:
-    """Refuse touches of another skin than a pad model's.
+    """Refuse touches of a skin other than a pad model's.
 
     Args:
-        known: The pad model.
+        model: The pad model.
         pads: Names of the skins that touch.
-        board: Of these skins.
-        whose: Names the touches in messages.
-        other_skin: Whether a skin of another name, on a like board, is allowed.
+        board: Board of these skins.
+        whose: Name of the touches in messages.
+        other_skin: Whether a skin of another name, on a board of the same kind, is allowed.
 
     Returns:
-        A sentence where another skin is judged by this pad model; None where it is the same.
+        A sentence if the pad model is used for another skin; None if the skin is the same.
 
     Raises:
-        DataError: The skin or the board is another.
+        DataError: The skin or the board differs.
     """
-    origin = known.origin
-    if not same_board(known.board, board):
+    origin = model.origin
+    if not same_board(model.board, board):
         raise DataError(
             f"{whose}: the board has {_described(board)}, and that of the pad model of {origin.made_from} "
-            f"{_described(known.board)}; use a pad model of that very skin"
+            f"{_described(model.board)}; use a pad model of that very skin"
         )
     others = sorted(set(pads) - {origin.pad})
     if not others:
         return None
-    told = (
+    mismatch = (
         f"{whose}: the skin is {_quoted(others)}, and the pad model of {origin.made_from} is of {_quoted([origin.pad])}"
     )
     if not other_skin:
-        raise DataError(f"{told}; every skin differs: use a pad model of that very skin")
-    return f"ANOTHER SKIN: {told}"
+        raise DataError(f"{mismatch}; every skin differs: use a pad model of that very skin")
+    return f"ANOTHER SKIN: {mismatch}"
 
 
 def _described(board: Board) -> str:

@@ -1,21 +1,21 @@
-"""A Gaussian process (GP) from contact pressure to readings.
+"""Gaussian process (GP) from contact pressure to readings.
 
 For small strain the reading of a magnetic skin is linear in the pressure p on its surface, reading_c = sum_x g_c(x)
-p(x): the displacement is linear in p and the field is linear in the displacement. What a pad hides is the map g_c, one
-smooth picture per channel. A Gaussian-process prior on g_c with covariances C_l(x, x') = exp(-|x - x'|^2 / 2 l^2) gives
-a covariance between two touches that needs no hidden map at all,
+p(x): the displacement is linear in p and the field is linear in the displacement. The unknown of a pad is the map g_c,
+one smooth picture per channel. A Gaussian-process prior on g_c with covariances C_l(x, x') = exp(-|x - x'|^2 / 2 l^2)
+gives a covariance between two touches that needs no explicit map,
 
   k(t, t') = sum_l a_l p_t . C_l p_t' [1 - b + b exp(-(log(F_t / F_t'))^2 / 2 w^2)],
 
 where the bracket lets the response change with the load F (a layer stiffens as it is pressed; lattices buckle). For one
 round tip this is the structured kernel f(F) x g(x, y) of a calibrated skin; for any other contact it is its
 superposition. Zero pressure means zero reading, so the mean is zero. Channels share the covariance and differ in scale;
-there are as many as the board has, 3 for each chip.
+each chip of the board has 3.
 
-Rasmussen and Williams, "Gaussian Processes for Machine Learning", algorithm 2.1; the hyperparameters minimise the error
-on held-out groups of touches (section 5.3, cross-validation), never the evidence, because the prior is known to be
-wrong in detail. Fits run in double precision: the condition number of the covariance of n touches is up to n / noise.
-Predictions are in single precision.
+Rasmussen and Williams, "Gaussian Processes for Machine Learning", algorithm 2.1. The hyperparameters minimise the error
+on held-out groups of touches (section 5.3, cross-validation). They never maximise the evidence, because the prior is
+known to be wrong in detail. Fits run in double precision, because the condition number of the covariance of n touches
+is up to n / noise. Predictions are in single precision.
 """
 
 import warnings
@@ -38,7 +38,7 @@ from i2t.runtime.compiling import jit_quickly
 from i2t.skin_models.base import load_fitted
 from i2t.types import in_one_line
 
-LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, of the maps g_c: from below a skin's thickness to beyond its edge
+LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # length scales of the maps g_c: from below a skin's thickness to its edge
 FILE_KIND = "i2t pressure model"
 Tree = TypeVar("Tree")
 
@@ -55,18 +55,18 @@ class GPHyperparameters(NamedTuple):
 
 @in_one_line
 class GP(NamedTuple):
-    """A fitted GP: training touches, hyperparameters and the solved system."""
+    """Fitted GP: training touches, hyperparameters and the solved system."""
 
     hyper: GPHyperparameters
-    touches: ContactPressure  # n of them
-    unit: Float[Array, " lengths"]  # per length, the mean variance of the training touches
+    touches: ContactPressure  # n training touches
+    unit: Float[Array, " lengths"]  # N^2, mean variance of the training touches for each length scale
     cholesky: Float[Array, "n n"]
     weights: Float[Array, "n channels"]
     scale: Float[Array, " channels"]  # uT, root mean square of each channel's signal
 
     @property
     def left_out(self) -> Float[np.ndarray, "n channels"]:
-        """Errors (uT) on the training touches, each predicted from all others."""
+        """Errors (uT) on the training touches: measured minus predicted from all other touches."""
         return np.asarray(_left_out(self))
 
     def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m channels"], Float[Array, "m channels"]]:
@@ -76,7 +76,7 @@ class GP(NamedTuple):
             contact: m contact pressures.
 
         Returns:
-            Mean and standard deviation (uT), the sensor's noise included.
+            `(m, channels)` means and standard deviations (uT), the sensor's noise included.
         """
         return _predict(self, contact)
 
@@ -84,10 +84,10 @@ class GP(NamedTuple):
         """Write one file, which appears whole or not at all.
 
         Args:
-            path: Of the file; `.npz` by custom.
+            path: Path of the file; `.npz` by convention.
 
         Raises:
-            SerializationError: It cannot be written.
+            SerializationError: The file cannot be written.
         """
         serialization.save(path, FILE_KIND, self)
 
@@ -95,19 +95,19 @@ class GP(NamedTuple):
 class PressureTouches(NamedTuple):
     """Readings of contact pressures."""
 
-    pressure: ContactPressure  # n of them
+    pressure: ContactPressure  # n contact pressures
     reading: Float[np.ndarray, "n channels"] | Float[Array, "n channels"]  # uT
-    groups: Int[np.ndarray, " n"]  # run or spatial block of each, which cross-validation leaves whole
+    groups: Int[np.ndarray, " n"]  # run or spatial block of each touch, which cross-validation keeps together
 
 
 @dataclass(frozen=True)
 class PressureModel:
-    """The Gaussian process, with the hyperparameters that held-out groups of touches choose.
+    """Options of the Gaussian process, whose hyperparameters are chosen on held-out groups of touches.
 
     Attributes:
-        steps: Of Adam, as of `choose_hyperparameters`.
+        steps: Steps of Adam in `choose_hyperparameters`.
         folds: Parts of cross-validation, at most as many as groups.
-        limit: Touches that hyperparameters are chosen on.
+        limit: Maximum number of touches on which hyperparameters are chosen.
     """
 
     steps: int = 40
@@ -118,7 +118,7 @@ class PressureModel:
         """Condition the process on touches.
 
         Args:
-            key: Of the folds, and of the sample where there are many touches.
+            key: Random key of the folds, and of the sample if there are more touches than `limit`.
             data: The touches.
 
         Returns:
@@ -128,7 +128,7 @@ class PressureModel:
             ValueError: The hyperparameters cannot be chosen (see `choose_hyperparameters`).
         """
         touches, groups, readings = data.pressure, data.groups, jnp.asarray(data.reading)
-        seed = int(jax.random.key_data(key)[-1])  # of `jax.random.key(seed)`, the seed
+        seed = int(jax.random.key_data(key)[-1])  # the seed of `jax.random.key(seed)`
         hyper, _ = choose_hyperparameters(
             touches, readings, groups, steps=self.steps, folds=self.folds, limit=self.limit, seed=seed
         )
@@ -139,7 +139,7 @@ def load_pressure_gp(path: Path | str) -> GP:
     """Read a process from its file.
 
     Args:
-        path: Of a file that `GP.save` wrote.
+        path: Path of a file that `GP.save` wrote.
 
     Returns:
         The process, in float32.
@@ -151,21 +151,21 @@ def load_pressure_gp(path: Path | str) -> GP:
 
 
 def _checked(path: Path | str, gp: GP, about: dict[str, Any]) -> GP:
-    """A process in float32, if its parts fit."""
-    jax.eval_shape(predict, gp, gp.touches)  # which it could not where shapes do not fit
+    """Convert a process to float32; raise ValueError if its parts do not fit each other."""
+    jax.eval_shape(predict, gp, gp.touches)  # raises if the shapes do not fit
     if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gp)):
         raise ValueError("values that are not finite")
     return _single(gp)
 
 
 def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
-    """Symmetric square roots of the covariances along one axis; C_l is the outer product of two axes.
+    """Compute symmetric square roots of the covariances along one axis; C_l is the outer product of two axes.
 
     Args:
-        m: Cells of 1 mm along the axis.
+        m: Number of 1 mm cells along the axis.
 
     Returns:
-        R_l with R_l R_l = exp(-(x_i - x_j)^2 / 2 l^2), for each length.
+        `(lengths, m, m)` matrices R_l with R_l R_l = exp(-(x_i - x_j)^2 / 2 l^2).
     """
     x = CELL_MM * np.arange(m)
     values, vectors = np.linalg.eigh([np.exp(-((x[:, None] - x) ** 2) / (2 * length**2)) for length in LENGTHS_MM])
@@ -173,13 +173,13 @@ def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
 
 
 def features(touches: ContactPressure) -> Float[Array, "lengths n mm"]:
-    """C_l^(1/2) p of every touch, flattened: their inner products are the covariances.
+    """Compute C_l^(1/2) p of every touch, flattened; the inner products of these features are the covariances.
 
     Args:
         touches: n contact pressures on m x m cells.
 
     Returns:
-        For each length and touch, m^2 values (N).
+        `(lengths, n, m^2)` features (N).
     """
     root = jnp.asarray(kernel_factor(touches.pressure.shape[-1]))
     blurred = jnp.einsum("lij,njk,lmk->lnim", root, touches.pressure, root, precision="highest")
@@ -193,56 +193,56 @@ def gram(
     load_a: Float[Array, " a"],
     load_b: Float[Array, " b"],
 ) -> Float[Array, "a b"]:
-    """Covariance between touches.
+    """Compute the covariance between touches.
 
     Args:
         hyper: Hyperparameters.
-        unit: N^2, per length the mean variance of the training touches.
-        linear: N^2, inner products of the touches' features.
-        load_a: N, of the first touches.
-        load_b: N, of the second touches.
+        unit: `(lengths,)` mean variances of the training touches (N^2).
+        linear: `(lengths, a, b)` inner products of the touches' features (N^2).
+        load_a: `(a,)` loads of the first touches (N).
+        load_b: `(b,)` loads of the second touches (N).
 
     Returns:
-        k(a, b), relative to the variance of a channel's signal.
+        `(a, b)` covariances k, relative to the variance of a channel's signal.
     """
     return jnp.einsum("l,lab->ab", hyper.weights / unit, linear) * stiffening(hyper, load_a, load_b)
 
 
 def stiffening(hyper: GPHyperparameters, load_a: Float[Array, " a"], load_b: Float[Array, " b"]) -> Float[Array, "a b"]:
-    """Correlation of the responses at two loads: the bracket of the covariance.
+    """Compute the correlation of the responses at two loads: the bracket of the covariance.
 
     Args:
-        hyper: Hyperparameters, of which `bend` and `width` count.
-        load_a: N.
-        load_b: N.
+        hyper: Hyperparameters; only `bend` and `width` are used.
+        load_a: `(a,)` loads (N).
+        load_b: `(b,)` loads (N).
 
     Returns:
-        1 for equal loads, at least 1 - `bend`.
+        `(a, b)` correlations: 1 for equal loads, at least 1 - `bend`.
     """
     ratio = jnp.log(jnp.maximum(load_a, 1e-3))[:, None] - jnp.log(jnp.maximum(load_b, 1e-3))[None, :]
     return 1 - hyper.bend + hyper.bend * jnp.exp(-(ratio**2) / (2 * hyper.width**2))
 
 
 def inner_products(a: Float[Array, "lengths a mm"], b: Float[Array, "lengths b mm"]) -> Float[Array, "lengths a b"]:
-    """Inner products of the features of two sets of touches.
+    """Compute the inner products of the features of two sets of touches.
 
     Args:
-        a: Features of the first touches.
-        b: Features of the second touches.
+        a: `(lengths, a, m^2)` features of the first touches (N).
+        b: `(lengths, b, m^2)` features of the second touches (N).
 
     Returns:
-        N^2, per length.
+        `(lengths, a, b)` inner products (N^2).
     """
     return jnp.einsum("lax,lbx->lab", a, b, precision="highest")
 
 
 def fit(hyper: GPHyperparameters, touches: ContactPressure, readings: Float[Array, "n c"]) -> GP:
-    """Condition on touches, with given hyperparameters, in double precision.
+    """Condition the GP on touches, with given hyperparameters, in double precision.
 
     Args:
         hyper: Hyperparameters.
         touches: n contact pressures.
-        readings: uT, measured at them.
+        readings: `(n, c)` measured readings (uT).
 
     Returns:
         The fitted GP, in float32.
@@ -263,14 +263,14 @@ def _condition(hyper: GPHyperparameters, touches: ContactPressure, readings: Flo
 
 
 def predict(gp: GP, touches: ContactPressure) -> tuple[Float[Array, "n c"], Float[Array, "n c"]]:
-    """Readings of touches that were not measured.
+    """Predict readings of touches that were not measured.
 
     Args:
         gp: A fitted GP.
         touches: n contact pressures.
 
     Returns:
-        Mean and standard deviation (uT), the sensor's noise included.
+        `(n, c)` means and standard deviations (uT), the sensor's noise included.
     """
     f, f_train = features(touches), features(gp.touches)
     cross = gram(gp.hyper, gp.unit, inner_products(f, f_train), touches.load, gp.touches.load)
@@ -300,26 +300,26 @@ def choose_hyperparameters(
     limit: int = 600,
     seed: int = 0,
 ) -> tuple[GPHyperparameters, Float[Array, " steps"]]:
-    """Hyperparameters with the least squared error on held-out groups.
+    """Find the hyperparameters with the least squared error on held-out groups.
 
-    Adam descends the error of cross-validation, groups kept whole, in unconstrained coordinates from a broad start; the
-    best of all its steps is taken.
+    Adam descends the error of cross-validation, with groups kept whole, in unconstrained coordinates from a broad
+    start. The best of all its steps is taken.
 
     Args:
         touches: n contact pressures.
-        readings: uT, measured at them.
-        groups: The run or spatial block of each touch.
-        steps: Of Adam.
+        readings: `(n, c)` measured readings (uT).
+        groups: `(n,)` run or spatial block of each touch.
+        steps: Steps of Adam.
         folds: Parts of cross-validation, at most as many as groups.
-        limit: Touches used; of more, a random sample, because the cost grows with the cube.
-        seed: Of the folds and of the sample.
+        limit: Maximum number of touches; of more, a random sample is used, because the cost grows with the cube.
+        seed: Seed of the folds and of the sample.
 
     Returns:
-        The hyperparameters, and R2 on held-out groups at each step. A warning counts steps without a finite score.
+        The hyperparameters, and the R2 on held-out groups at each step. A warning counts steps without a finite score.
 
     Raises:
-        ValueError: There are fewer than two groups, or no step has a score (touches or readings that are not finite,
-            or no pressure at all).
+        ValueError: There are fewer than two groups, or no step has a finite score because touches or readings are not
+            finite or all pressures are zero.
     """
     touches, readings, ends = _by_fold(touches, readings, groups, folds=folds, limit=limit, seed=seed)
     with jax.enable_x64(True):
@@ -328,7 +328,7 @@ def choose_hyperparameters(
     if not finite.any():
         raise ValueError(
             f"cross-validation of the Gaussian process has no finite score on {len(readings)} touches; "
-            "look for contact pressures or readings that are not finite, or zero throughout"
+            "check for contact pressures or readings that are not finite, or zero throughout"
         )
     if lost := int(np.sum(~finite)):
         warnings.warn(
@@ -349,7 +349,7 @@ def _by_fold(
     limit: int,
     seed: int,
 ) -> tuple[ContactPressure, Float[Array, "k c"], tuple[int, ...]]:
-    """At most `limit` touches with their readings, fold after fold, and the rows at which folds end."""
+    """Order at most `limit` touches and their readings fold after fold; also return the rows at which folds end."""
     if len(groups) > limit:
         rows = np.sort(np.random.default_rng(seed).choice(len(groups), limit, replace=False))
         touches, readings, groups = select_rows((touches, readings, groups), rows)
@@ -366,8 +366,8 @@ def _by_fold(
 def _descend(
     touches: ContactPressure, readings: Array, *, ends: tuple[int, ...], steps: int
 ) -> tuple[GPHyperparameters, Float[Array, " steps"]]:
-    """The hyperparameters along the path of Adam, and the share of variance that folds, which end at rows `ends`, leave
-    unexplained with them.
+    """Compute the hyperparameters along the path of Adam, and the share of variance that they leave unexplained on the
+    folds, which end at rows `ends`.
     """
     linear = inner_products(f := features(touches), f)
     unit = jnp.mean(jnp.diagonal(linear, axis1=1, axis2=2), axis=1)
@@ -402,17 +402,17 @@ def _descend(
 
 
 def _double(tree: Tree) -> Tree:
-    """A tree of arrays in float64, where that is enabled."""
+    """Convert a tree of arrays to float64, if that is enabled."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float64), tree)
 
 
 def _single(tree: Tree) -> Tree:
-    """A tree of arrays in float32."""
+    """Convert a tree of arrays to float32."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), tree)
 
 
 def _hyperparameters(free: dict[str, Array]) -> GPHyperparameters:
-    """Hyperparameters from unconstrained coordinates."""
+    """Convert unconstrained coordinates to hyperparameters."""
     return GPHyperparameters(
         jax.nn.softmax(free["weights"]),
         jax.nn.sigmoid(free["bend"]),
@@ -423,13 +423,13 @@ def _hyperparameters(free: dict[str, Array]) -> GPHyperparameters:
 
 @jax.custom_jvp
 def _inverse(system: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Inverse of a symmetric positive matrix."""
+    """Invert a symmetric positive matrix."""
     return jax.scipy.linalg.cho_solve((jnp.linalg.cholesky(system), True), jnp.eye(len(system)))
 
 
 @_inverse.defjvp
 def _inverse_jvp(systems: tuple[Array], changes: tuple[Array]) -> tuple[Array, Array]:
-    """d(A^-1) = -A^-1 dA A^-1, which spares the derivative of the factor."""
+    """Use d(A^-1) = -A^-1 dA A^-1, which avoids the derivative of the factor."""
     inverse = _inverse(*systems)
     change = jnp.matmul(inverse, jnp.matmul(changes[0], inverse, precision="highest"), precision="highest")
     return inverse, -change

@@ -19,7 +19,7 @@ from experiments.train.sources import RecordedSource, SimulatedSource
 from i2t.hardware.rig import Rig
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
-from i2t.skin_models.pad_model import PadModel, with_press_errors
+from i2t.skin_models.pad_model import PadModel, add_press_errors
 
 CORNERS = ((0, 0, 0), (0, 20, 0), (20, 0, 0), (0, 0, 20))
 FACES = ((0, 1, 2), (0, 2, 3), (0, 3, 1), (2, 1, 3))
@@ -62,8 +62,8 @@ def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
     likelihood = SimpleNamespace(inflation=np.float32(1.0))
     likelihood._replace = lambda **new: SimpleNamespace(**new)
     model = PadModel(None, likelihood, np.ones(3), 0.5, np.full((10, 3), 4.0))
-    assert with_press_errors(model, 3.0).likelihood.inflation == pytest.approx(1.25)
-    assert with_press_errors(model, 0.0).likelihood.inflation == 1.0
+    assert add_press_errors(model, 3.0).likelihood.inflation == pytest.approx(1.25)
+    assert add_press_errors(model, 0.0).likelihood.inflation == 1.0
 
 
 def test_the_skin_of_a_pad_on_disk_is_that_of_its_touches(tmp_path):

@@ -1,4 +1,4 @@
-"""The classifier's network, written out by hand."""
+"""The classifier's network against an explicit computation."""
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +9,7 @@ from i2t.paper.classifier import init, logits
 EPS = float(np.finfo(np.float32).eps)
 
 
-def test_the_logits_are_those_written_out_by_hand() -> None:
+def test_the_logits_agree_with_an_explicit_computation() -> None:
     layers = [{**layer, "bias": layer["bias"] + 0.3} for layer in init(jax.random.key(0), (3, 6, 5, 2))]
     x = np.array([[0.5, -1.0, 2.0], [-2.0, 0.1, 1.0]])
     a, b, c = ((np.asarray(layer["kernel"], np.float64), np.asarray(layer["bias"], np.float64)) for layer in layers)

@@ -65,15 +65,19 @@ def test_gradients_agree_with_finite_differences(values) -> None:
     check_grads(lambda x: image_error("depth", jnp.asarray(x), seen), (image,), **check)
 
 
-def test_the_mean_over_touches_is_weighted_and_its_total_the_weighted_sum_of_the_parts(values) -> None:
+def test_losses_are_weighted_means_and_the_total_is_the_weighted_sum_of_the_parts(values) -> None:
     cfg = PaperConfig(pixels=4, encoder_width=6, auxiliary_width=8, auxiliary_weight=0.5)
     params, readings = network.init(jax.random.key(0), cfg), jnp.stack(values)
     patches = jax.random.uniform(jax.random.key(1), (3, 4, 4))
     weights = jnp.array([1.0, 0.0, 3.0])
     total, parts = loss.losses(params, cfg, Batch(patches, readings), weights)
-    said = [network.apply(params, cfg, patch) for patch in patches]
-    squared = [squared_error(each.reading, reading) for each, reading in zip(said, readings, strict=True)]
-    image = [image_error("depth", each.image, patch) for each, patch in zip(said, patches, strict=True)]
+    predictions = [network.apply(params, cfg, patch) for patch in patches]
+    squared = [
+        squared_error(prediction.reading, reading) for prediction, reading in zip(predictions, readings, strict=True)
+    ]
+    image = [
+        image_error("depth", prediction.image, patch) for prediction, patch in zip(predictions, patches, strict=True)
+    ]
     near = partial(pytest.approx, rel=16 * EPS)
     assert parts.squared == parts.reading == near(float((squared[0] + 3 * squared[2]) / 4))
     assert parts.image == near(float((image[0] + 3 * image[2]) / 4))
@@ -81,17 +85,17 @@ def test_the_mean_over_touches_is_weighted_and_its_total_the_weighted_sum_of_the
 
 
 @pytest.mark.parametrize("whole", [False, True])
-def test_of_other_networks_the_best_epoch_is_that_of_the_likelihood_itself(values, whole: bool) -> None:
+def test_the_best_epoch_of_other_networks_is_chosen_by_the_likelihood_itself(values, whole: bool) -> None:
     cfg = ModelConfig(pixels=4, encoder_width=6, heteroscedastic=whole, auxiliary=whole, beta=0.25)
     params, inputs, reading = model.init(jax.random.key(0), cfg), Inputs(jnp.ones((4, 4)), jnp.zeros(0)), values[2]
-    params = jax.tree.map(lambda leaf: leaf + 0.01, params)  # log variances that are not nil
-    one = jax.tree.map(lambda leaf: leaf[None], Batch(inputs, reading))
-    got, said = model.losses(params, cfg, one, jnp.ones(1))[1], model.apply(params, cfg, inputs)
+    params = jax.tree.map(lambda leaf: leaf + 0.01, params)  # so that log variances are not zero
+    batch = jax.tree.map(lambda leaf: leaf[None], Batch(inputs, reading))
+    got, predicted = model.losses(params, cfg, batch, jnp.ones(1))[1], model.apply(params, cfg, inputs)
     near = partial(pytest.approx, rel=16 * EPS)
-    assert got.squared == near(float(squared_error(said.reading, reading)))
+    assert got.squared == near(float(squared_error(predicted.reading, reading)))
     if not whole:
         assert (got.total, got.reading, got.image) == (got.squared, got.squared, 0.0)
         return
-    assert got.reading == near(float(gaussian(said.reading, said.log_variance, reading, 0.0)))
-    assert got.total == near(float(gaussian(said.reading, said.log_variance, reading, 0.25) + got.image))
-    assert got.image == near(float(image_error("depth", said.image, inputs.image)))
+    assert got.reading == near(float(gaussian(predicted.reading, predicted.log_variance, reading, 0.0)))
+    assert got.total == near(float(gaussian(predicted.reading, predicted.log_variance, reading, 0.25) + got.image))
+    assert got.image == near(float(image_error("depth", predicted.image, inputs.image)))

@@ -1,4 +1,4 @@
-"""The paper's rules against tables worked by hand, and distances from a mesh against trimesh."""
+"""The paper's rules against tables computed by hand, and distances from a mesh against trimesh."""
 
 import jax
 import jax.numpy as jnp
@@ -35,7 +35,7 @@ def test_many_touches_leave_a_belief_finite():
 
 
 def informativeness(angles_deg: np.ndarray, safe: object = True, step: float = 5e-3, moved: float = 0.0):
-    """Of points on a line, whose normals lean that far, by object; one of the second object's may be moved."""
+    """Compute the heuristic for points on a line with normals at these angles; one of the second object may move."""
     angle = np.radians(angles_deg)
     points = np.zeros((*angle.shape, 3))
     points[..., 0] = np.arange(angle.shape[1]) * step
@@ -78,6 +78,6 @@ def test_distances_from_an_object_are_those_of_trimesh():
     low, high = whole.bounds
     points = np.random.default_rng(0).uniform(low - 0.02, high + 0.02, (300, 3))
     surface = prepare_surface(mesh)
-    found = jax.jit(jax.vmap(loop.nearest_distance, (0, None)))(jnp.asarray(points, jnp.float32), surface)
+    distances = jax.jit(jax.vmap(loop.nearest_distance, (0, None)))(jnp.asarray(points, jnp.float32), surface)
     _, expected, _ = trimesh.proximity.closest_point_naive(whole, points)
-    np.testing.assert_allclose(found, expected, atol=1e-6)
+    np.testing.assert_allclose(distances, expected, atol=1e-6)

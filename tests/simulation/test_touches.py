@@ -37,7 +37,7 @@ from i2t.simulation.touches import (
 )
 from i2t.skin.boards import make_board
 from i2t.skin.contact import Grid
-from i2t.skin.faults import WEAR_PRESSES, Faults
+from i2t.skin.faults import FAULT_MODEL, Faults
 from i2t.skin.pad import sample_pad
 from i2t.types import Pad, ReturnCode, Surface, Touches
 
@@ -201,7 +201,7 @@ def test_presses_end_at_the_limit_and_are_felt_by_a_skin_that_softens(touches):
     assert (truth.force < LIMITS.force).all()
     np.testing.assert_array_equal(touches.force, truth.force)
     # Without noise the sensor gives the true reading, which grows by what the presses of all sessions before wore off.
-    worn = 1 + 0.5 * (1 - np.exp(-np.arange(2 * N) / WEAR_PRESSES))
+    worn = 1 + 0.5 * (1 - np.exp(-np.arange(2 * N) / FAULT_MODEL.wear_presses))
     assert worn[-1] > 1 + 2 * WITHIN
     np.testing.assert_allclose(touches.reading, truth.reading * worn[:, None], rtol=1e-4, atol=1e-3)
 

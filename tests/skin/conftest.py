@@ -1,4 +1,4 @@
-"""The packages that skins are compared with, imported once: they warn when they are, and warnings are errors."""
+"""Reference packages, imported here once because they warn on import, and warnings are errors in the tests."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Boards: what their chips are, and that a world on any of them is made, kept and read back."""
+"""Boards: their chips, and pads, noise and faults on any of them."""
 
 import re
 
@@ -27,7 +27,7 @@ from i2t.types import Board
 
 
 @pytest.mark.parametrize("name", [*BOARDS, "grid-2x3"])
-def test_turning_to_the_tool_and_back_changes_nothing(name):
+def test_turning_to_the_tool_and_back_is_the_identity(name):
     board = make_board(name)
     assert name_of_board(board) == name
     readings = np.random.default_rng(0).normal(size=(2, board.num_readings))
@@ -43,33 +43,31 @@ def test_a_grid_has_a_chip_below_the_middle_of_each_cell():
     np.testing.assert_allclose(np.abs(chips[:, :2]), 5e-3, rtol=1e-6)
     np.testing.assert_allclose(chips[:2, 1], -5e-3, rtol=1e-6)  # rows along y come first
     np.testing.assert_allclose(grid_board(1, 3, 2e-3, 4e-3).chips, [[-2e-3, 0, -4e-3], [0, 0, -4e-3], [2e-3, 0, -4e-3]])
-    assert (
-        not eflesh_board(depth=0.0).chips[:, 2].any()
-    )  # chips may lie in the surface, as where lattices are simulated
+    assert not eflesh_board(depth=0.0).chips[:, 2].any()  # chips may lie in the surface, as in simulated lattices
     with pytest.raises(ValueError, match=r"depth: is -0\.001; give metres below the surface, 0 or more"):
         eflesh_board(depth=-1e-3)
 
 
 @pytest.mark.full
-def test_a_pad_on_any_board_is_pressed_and_kept_and_a_chip_measures_the_same_on_each(tmp_path):
-    """The field at a place does not depend on the other chips: a grid of 16 holds the readings of any four of it."""
+def test_a_pad_on_any_board_is_pressed_and_saved_and_a_chip_measures_the_same_on_each(tmp_path):
+    """The field at a place does not depend on the other chips, so a grid of 16 includes the readings of any four."""
     sixteen, corners = make_board("grid-4x4"), np.array([0, 3, 12, 15])
     pad = sample_pad(jax.random.key(0), board=sixteen)
     some = Board(pad.board.chips[corners], pad.board.rotations[corners])
     four = pad._replace(board=some, gains=pad.gains.reshape(16, 3)[corners].ravel())
     height = jnp.full((40, 40), jnp.inf).at[8, 12].set(0.0)
-    reading, some = (np.asarray(press(one, height, 0.5e-3).reading) for one in (pad, four))
+    reading, some = (np.asarray(press(skin, height, 0.5e-3).reading) for skin in (pad, four))
     np.testing.assert_allclose(reading.reshape(16, 3)[corners].ravel(), some, rtol=1e-4, atol=1e-3)
     change = np.linalg.norm(np.asarray(sixteen.to_tool(reading)), axis=1)
     place = np.array([(12.5 / 40 - 0.5) * 20e-3, (8.5 / 40 - 0.5) * 20e-3])
     near = np.argsort(np.linalg.norm(sixteen.chips[:, :2] - place, axis=1))
-    assert np.argmax(change) in near[:5]  # the chips below the press feel it most
+    assert np.argmax(change) in near[:5]  # the chips below the press change most
     save_pad(tmp_path / "pad.npz", pad)
     jax.tree.map(np.testing.assert_array_equal, load_pad(tmp_path / "pad.npz"), pad)
 
 
 @pytest.mark.full
-def test_noise_and_faults_have_the_board_s_channels():
+def test_noise_and_faults_have_the_channels_of_the_board():
     board, keys = make_board("grid-2x2"), jax.random.split(jax.random.key(0), 4)
     assert add_sensor_noise(keys[0], jnp.zeros(12), board, Noise()).shape == (12,)
     poses, kind = jnp.tile(jnp.eye(4), (6, 1, 1)), Faults.typical()
@@ -78,18 +76,18 @@ def test_noise_and_faults_have_the_board_s_channels():
     assert np.isfinite(felt).all()
 
 
-def test_reskins_chips_are_turned_as_one_field_was_recorded_on_them():
+def test_the_reskin_board_is_rotated_as_recorded():
     x, y, z = 18.0, -7.0, -41.0  # on chip 0, whose axes are the tool's
     recorded = [[x, y, z], [y, -x, z], [x, y, z], [-y, x, z], [-x, -y, z]]
     uniform = make_board("reskin").to_board(np.tile([x, y, z], (5, 1)))
     np.testing.assert_allclose(np.reshape(uniform, (5, 3)), recorded, atol=1e-6)
 
 
-ANYSKIN_SCREEN = {"left": (-1, 0), "right": (1, 0), "up": (0, 1), "down": (0, -1)}  # where the makers' viewer has chips
+ANYSKIN_SCREEN = {"left": (-1, 0), "right": (1, 0), "up": (0, 1), "down": (0, -1)}  # chips in the makers' viewer
 
 
-def test_anyskin_s_chips_are_turned_as_its_makers_publish():
-    """The viewer's own formula: screen (x, y down) = R(angle) (x, y) of the chip, by `chip_xy_rotations`."""
+def test_the_anyskin_board_is_rotated_as_published():
+    """Screen coordinates by the viewer's formula: (x, y down) = R(angle) (x, y) of the chip, `chip_xy_rotations`."""
     board = make_board("anyskin")
     published = np.radians([-90.0, -90, 180, 90, 0])
     own = np.random.default_rng(0).normal(size=(5, 3))
@@ -103,7 +101,7 @@ def test_anyskin_s_chips_are_turned_as_its_makers_publish():
     assert "chip_xy_rotations" in board_note("anyskin")
     uniform = np.asarray(board.to_board(np.tile([18.0, -7, -41], (5, 1))))
     np.testing.assert_allclose(nonuniform_field(uniform, board), 0, atol=1e-5)
-    assert np.linalg.norm(nonuniform_field(uniform, make_board("eflesh"))) > 20  # aligned chips would see five fields
+    assert np.linalg.norm(nonuniform_field(uniform, make_board("eflesh"))) > 20  # aligned chips would read five fields
 
 
 def board_file(path, text):
@@ -112,7 +110,7 @@ def board_file(path, text):
     return str(path)
 
 
-def test_a_board_of_one_s_own_is_read_from_a_file(tmp_path):
+def test_a_board_is_read_from_a_file(tmp_path):
     chips = "chips = [[0, 0, -0.003], [0.006, 0, -0.003], [0, 0.006, -0.003]]\n"
     turned = make_board(board_file(tmp_path, chips + "turns = [0, 90, -90]\n"))
     np.testing.assert_allclose(turned.chips[1], [6e-3, 0, -3e-3], atol=1e-9)
@@ -122,22 +120,22 @@ def test_a_board_of_one_s_own_is_read_from_a_file(tmp_path):
     np.testing.assert_allclose(given.to_tool(np.tile([1.0, 2, 3], 3)), [[1, -2, -3]] * 3, atol=1e-6)
 
 
-@pytest.mark.parametrize(("text", "said"), [
+@pytest.mark.parametrize(("text", "message"), [
     ("turns = [0]", "chips is missing"),
     ("chips = [[0, 0]]\nturns = [0]", "chips is 1 x 2 numbers; give x, y and z of 1 to 25 chips"),
     ("chips = [[0, 0, -3.5]]\nturns = [0]", "give metres within 0.1"),
     ("chips = [[0, 0, 0.003]]\nturns = [0]", "and z below the surface"),
     ("chips = [[0, 0, -0.003], [0, 0, -0.003]]\nturns = [0, 0]", "two chips lie in one place"),
-    ("chips = [[0, 0, -0.003]]", "give turns or rotations, one of both"),
+    ("chips = [[0, 0, -0.003]]", "give either turns or rotations"),
     ("chips = [[0, 0, -0.003]]\nturns = [0, 90]", "turns is 2 numbers; give one number for each of 1 chips"),
     ("chips = [[0, 0, -0.003]]\nturns = [1.5708]", "give degrees"),
-    ("chips = [[0, 0, -0.003]]\nrotations = [[[1, 0, 0], [0, 2, 0], [0, 0, 1]]]", "rotations of chip 0 is no rotation"),
-    ("chips = [[0, 0, -0.003]]\nturn = [0]", "'turn' is no key of a board"),
+    ("chips = [[0, 0, -0.003]]\nrotations = [[[1, 0, 0], [0, 2, 0], [0, 0, 1]]]", "chip 0 is not a rotation"),
+    ("chips = [[0, 0, -0.003]]\nturn = [0]", "'turn' is not a key of a board"),
     ("chips = [[0, 0, nan]]\nturns = [0]", "chips is 1 x 3 numbers; give lists of numbers"),
     ("chips = [", "mine.toml"),
 ])  # fmt: skip
-def test_a_file_that_describes_no_board_is_refused_in_one_sentence(tmp_path, text, said):
-    with pytest.raises(ValueError, match=re.escape(said)) as refused:
+def test_a_file_without_a_valid_board_is_refused_in_one_sentence(tmp_path, text, message):
+    with pytest.raises(ValueError, match=re.escape(message)) as refused:
         make_board(board_file(tmp_path, text))
     assert "mine.toml" in str(refused.value)
     assert "\n" not in str(refused.value)
@@ -151,7 +149,7 @@ def test_an_unknown_board_is_refused():
         make_board("nowhere.toml")
 
 
-def test_three_exact_zeros_of_a_chip_are_no_reading():
+def test_three_exact_zeros_of_a_chip_are_not_a_reading():
     readings = np.random.default_rng(0).normal(size=(8, 15))
     silent = np.zeros((8, 5), bool)
     silent[1], silent[3, 2], silent[4, 0] = True, True, True

@@ -23,7 +23,7 @@ Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
 
 
 def _load(seed: int) -> jnp.ndarray:
-    """A press of about a newton somewhere on the pad, 3 mm wide (Pa)."""
+    """Make the pressure (Pa) of about a newton somewhere on the pad, 3 mm wide."""
     x, y = np.random.default_rng(seed).uniform(-5e-3, 5e-3, 2)
     return jnp.asarray(8e4 * np.maximum(1 - ((X - x) ** 2 + (Y - y) ** 2) / 3e-3**2, 0) ** 0.5, jnp.float32)
 
@@ -35,20 +35,20 @@ def test_dipoles_agree_with_magpylib():
     ours = field.dipole_field(*(jnp.asarray(value, jnp.float32) for value in (points, positions, moments)))
     dipoles = [magpylib.misc.Dipole(moment=m, position=p) for m, p in zip(moments, positions, strict=True)]
     theirs = np.sum([magpylib.getB(dipole, points) for dipole in dipoles], axis=0)
-    # 1e-5 is the figure asked. One dipole errs by about 10 roundings of 6e-8; a sum of random signs is smaller than its
-    # terms, so the error is taken relative to their root sum of squares.
+    # 1e-5 is required. The error of one dipole is about 10 roundings of 6e-8. A sum of random signs is smaller than its
+    # terms, so the error is relative to their root sum of squares.
     terms = np.sqrt(np.sum([magpylib.getB(dipole, points) ** 2 for dipole in dipoles], axis=(0, 2)))
     assert np.all(np.abs(ours - theirs) < 1e-5 * terms[:, None])
-    # Along its axis B = mu0 m / (2 pi r^3), and half of it backwards at its side.
+    # Along the axis B = mu0 m / (2 pi r^3); beside the dipole it is half of that, in the opposite direction.
     m, r = 2e-6, 5e-3
-    found = field.dipole_field(jnp.asarray([[0, 0, -r], [r, 0, 0]]), jnp.zeros((1, 3)), jnp.asarray([[0, 0, m]]))
+    at_poles = field.dipole_field(jnp.asarray([[0, 0, -r], [r, 0, 0]]), jnp.zeros((1, 3)), jnp.asarray([[0, 0, m]]))
     expected = 2e-7 * m / r**3
-    np.testing.assert_allclose(found, [[0, 0, expected], [0, 0, -expected / 2]], rtol=1e-6, atol=1e-6 * expected)
+    np.testing.assert_allclose(at_poles, [[0, 0, expected], [0, 0, -expected / 2]], rtol=1e-6, atol=1e-6 * expected)
 
 
 @pytest.mark.parametrize("pattern", ["uniform", "poles"])
 def test_the_layer_at_rest_agrees_with_solid_magnets(pattern):
-    """The dipoles stand for 16 cuboid magnets, of which magpylib knows the field in closed form."""
+    """The dipoles represent 16 cuboid magnets, whose field magpylib has in closed form."""
     pad = nominal_pad(pattern)
     thickness, strength, edge = float(pad.thickness), float(jnp.abs(pad.magnetization).max()), 5e-3
     exact = np.zeros((5, 3))
@@ -60,14 +60,14 @@ def test_the_layer_at_rest_agrees_with_solid_magnets(pattern):
                 position=((j - 1.5) * edge, (i - 1.5) * edge, -thickness / 2),
             )
             exact += 1e6 * magnet.getB(np.asarray(pad.board.chips))
-    # Fourth-order means over cells of a = 0.5 mm at d = 1.5 mm and more below: (a / d)^4 x 17 / 5760 x 4! < 1e-3; five
-    # Gauss nodes err less. Relative to the strongest chip, as some components vanish by symmetry.
+    # Fourth-order means over cells of a = 0.5 mm at d = 1.5 mm and more below: (a / d)^4 x 17 / 5760 x 4! < 1e-3; the
+    # error of five Gauss nodes is smaller. It is relative to the strongest chip, as some components vanish by symmetry.
     np.testing.assert_allclose(field.rest_field(pad), exact, atol=1e-3 * np.abs(exact).max())
 
 
 @pytest.mark.full
 def test_a_pressed_layer_agrees_with_magpylib():
-    """Every dipole moved and turned by hand, its field by magpylib; with friction and held at its edge."""
+    """Every dipole is moved and turned explicitly, its field is magpylib's; with friction and clamped at its edge."""
     pad, pressure = sample(jax.random.key(5))._replace(mount_compliance=jnp.asarray(1e-4)), _load(1)
     traction = 0.5 * jnp.stack([pressure, -0.5 * pressure])
     depths, moments = field.sheets(pad)
@@ -86,32 +86,32 @@ def test_a_pressed_layer_agrees_with_magpylib():
     np.testing.assert_allclose(pressed(pad, pressure, traction=traction), exact, atol=1e-5 * np.abs(exact).max())
 
 
-def test_reading_is_linear_in_the_magnetisation_scaled_by_gains_and_zero_without_pressure():
-    one, two, pressure = sample(jax.random.key(1)), sample(jax.random.key(2)), _load(3)
-    plain, other = (response(one._replace(magnetization=pad.magnetization), pressure) for pad in (one, two))
-    mixed = response(one._replace(magnetization=2 * one.magnetization - 3 * two.magnetization), pressure)
+def test_the_reading_is_linear_in_the_magnetisation_and_the_gains_and_zero_without_pressure():
+    first, second, pressure = sample(jax.random.key(1)), sample(jax.random.key(2)), _load(3)
+    plain, other = (response(first._replace(magnetization=pad.magnetization), pressure) for pad in (first, second))
+    mixed = response(first._replace(magnetization=2 * first.magnetization - 3 * second.magnetization), pressure)
     np.testing.assert_allclose(mixed, 2 * plain - 3 * other, atol=1e-4 * float(jnp.abs(mixed).max()))
     gains = jnp.linspace(0.5, 2.0, 15)
-    unit = response(one._replace(gains=jnp.ones(15)), pressure)
-    np.testing.assert_allclose(response(one._replace(gains=gains), pressure), gains * unit, rtol=1e-6)
-    # Two sums of 8000 dipoles of some mT altogether differ by their rounding: 1e-7 of a few thousand uT.
-    np.testing.assert_allclose(response(one, jnp.zeros((40, 40))), np.zeros(15), atol=1e-3)
+    unit = response(first._replace(gains=jnp.ones(15)), pressure)
+    np.testing.assert_allclose(response(first._replace(gains=gains), pressure), gains * unit, rtol=1e-6)
+    # Two sums of 8000 dipoles, of some mT in total, differ by their rounding: 1e-7 of a few thousand uT.
+    np.testing.assert_allclose(response(first, jnp.zeros((40, 40))), np.zeros(15), atol=1e-3)
 
 
 def _change(pads, heights, forces, coarse, fine) -> float:
-    """Norm of the difference of the readings on two discretisations, over the norm of the readings."""
+    """Compute the norm of the difference between readings on two discretisations, relative to that of the readings."""
 
     def read(discretisation):
         grid, nodes = discretisation
         y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
         height = jnp.asarray(np.stack([shape(x, y) for shape in heights]), jnp.float32)
 
-        def one(pad, height, force):
-            found = contact.solve_force(pad, height, force, grid)
-            return field.response(pad, found.pressure, grid, nodes=nodes), found.converged
+        def press(pad, height, force):
+            solved = contact.solve_force(pad, height, force, grid)
+            return field.response(pad, solved.pressure, grid, nodes=nodes), solved.converged
 
         def presses(pad):
-            return jax.lax.map(lambda press: one(pad, *press), (height, jnp.asarray(forces)))
+            return jax.lax.map(lambda row: press(pad, *row), (height, jnp.asarray(forces)))
 
         readings, converged = jax.jit(lambda pads: jax.lax.map(presses, pads))(pads)
         assert np.all(converged)
@@ -137,9 +137,9 @@ def pads():
 
 
 @pytest.mark.full
-def test_reading_has_converged(pads):
-    """Cells halved and nodes doubled change the reading of a small tip at 0.8 N by less than 2 %. Outlines are cut by
-    cells, so stamps need the fine grid to come within 2 % of one twice as fine.
+def test_the_reading_has_converged(pads):
+    """Halving the cells and doubling the nodes changes the reading of a small tip at 0.8 N by less than 2 %. Cells cut
+    outlines, so stamps need the fine grid to be within 2 % of the next finer one.
     """
     tips = [partial(round_tip, at=at) for at in np.random.default_rng(3).uniform(-7e-3, 7e-3, (5, 2))]
     coarse, fine = (GRID, field.CELL_NODES), (FINE_GRID, 2 * field.CELL_NODES)

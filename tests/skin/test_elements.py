@@ -1,8 +1,8 @@
-"""The motion inside the layer against finite elements, which know nothing of waves.
+"""The motion inside the layer against finite elements, which share no formula with the waves.
 
 Taylor and Hood's elements (quadratic displacement, linear pressure, continuous), which do not lock at nu near 0.5, on
-grids of rectangles. Boundary conditions: the base is bonded (u = 0); the top carries the load; the walls are
-far away and let nothing through (u across them is 0).
+grids of rectangles. Boundary conditions: the base is bonded (u = 0), the top carries the load, and the walls are far
+away and impermeable (u across them is 0).
 """
 
 import jax
@@ -25,19 +25,19 @@ LAME = 2 * SHEAR * NU / (1 - 2 * NU)
 WIDE = 16e-3  # m from the load to the walls: eight thicknesses
 RADIUS = 2e-3  # m of the loads
 DEPTHS = np.array([0, 0.5, 1.0, 1.5]) * 1e-3
-ASKED = 0.02  # of the largest displacement
+MAX_ERROR = 0.02  # of the largest displacement
 
 
 def cap(distance):
-    """A pressure (Pa) like a tip's."""
+    """Compute a pressure (Pa) like that of a tip."""
     return 4e4 * np.maximum(1 - (distance / RADIUS) ** 2, 0)
 
 
 def displacement(axes, load, around_axis=False, stiffness=lambda z: 1.0):
-    """Displacement (components, nodes of each axis, z first) at the corners, edges and middles of the elements whose
-    edges are `axes` (m, x and then z from -THICKNESS to 0), under `load(places) -> components` (Pa) on the top. The end
-    walls let nothing through. `around_axis` takes x as the distance from an axis of symmetry; `stiffness` is the factor
-    of Young's modulus at a height.
+    """Compute the displacement (components, nodes of each axis, z first) under `load(places) -> components` (Pa) on the
+    top, at the corners, edges and middles of the elements with the edges `axes` (m, x and then z from -THICKNESS to 0).
+    The end walls are impermeable. With `around_axis`, x is the distance from an axis of symmetry; `stiffness` is the
+    factor on Young's modulus at a height.
     """
     mesh = skfem.MeshQuad.init_tensor(*axes)
     square = skfem.ElementVector(skfem.ElementQuad2())
@@ -68,7 +68,7 @@ def displacement(axes, load, around_axis=False, stiffness=lambda z: 1.0):
     coupling = swelling.assemble(basis, scalar)
     matrix = bmat([[shearing.assemble(basis), -coupling.T], [-coupling, -squeezing.assemble(scalar)]]).tocsc()
     entities = [basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs]
-    parts = [np.concatenate([np.asarray(dofs)[i] for dofs in entities]) for i in range(2)]  # in one order of nodes
+    parts = [np.concatenate([np.asarray(dofs)[i] for dofs in entities]) for i in range(2)]  # in the same order of nodes
     places = basis.doflocs[:, parts[0]]
     held = [dofs[np.isclose(places[1], -THICKNESS)] for dofs in parts]
     held += [parts[0][np.isclose(places[0], axes[0][end])] for end in (0, -1)]
@@ -81,7 +81,7 @@ def displacement(axes, load, around_axis=False, stiffness=lambda z: 1.0):
 
 
 def interpolate(axis, places):
-    """(places, nodes): quadratic interpolation within elements, and (places, nodes) of its slope."""
+    """Compute weights (places, nodes) of quadratic interpolation within elements, and of its slope."""
     element = np.clip(np.searchsorted(axis, places) - 1, 0, len(axis) - 2)
     width = axis[element + 1] - axis[element]
     t = (places - axis[element]) / width
@@ -96,7 +96,7 @@ def interpolate(axis, places):
 
 
 def graded(edge, far, fine, coarse):
-    """Element edges from 0 to `far` (m): `fine` up to `edge`, then `coarse`."""
+    """Make element edges from 0 to `far` (m): `fine` up to `edge`, then `coarse`."""
     return np.concatenate([np.arange(0, edge, fine), np.linspace(edge, far, round((far - edge) / coarse) + 1)])
 
 
@@ -105,10 +105,10 @@ DEEP = np.linspace(-THICKNESS, 0, 9)
 
 def test_a_round_press_agrees_with_finite_elements():
     radial = graded(4e-3, WIDE, 0.25e-3, 1e-3)
-    found = displacement((radial, DEEP), lambda x: (0, -cap(x[0])), around_axis=True)
+    fem = displacement((radial, DEEP), lambda x: (0, -cap(x[0])), around_axis=True)
     places = np.arange(0.125e-3, 6e-3, 0.25e-3)  # cell centres of FINE
-    exact = np.einsum("cij,di,rj->dcr", found, interpolate(DEEP, -DEPTHS)[0], interpolate(radial, places)[0])
-    # The grid's centres lie beside the axis: take the load's middle to one of them.
+    exact = np.einsum("cij,di,rj->dcr", fem, interpolate(DEEP, -DEPTHS)[0], interpolate(radial, places)[0])
+    # No cell centre lies on the axis, so the load's middle is moved to a centre.
     middle = FINE_GRID.centres[40]
     y, x = np.meshgrid(FINE_GRID.centres, FINE_GRID.centres, indexing="ij")
     pressure = jnp.asarray(cap(np.hypot(x - middle, y - middle)), jnp.float32)
@@ -118,11 +118,11 @@ def test_a_round_press_agrees_with_finite_elements():
     )
     for depth, expected in zip(DEPTHS, exact, strict=True):
         ours = np.asarray(inside(depth))[:, 0, 1:]  # along x from the axis
-        assert np.abs(ours[[0, 2]] - expected).max() < ASKED * np.abs(exact).max()
+        assert np.abs(ours[[0, 2]] - expected).max() < MAX_ERROR * np.abs(exact).max()
 
 
 def test_a_round_press_of_two_layers_agrees_with_finite_elements():
-    """The surface of a soft layer on a stiff one, and the other way round, and both within."""
+    """A soft layer on a stiff one and the reverse are tested at the surface and inside."""
     radial, deep = graded(4e-3, WIDE, 0.25e-3, 1e-3), np.linspace(-THICKNESS, 0, 33)  # stress jumps between layers
     places = np.arange(0.125e-3, 6e-3, 0.25e-3)
     middle = FINE_GRID.centres[40]
@@ -141,16 +141,16 @@ def test_a_round_press_of_two_layers_agrees_with_finite_elements():
         for i, expected in enumerate(exact):
             moved = jnp.stack([waves.along[i] * load.slopes[0], waves.down[i] * load.pressure])
             ours = np.asarray(elasticity.evaluate(moved, FINE_GRID, np.append(middle, middle + places)))[:, 0, 1:]
-            assert np.abs(ours - expected).max() < ASKED * np.abs(exact).max()
+            assert np.abs(ours - expected).max() < MAX_ERROR * np.abs(exact).max()
 
 
 def test_a_dragged_strip_agrees_with_finite_elements():
-    """Plane strain under a pressure and a traction across the strip that is off its middle: displacement and rotation,
+    """Plane strain under a pressure, and a traction across the strip that is off its middle: displacement and rotation,
     in a series whose period is loaded along its whole length.
     """
     half = graded(5e-3, WIDE, 0.25e-3, 1e-3)
     across = np.concatenate([-half[:0:-1], half])
-    found = displacement((across, DEEP), lambda x: (0.7 * cap(x[0] - 0.9e-3), -cap(x[0])))
+    fem = displacement((across, DEEP), lambda x: (0.7 * cap(x[0] - 0.9e-3), -cap(x[0])))
     grid = Grid(128, 128, 2 * WIDE)
     x = np.broadcast_to(grid.centres, (128, 128))
     pressure, along = (jnp.asarray(cap(x - shift), jnp.float32) for shift in (0, 0.9e-3))
@@ -161,9 +161,9 @@ def test_a_dragged_strip_agrees_with_finite_elements():
     values, slopes = interpolate(across, places)
     for depth in (0.125e-3, 0.625e-3, 1.125e-3, 1.625e-3):
         high, steep = interpolate(DEEP, np.array([-depth]))
-        moved = np.einsum("cij,di,rj->cr", found, high, values)
-        turned = (found[0].T @ steep[0] @ values.T - slopes @ (high[0] @ found[1])) / 2
+        moved = np.einsum("cij,di,rj->cr", fem, high, values)
+        turned = (fem[0].T @ steep[0] @ values.T - slopes @ (high[0] @ fem[1])) / 2
         displaced, rotated = (np.asarray(part)[:, len(places) // 2] for part in inside(depth))
-        assert np.abs(displaced[[0, 2]] - moved).max() < ASKED * np.abs(found).max()
-        assert np.abs(rotated[1] - turned).max() < ASKED * np.abs(turned).max()
-        assert np.abs(displaced[1]).max() < 1e-3 * np.abs(found).max()
+        assert np.abs(displaced[[0, 2]] - moved).max() < MAX_ERROR * np.abs(fem).max()
+        assert np.abs(rotated[1] - turned).max() < MAX_ERROR * np.abs(turned).max()
+        assert np.abs(displaced[1]).max() < 1e-3 * np.abs(fem).max()

@@ -1,4 +1,4 @@
-"""Pads and other trees of arrays on disk: the same again, and one clear sentence for everything else."""
+"""Pads and other trees of arrays in files: they load unchanged, and anything else is refused in one sentence."""
 
 from collections import namedtuple
 from contextlib import suppress
@@ -18,16 +18,16 @@ def path(tmp_path):
     return tmp_path / "deep" / "pad.npz"
 
 
-def test_a_pad_comes_back_as_it_was(path):
+def test_a_saved_pad_loads_unchanged(path):
     pad = nominal_pad()
     save_pad(path, pad, about={"of": "a test"})
     jax.tree.map(np.testing.assert_array_equal, load_pad(path), pad)
     assert serialization.load(path, KIND, type(pad))[1] == {"of": "a test"}
-    assert [made.name for made in path.parent.iterdir()] == ["pad.npz"]
+    assert [file.name for file in path.parent.iterdir()] == ["pad.npz"]
 
 
 def test_a_pad_of_an_earlier_version_is_read(path):
-    """Before its fields were renamed a pad had a `magnetisation`, and a `give` for its mounting compliance."""
+    """Earlier pads had the fields `magnetisation` and `give`, which is the mounting compliance."""
     pad = nominal_pad()._replace(mount_compliance=np.float32(1e-4))
     old = {"magnetization": "magnetisation", "mount_compliance": "give"}
     fields = {old.get(k, k): v for k, v in pad._asdict().items()}
@@ -35,7 +35,7 @@ def test_a_pad_of_an_earlier_version_is_read(path):
     jax.tree.map(np.testing.assert_array_equal, load_pad(path), pad)
 
 
-def test_what_is_no_pad_is_refused_in_one_sentence(path):
+def test_a_file_without_a_valid_pad_is_refused_in_one_sentence(path):
     pad = nominal_pad()
     save_pad(path, pad)
     whole = path.read_bytes()
@@ -48,7 +48,7 @@ def test_what_is_no_pad_is_refused_in_one_sentence(path):
         (lambda: serialization.save(path, KIND, pad.board), "lacks"),
         (lambda: save_pad(path, pad._replace(gains=np.full(15, np.nan))), "gains"),
         (lambda: save_pad(path, pad._replace(magnetization=np.zeros((3, 4, 3)))), "magnetization"),
-        (lambda: save_pad(path, pad._replace(thickness=np.zeros(()))), "cannot be"),
+        (lambda: save_pad(path, pad._replace(thickness=np.zeros(()))), "is impossible"),
         (lambda: path.write_bytes(whole[:-100]), "damaged"),
     ):
         make()
@@ -60,7 +60,7 @@ def test_what_is_no_pad_is_refused_in_one_sentence(path):
         changed = bytearray(whole)
         changed[place] ^= 0x55
         path.write_bytes(bytes(changed))
-        with suppress(SerializationError):  # any changed byte is found or changes nothing that is read
+        with suppress(SerializationError):  # a changed byte is either detected or has no effect
             jax.tree.map(np.testing.assert_array_equal, load_pad(path), pad)
     path.write_bytes(whole)
     with pytest.raises(SerializationError, match="cannot be written"):

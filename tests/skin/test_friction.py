@@ -1,4 +1,4 @@
-"""Friction against Cattaneo and Mindlin, its own conditions, and what a path must leave behind."""
+"""Friction against Cattaneo and Mindlin, its own conditions, and its dependence on the path."""
 
 import jax
 import jax.numpy as jnp
@@ -7,11 +7,12 @@ import pytest
 
 from i2t.skin import contact, elasticity
 from i2t.skin.elasticity import GRID, Grid
-from i2t.skin.friction import FRICTION_TOLERANCE, rest, shear
+from i2t.skin.friction import shear, without_traction
 from i2t.skin.pad import nominal_pad
 
 PAD = nominal_pad()._replace(friction=jnp.asarray(0.6))
 Y, X = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
+TOLERANCE = 1e-4  # default of `shear`
 TIP = jnp.asarray(((X - 0.4e-3) ** 2 + (Y + 1.3e-3) ** 2) / (2 * 6e-3), jnp.float32)
 STAMP = jnp.asarray(np.where((abs(X) < 3e-3) & (abs(Y - 1e-3) < 2e-3), 0.02 * (X + 3e-3), np.inf), jnp.float32)
 solve = jax.jit(contact.solve)
@@ -30,38 +31,38 @@ def _total(state, grid=GRID):
 
 @pytest.mark.full
 def test_reproduces_cattaneo_and_mindlin_where_they_hold():
-    """A sphere on a layer 33 times as thick as the contact is wide, pressed without friction and then dragged."""
+    """A sphere on a layer 33 times as thick as the contact is wide is pressed without friction and then dragged."""
     grid = Grid(32, 512, 1e-3)
     radius, depth = 2e-3, 0.03e-3
     pad = PAD._replace(thickness=jnp.asarray(8e-3))
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
-    found = contact.solve(pad, jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32), depth, grid)
-    a, load, mu = np.sqrt(radius * depth), float(found.force), float(pad.friction)
+    solved = contact.solve(pad, jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32), depth, grid)
+    a, load, mu = np.sqrt(radius * depth), float(solved.force), float(pad.friction)
     modulus, nu = float(pad.young) / (2 * (1 + float(pad.poisson))), float(pad.poisson)
-    slides = 3 * mu * load * (2 - nu) / (16 * modulus * a)  # on a half space, where all of the contact slips
-    pressed = rest(pad, found.pressure, grid)
+    slides = 3 * mu * load * (2 - nu) / (16 * modulus * a)  # on a half space, at which the whole contact slips
+    pressed = without_traction(pad, solved.pressure, grid)
     drag = jax.jit(lambda pad, pressure, slide, before: shear(pad, pressure, slide, grid, before=before))
     for part in (0.3, 0.6, 0.9):
-        state = drag(pad, found.pressure, jnp.asarray([part * slides, 0]), pressed)
+        state = drag(pad, solved.pressure, jnp.asarray([part * slides, 0]), pressed)
         assert state.converged
         along, across = _total(state, grid)
-        # 5 % is the figure asked. Base and copies of the period take and give a hundredth or two.
+        # 5 % is required. The base and the copies of the period contribute one or two per cent.
         np.testing.assert_allclose(along, mu * load * (1 - (1 - part) ** 1.5), rtol=0.05)
         assert abs(across) < 1e-3 * along
-        stuck = np.sum((np.asarray(found.pressure) > 0) & ~np.asarray(state.slipping)) * grid.spacing**2
-        # Cells are an eighth of the radius: a rim of half of one may be counted either way.
+        stuck = np.sum((np.asarray(solved.pressure) > 0) & ~np.asarray(state.slipping)) * grid.spacing**2
+        # Cells are an eighth of the radius, so a rim of half a cell may be counted either way.
         np.testing.assert_allclose(np.sqrt(stuck / np.pi), a * np.sqrt(1 - part), atol=0.6 * grid.spacing)
 
 
 @pytest.mark.full
 @pytest.mark.parametrize(("height", "depth"), [(TIP, 0.4e-3), (STAMP, 0.2e-3)])
-def test_meets_the_conditions_of_friction(height, depth):
+def test_the_conditions_of_friction_hold(height, depth):
     pressure = solve(PAD, height, depth).pressure
     limit = float(PAD.friction) * np.asarray(pressure, float)
     for slide in ([0.0, 0.0], [1e-4, -3e-4], [5e-3, 0.0]):
         state = first(PAD, pressure, jnp.asarray(slide))
         assert state.converged
-        assert state.residual <= FRICTION_TOLERANCE
+        assert state.residual <= TOLERANCE
         traction, slipping = np.asarray(state.traction, float), np.asarray(state.slipping)
         size = np.linalg.norm(traction, axis=0)
         assert np.all(size <= limit * (1 + 1e-5))
@@ -70,12 +71,12 @@ def test_meets_the_conditions_of_friction(height, depth):
         largest = float(jnp.abs(top).max())
         np.testing.assert_allclose(state.displacement, top, atol=1e-4 * largest)
         slip = np.asarray(state.displacement, float) - np.asarray(slide)[:, None, None]
-        violation = 3 * FRICTION_TOLERANCE * max(largest, np.abs(slide).max())
+        violation = 3 * TOLERANCE * max(largest, np.abs(slide).max())
         assert np.all(np.linalg.norm(slip, axis=0)[(limit > 0) & ~slipping] < violation)
-        # Where it slips, the traction pulls against the slip.
+        # On slipping cells the traction opposes the slip.
         against = -np.sum(traction * slip, axis=0) - size * np.linalg.norm(slip, axis=0)
         assert np.all(np.abs(against)[slipping] < violation * size[slipping])
-    assert slipping[limit > 0].all()  # the last slide is far beyond what the skin can follow
+    assert slipping[limit > 0].all()  # the skin cannot follow the last, large slide
     force = limit.sum() * GRID.spacing**2
     np.testing.assert_allclose(_total(state), [force, 0], atol=5e-3 * force)
     smooth = first(PAD._replace(friction=jnp.zeros(())), pressure, jnp.asarray([1e-4, 0]))
@@ -83,39 +84,39 @@ def test_meets_the_conditions_of_friction(height, depth):
     np.testing.assert_array_equal(smooth.traction, np.zeros((2, 40, 40)))
 
 
-def test_what_sticks_does_not_depend_on_the_path_and_what_slips_does():
+def test_sticking_does_not_depend_on_the_path_and_slipping_does():
     pressure = solve(PAD, STAMP, 0.2e-3).pressure
-    pressed = rest(PAD, pressure)
+    pressed = without_traction(PAD, pressure)
     still, small, large = jnp.zeros(2), jnp.asarray([1e-6, 0]), jnp.asarray([4e-4, 0])
     ahead = then(PAD, pressure, small, pressed)
     back = then(PAD, pressure, -small, ahead)
-    assert np.abs(_total(back)).max() < 0.02 * np.abs(_total(ahead)).max()  # but for the corners, which slip
+    assert np.abs(_total(back)).max() < 0.02 * np.abs(_total(ahead)).max()  # except at the corners, which slip
     slid = then(PAD, pressure, large, pressed)
     kept = then(PAD, pressure, still, slid)
     np.testing.assert_allclose(_total(kept), _total(slid), atol=1e-3 * _total(slid)[0])
     returned = then(PAD, pressure, -large, slid)
     assert _total(slid)[0] > 0
     assert _total(returned)[0] < -0.1 * _total(slid)[0]  # it passed zero on the way back
-    # Letting up after a slide takes the traction back with the pressure that bore it.
+    # Releasing the press after a slide reduces the traction with the pressure.
     released = then(PAD, 0.5 * pressure, still, slid)
     np.testing.assert_allclose(_total(released), 0.5 * _total(slid), atol=0.05 * _total(slid)[0])
 
 
-def test_where_all_slips_traction_is_friction_times_pressure_and_its_derivative_is_the_pressure():
+def test_if_all_slips_traction_is_friction_times_pressure_and_its_derivative_is_the_pressure():
     grid = Grid(8, 12, 1e-3)
     pressure = jnp.asarray(np.pad(np.random.default_rng(1).uniform(1e4, 3e4, (4, 4)), 2), jnp.float32)
 
     def traction(friction):
         return shear(PAD._replace(friction=friction), pressure, jnp.asarray([3e-2, 4e-2]), grid).traction
 
-    found, slope = jax.jit(lambda friction: jax.jvp(traction, (friction,), (jnp.ones(()),)))(jnp.asarray(0.6))
+    sheared, slope = jax.jit(lambda friction: jax.jvp(traction, (friction,), (jnp.ones(()),)))(jnp.asarray(0.6))
     along = np.array([0.6, 0.8])[:, None, None] * np.asarray(pressure)
-    np.testing.assert_allclose(found, 0.6 * along, atol=0.01 * along.max())
+    np.testing.assert_allclose(sheared, 0.6 * along, atol=0.01 * along.max())
     np.testing.assert_allclose(slope, along, atol=0.01 * along.max())
 
 
-def test_derivatives_are_finite_where_all_sticks_in_the_program_that_presses():
-    """The pressure is a variable there, so that the compiler rearranges the quotient of friction and stiffness."""
+def test_derivatives_are_finite_if_all_sticks_in_the_program_that_presses():
+    """The pressure is a variable there, so the compiler rearranges the quotient of friction and stiffness."""
     grid = Grid(20, 32)
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
     height = jnp.asarray((x**2 + y**2) / (2 * 3.6e-3), jnp.float32)
@@ -128,11 +129,11 @@ def test_derivatives_are_finite_where_all_sticks_in_the_program_that_presses():
     sheared, slope = run(jnp.float32(0.5))
     assert np.all(np.isfinite(sheared))
     assert np.abs(sheared).max() > 0
-    np.testing.assert_allclose(slope, 0, atol=1e-6 * np.abs(sheared).max())  # more friction changes nothing that sticks
+    np.testing.assert_allclose(slope, 0, atol=1e-6 * np.abs(sheared).max())  # friction does not change sticking cells
 
 
 @pytest.mark.full
-def test_derivatives_against_differences():
+def test_derivatives_agree_with_differences():
     small = Grid(20, 32)
     y, x = np.meshgrid(small.centres, small.centres, indexing="ij")
     with jax.enable_x64(True):
@@ -145,8 +146,8 @@ def test_derivatives_against_differences():
 
         def state(thickness, young, poisson, friction, pressure, slide):
             changed = pad._replace(thickness=thickness, young=young, poisson=poisson, friction=friction)
-            found = shear(changed, pressure, slide, small, tolerance=1e-11, max_steps=4000)
-            return found.traction, found.displacement, found.slipping
+            sheared = shear(changed, pressure, slide, small, tolerance=1e-11, max_steps=4000)
+            return sheared.traction, sheared.displacement, sheared.slipping
 
         run = jax.jit(state)
         ahead, behind = (run(*(a + step * w for a, w in zip(at, way, strict=True))) for step in (1e-7, -1e-7))

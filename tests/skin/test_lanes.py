@@ -1,4 +1,4 @@
-"""Lanes: the convolutions are those of the series, and a batch is more lanes."""
+"""Lanes: convolutions agree with those of the series, and a batch with its single problems."""
 
 import jax
 import jax.numpy as jnp
@@ -28,26 +28,26 @@ def _random(*shape: int) -> jax.Array:
     return jnp.asarray(np.random.default_rng(0).normal(size=shape), jnp.float32)
 
 
-def test_quadrants_are_joined_as_they_were_split():
+def test_joining_quadrants_undoes_splitting():
     values = _random(3, 8, 8)
     np.testing.assert_array_equal(lanes.from_quadrants(lanes.to_quadrants(values)), values)
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_a_convolution_is_that_of_the_series(grid):
+def test_a_convolution_agrees_with_the_series(grid):
     kernel, values = compliance(PAD, grid), _random(3, grid.cells, grid.cells)
     convolved = lanes.convolve(lanes.convolution(kernel, grid), lanes.to_quadrants(values), grid)
-    wanted = jax.vmap(lambda one: convolve(kernel, one, grid))(values)
+    wanted = jax.vmap(lambda value: convolve(kernel, value, grid))(values)
     np.testing.assert_allclose(lanes.from_quadrants(convolved), wanted, atol=2e-6 * np.abs(wanted).max())
 
 
 @pytest.mark.parametrize("grid", GRIDS)
-def test_a_convolution_of_vectors_is_that_of_the_parts_along_and_across_each_wave(grid):
+def test_a_convolution_of_vectors_agrees_with_the_parts_along_and_across_each_wave(grid):
     along, across = tangential_compliance(PAD, grid)
     vectors = _random(3, 2, grid.cells, grid.cells)
 
-    def series(one: jax.Array) -> jax.Array:
-        waves = traction_waves(spectrum(one, grid), grid)
+    def series(vector: jax.Array) -> jax.Array:
+        waves = traction_waves(spectrum(vector, grid), grid)
         return evaluate(along[None] * waves.lengthwise + across[None] * (waves.traction - waves.lengthwise), grid)
 
     split = jnp.stack([lanes.to_quadrants(vectors[:, i]) for i in range(2)])
@@ -57,7 +57,7 @@ def test_a_convolution_of_vectors_is_that_of_the_parts_along_and_across_each_wav
     np.testing.assert_allclose(joined, wanted, atol=2e-6 * np.abs(wanted).max())
 
 
-def test_a_batch_of_presses_of_one_pad_or_of_several_is_each_press_alone():
+def test_a_batch_of_presses_of_one_pad_or_of_several_agrees_with_single_presses():
     y, x = np.meshgrid(CELL_GRID.centres, CELL_GRID.centres, indexing="ij")
     heights = jnp.asarray([(x**2 + (y - i * 1e-3) ** 2) / 12e-3 for i in range(3)], jnp.float32)
     depths, slide = jnp.asarray([1e-4, 3e-4, 4e-4]), jnp.asarray([1e-5, 0.0])
@@ -68,13 +68,13 @@ def test_a_batch_of_presses_of_one_pad_or_of_several_is_each_press_alone():
         return contact.force, forced.indentation, shear(pad, contact.pressure, slide, CELL_GRID).traction
 
     pads = jax.vmap(sample_pad)(jax.random.split(jax.random.key(0), 3))
-    one = jax.tree.map(lambda leaf: leaf[0], pads)
+    pad = jax.tree.map(lambda leaf: leaf[0], pads)
     alone = jax.jit(press)
-    nested = jax.jit(jax.vmap(jax.vmap(press, (None, 0, None)), (None, None, 0)))(one, heights, depths)
+    nested = jax.jit(jax.vmap(jax.vmap(press, (None, 0, None)), (None, None, 0)))(pad, heights, depths)
     several = jax.jit(jax.vmap(press))(pads, heights, depths)
     for i in range(3):
         for batch, wanted in (
-            (jax.tree.map(lambda leaf, i=i: leaf[2, i], nested), alone(one, heights[i], depths[2])),
+            (jax.tree.map(lambda leaf, i=i: leaf[2, i], nested), alone(pad, heights[i], depths[2])),
             (
                 jax.tree.map(lambda leaf, i=i: leaf[i], several),
                 alone(jax.tree.map(lambda leaf, i=i: leaf[i], pads), heights[i], depths[i]),

@@ -1,4 +1,4 @@
-"""A stack of elastic layers against the one layer that it is in the limits, and against the half-space of its top."""
+"""A stack of elastic layers against a single layer in the limits, and against the half-space of its top."""
 
 import jax
 import numpy as np
@@ -21,20 +21,20 @@ SPLITS = {
 
 
 @pytest.mark.parametrize("sheets", SPLITS.values(), ids=SPLITS)
-def test_a_stack_moves_as_the_one_layer_that_it_is(sheets):
+def test_a_stack_that_is_equivalent_to_one_layer_moves_like_it(sheets):
     with jax.enable_x64(True):
         pad = nominal_pad()._replace(thickness=H, young=E, poisson=NU)
         surface = np.asarray(elasticity.compliance(pad, GRID))
         layer = [elasticity._under_pressure(pad, GRID, depth) for depth in DEPTHS]
-    found = stack_motion(sheets, K, DEPTHS)
-    np.testing.assert_allclose(-found.down[0], surface, rtol=1e-7)
-    for ours, theirs in zip(found, zip(*layer, strict=True), strict=True):
+    stack = stack_motion(sheets, K, DEPTHS)
+    np.testing.assert_allclose(-stack.down[0], surface, rtol=1e-7)
+    for ours, theirs in zip(stack, zip(*layer, strict=True), strict=True):
         expected = np.stack(theirs)
-        sloped = np.where(ours is found.down, K >= 0, K > 0)  # a uniform pressure has no slope
+        sloped = np.where(ours is stack.down, K >= 0, K > 0)  # a uniform pressure has no slope
         np.testing.assert_allclose(ours * sloped, expected * sloped, rtol=1e-6, atol=1e-7 * np.abs(expected).max())
 
 
-def test_short_waves_feel_the_top_and_long_ones_the_stiffness_of_all():
+def test_short_waves_depend_on_the_top_and_long_ones_on_all_layers():
     top, under = Sheet(1e-3, E, NU), Sheet(1e-3, 4 * E, 0.3)
     k = np.array([0.0, 20e3])
     flat, short = -stack_motion([top, under], k, np.zeros(1)).down[0]
@@ -43,7 +43,7 @@ def test_short_waves_feel_the_top_and_long_ones_the_stiffness_of_all():
     assert short == pytest.approx((1 - NU) / (top.shear * k[1]), rel=1e-6)
 
 
-def test_the_motion_is_continuous_between_layers_and_still_at_the_base():
+def test_the_motion_is_continuous_between_layers_and_zero_at_the_base():
     sheets = [Sheet(0.8e-3, 0.5 * E, NU), Sheet(1.2e-3, 2 * E, 0.4)]
     above, below, base = (
         np.stack(stack_motion(sheets, K, np.array([depth]))[:2]) for depth in (0.8e-3, 0.8e-3 + 1e-12, H)

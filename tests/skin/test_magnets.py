@@ -26,7 +26,7 @@ def _exact(points: np.ndarray, radius: float, height: float) -> np.ndarray:
 
 
 def _around(radius: float, height: float) -> np.ndarray:
-    """Points 1-20 mm from a cylinder: on all sides, on the axis, beyond the rim, and at the level of an end."""
+    """Make points 1-20 mm from a cylinder: on all sides, on the axis, beyond the rim, and at the level of an end."""
     random, distance = np.random.default_rng(0), np.geomspace(1e-3, 20e-3, 25)
     flat, end = np.zeros(25), height / 2
     turn = Rotation.from_rotvec([0, 0, 1.0])
@@ -47,16 +47,16 @@ def test_a_cylinder_agrees_with_magpylib(size):
     points = _around(*size)
     ours = np.asarray(cylinder(jnp.asarray(points, jnp.float32), *size, STRENGTH))
     exact = _exact(points, *size)
-    # 1e-4 is the figure asked, of the field's length as components vanish. What is left: the rule's error, at most
-    # (1 + d / a)^-64 = 5e-6 at 1 mm from the widest, the rounding of points by 6e-8 of up to 25 mm (1.5e-9 m, and the
-    # field changes by 4 / r), and sums of 64 terms up to r / a = 17 times their total.
+    # 1e-4 is required, relative to the field's norm, as components vanish. The remaining errors are the rule's, at most
+    # (1 + d / a)^-64 = 5e-6 at 1 mm from the widest cylinder, the rounding of points by 6e-8 of up to 25 mm (1.5e-9 m,
+    # and the field changes by 4 / r), and that of sums of 64 terms up to r / a = 17 times their total.
     error = np.linalg.norm(ours - exact, axis=1) / np.linalg.norm(exact, axis=1)
     assert error.max() < 2e-5
 
 
-def test_the_field_inside_a_magnet_and_nodes_that_buy_accuracy_geometrically():
-    """Current and charge models agree inside only if B, and not mu0 H, is meant. The rule errs as (1 + d / a)^-N: close
-    by, 16 nodes err by about the tenth that gives.
+def test_the_field_inside_a_magnet_and_the_convergence_of_the_nodes():
+    """Current and charge models agree inside only for B, not for mu0 H. The rule's error is (1 + d / a)^-N: nearby, the
+    error of 16 nodes is about a tenth of that.
     """
     radius, height = 3e-3, 4e-3
     points = np.array([[0, 0, 0], [1e-3, -0.5e-3, 1e-3], [0, 1.5e-3, -1.9e-3], [radius + 1e-3, 0, 0.5e-3]])
@@ -90,12 +90,12 @@ def test_gradients_are_those_of_magpylib():
             jnp.asarray(points, jnp.float32)
         )
         error = np.abs(ours - exact).max(axis=(1, 2)) / np.abs(exact).max(axis=(1, 2))
-        assert np.all(error < 1e-3)  # the figure asked
+        assert np.all(error < 1e-3)  # required accuracy
 
 
 @pytest.mark.full
 def test_gradients_with_respect_to_the_magnet():
-    """The field is linear in the magnetisation, and homogeneous: B(s p, s a, s h) = B(p, a, h), so Euler's sum is 0."""
+    """The field is linear in the magnetisation and homogeneous, B(s p, s a, s h) = B(p, a, h), so Euler's sum is 0."""
     at = jnp.asarray([1e-3, 2e-3, 3e-3]), jnp.asarray(1.5e-3), jnp.asarray(2e-3), jnp.asarray(STRENGTH)
     d_point, d_radius, d_height, d_strength = jax.jit(jax.jacrev(magnets.cylinder_field, (0, 1, 2, 3)))(*at)
     field = magnets.cylinder_field(*at)
@@ -106,7 +106,7 @@ def test_gradients_with_respect_to_the_magnet():
 
 
 def _lattice() -> Magnets:
-    """Four unequal magnets above a board, tilted."""
+    """Make four unequal, tilted magnets above a board."""
     turns = Rotation.from_rotvec(0.3 * np.random.default_rng(2).normal(size=(4, 3)))
     places = np.array([[-4, -4, -1], [4, -4, -1.5], [-4, 4, -1], [4, 4, -2.0]]) * 1e-3 + [0, 0, 3e-3]
     return Magnets(
@@ -140,8 +140,8 @@ def test_moved_and_turned_magnets_agree_with_magpylib():
     np.testing.assert_array_equal(response(BOARD, lattice, jnp.zeros((4, 3)), jnp.zeros((4, 3))), np.zeros(15))
 
 
-def test_moving_everything_is_moving_the_frame():
-    """Magnets and points moved by one rigid motion: the field turns with them."""
+def test_moving_everything_moves_the_frame():
+    """If magnets and points move by one rigid motion, the field turns with them."""
     lattice, points, shift = _lattice(), jnp.asarray(BOARD.chips), jnp.asarray([1e-3, 2e-3, -3e-3])
     rotation = np.asarray(Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix(), np.float32)
     around = lattice._replace(

@@ -1,4 +1,4 @@
-"""The sensor's noise: its sizes within the sampling error of a variance, its structure exactly."""
+"""The sensor's noise: its sizes within the sampling error of a variance, and its structure exactly."""
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ N = 4000
 
 
 def _within(variance: np.ndarray, expected: np.ndarray, count: int) -> None:
-    """Sample variances of normal numbers lie within the chi-square bounds that 15 of them leave with p = 1e-6."""
+    """Check that sample variances are within the chi-square bounds of 15 normal numbers with p = 1e-6."""
     low, high = stats.chi2.ppf([1e-6 / 30, 1 - 1e-6 / 30], count - 1) / (count - 1)
     assert np.all(variance > low * expected)
     assert np.all(variance < high * expected)
@@ -26,15 +26,15 @@ def _bursts(samples: int, kind: Noise) -> np.ndarray:
     return np.asarray(jax.jit(jax.vmap(lambda key: noise.sample_burst(key, jnp.zeros(15), BOARD, kind, samples)))(keys))
 
 
-def test_one_sample_at_rest_has_the_measured_size_and_part_of_it_is_one_field_for_all_chips():
+def test_a_sample_at_rest_has_the_measured_size_and_partly_a_field_common_to_all_chips():
     samples, kind = _bursts(1, Noise())[:, 0], Noise()
-    # Rounding to steps q adds q^2 / 12, a uniform error (Sheppard), at a noise of many steps.
+    # Rounding to steps q adds q^2 / 12, a uniform error (Sheppard), since the noise spans many steps.
     variance = kind.sigma(5) ** 2 + kind.steps(5) ** 2 / 12
     _within(samples.var(axis=0, ddof=1), variance, N)
     chips = np.asarray(BOARD.to_tool(samples))  # (N, 5, 3) in common axes
     for axis, sigma in enumerate((3.1, 3.1, 4.6)):
         correlation = np.corrcoef(chips[:, :, axis].T)[np.triu_indices(5, 1)]
-        # Correlations of N samples err by (1 - r^2) / sqrt(N); ten of them stay within 5 such.
+        # The error of a correlation of N samples is (1 - r^2) / sqrt(N); ten of them stay within 5 such errors.
         np.testing.assert_allclose(correlation, kind.common * sigma**2 / variance[axis], atol=5 / np.sqrt(N))
         assert 0.20 < correlation.mean() < 0.33  # of real boards
     tool = np.asarray(BOARD.to_tool(noise.ambient(jax.random.key(3), BOARD, kind)))
@@ -43,7 +43,7 @@ def test_one_sample_at_rest_has_the_measured_size_and_part_of_it_is_one_field_fo
 
 
 @pytest.mark.full
-def test_averaging_removes_white_noise_only():
+def test_averaging_removes_only_white_noise():
     kind = Noise(contact_samples=40)
     keys = jax.random.split(jax.random.key(1), N)
     seen = np.asarray(jax.jit(jax.vmap(lambda key: noise.add_sensor_noise(key, jnp.zeros(15), BOARD, kind)))(keys))

@@ -1,4 +1,4 @@
-"""Every model of a skin is fitted, left out, saved and loaded by the same four verbs."""
+"""All models of a skin share one interface: fit, predict, left_out, save and load."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,18 +30,18 @@ from i2t.types import Pad
 
 BOARD, TIP = reskin_board(), RoundTip("sphere", 4e-3)
 PRESSES, NEW = 40, 40
-KNOWN, NEW_ROWS = slice(PRESSES), slice(PRESSES, None)
+FITTED_ROWS, NEW_ROWS = slice(PRESSES), slice(PRESSES, None)
 
 
 class Presses(NamedTuple):
-    """Presses of a ball."""
+    """Presses of a sphere."""
 
     position: jax.Array  # m
-    load: jax.Array  # m deep
+    load: jax.Array  # m, depth
 
 
 class Pressed(NamedTuple):
-    """Presses of a simulated pad with a ball, and their readings with 0.5 uT of noise."""
+    """Presses of a simulated pad with a sphere, and their readings with 0.5 uT of noise."""
 
     presses: Presses
     readings: np.ndarray
@@ -49,16 +49,16 @@ class Pressed(NamedTuple):
 
 @jax.jit
 def pressures(pad: Pad, presses: Presses) -> ContactPressure:
-    """Pressures of the ball on a pad."""
+    """Solve the pressures of the sphere on a pad."""
 
-    def newtons(one: Presses) -> jax.Array:
-        return solve(pad, TIP.height(one.position, CELL_GRID), one.load, CELL_GRID).pressure * CELL_GRID.spacing**2
+    def newtons(row: Presses) -> jax.Array:
+        return solve(pad, TIP.height(row.position, CELL_GRID), row.load, CELL_GRID).pressure * CELL_GRID.spacing**2
 
     pressure = jax.lax.map(newtons, presses)
     return ContactPressure(pressure, jnp.sum(pressure, axis=(1, 2)))
 
 
-def some(tree: Any, rows: slice) -> Any:
+def rows_of(tree: Any, rows: slice) -> Any:
     return jax.tree.map(lambda leaf: leaf[rows], tree)
 
 
@@ -71,7 +71,7 @@ def pressed() -> Pressed:
     @jax.jit
     def read(presses: Presses) -> jax.Array:
         return jax.lax.map(
-            lambda one: press(pad, TIP.height(one.position, CELL_GRID), one.load, grid=CELL_GRID).reading, presses
+            lambda row: press(pad, TIP.height(row.position, CELL_GRID), row.load, grid=CELL_GRID).reading, presses
         )
 
     readings = np.asarray(read(presses))
@@ -79,49 +79,50 @@ def pressed() -> Pressed:
 
 
 def tip_case(pressed: Pressed) -> tuple[Any, Any]:
-    at, load = (np.asarray(part, np.float64)[KNOWN] for part in pressed.presses)
-    return TipModel("depth"), TipPresses(at, load, pressed.readings[KNOWN], BOARD)
+    at, load = (np.asarray(part, np.float64)[FITTED_ROWS] for part in pressed.presses)
+    return TipModel("depth"), TipPresses(at, load, pressed.readings[FITTED_ROWS], BOARD)
 
 
 def pressure_case(pressed: Pressed) -> tuple[Any, Any]:
-    pressure = pressures(nominal_pad(), some(pressed.presses, KNOWN))
-    return PressureModel(), PressureTouches(pressure, pressed.readings[KNOWN], np.arange(PRESSES) % 5)
+    pressure = pressures(nominal_pad(), rows_of(pressed.presses, FITTED_ROWS))
+    return PressureModel(), PressureTouches(pressure, pressed.readings[FITTED_ROWS], np.arange(PRESSES) % 5)
 
 
 def pad_case(pressed: Pressed) -> tuple[Any, Any]:
     model = MagnetizationModel(TIP, by_force=False, grid=CELL_GRID, max_layer_presses=0)
-    return model, TipReadings(*some(pressed.presses, KNOWN), jnp.float32(pressed.readings[KNOWN]), BOARD)
+    return model, TipReadings(*rows_of(pressed.presses, FITTED_ROWS), jnp.float32(pressed.readings[FITTED_ROWS]), BOARD)
 
 
-def assert_four_verbs(fitted: Any, contact: tuple[Any, ...], path: Path) -> None:
+def assert_common_interface(fitted: Any, contact: tuple[Any, ...], path: Path) -> None:
     assert isinstance(fitted, FittedSkinModel)
     fitted.save(path)
     again = skin_models.load(path)
     assert type(again) is type(fitted)
     np.testing.assert_allclose(again.left_out, fitted.left_out, rtol=1e-5, atol=1e-4)
-    for one, other in zip(again.predict(*contact), fitted.predict(*contact), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-3)
+    for loaded, original in zip(again.predict(*contact), fitted.predict(*contact), strict=True):
+        np.testing.assert_allclose(loaded, original, rtol=1e-4, atol=1e-3)
 
 
 @pytest.mark.parametrize("make", [tip_case, pressure_case, pad_case])
-def test_a_model_of_a_skin_has_four_verbs(make, pressed, tmp_path):
+def test_a_model_of_a_skin_has_the_common_interface(make, pressed, tmp_path):
     model, data = make(pressed)
-    fitted, new, truth = model.fit(jax.random.key(0), data), some(pressed.presses, NEW_ROWS), pressed.readings[NEW_ROWS]
+    fitted = model.fit(jax.random.key(0), data)
+    new, truth = rows_of(pressed.presses, NEW_ROWS), pressed.readings[NEW_ROWS]
     own = fitted.pad if make is pad_case else nominal_pad()
     contact = tuple(np.asarray(part, np.float64) for part in new) if make is tip_case else (pressures(own, new),)
-    assert_four_verbs(fitted, contact, tmp_path / "skin.npz")
+    assert_common_interface(fitted, contact, tmp_path / "skin.npz")
     mean, std = (np.asarray(part) for part in fitted.predict(*contact))
     assert mean.shape == std.shape == truth.shape
     assert (std > 0).all()
     assert fitted.left_out.shape == (PRESSES, truth.shape[1])
-    off = np.mean((mean - truth) ** 2)
-    assert off < 0.7 * np.mean((truth - pressed.readings[KNOWN].mean(0)) ** 2)
-    # What it says of presses left out is what it does on presses that it has not seen.
-    assert 0.25 < np.mean(fitted.left_out**2) / off < 4
+    squared_error = np.mean((mean - truth) ** 2)
+    assert squared_error < 0.7 * np.mean((truth - pressed.readings[FITTED_ROWS].mean(0)) ** 2)
+    # Leave-one-out errors are comparable to the errors on new presses.
+    assert 0.25 < np.mean(fitted.left_out**2) / squared_error < 4
 
 
 @pytest.mark.full
-def test_a_pad_model_has_four_verbs(tmp_path):
+def test_a_pad_model_has_the_common_interface(tmp_path):
     pad, limits, errors = i2t.sample_pad(jax.random.key(0)), PressLimits(), SimulationErrors()
     surface = i2t.prepare_surface(catalogue.make_object("hexagon").mesh)
     touches = i2t.simulate_touches(jax.random.key(1), [surface], pad, errors, 36)
@@ -130,22 +131,24 @@ def test_a_pad_model_has_four_verbs(tmp_path):
     newtons = jnp.zeros((3, 20, 20)).at[:, 8:12, 8:12].set(jnp.float32([0.02, 0.05, 0.1])[:, None, None])
     contact = ContactPressure(newtons, jnp.sum(newtons, axis=(1, 2)))
     fitted = ContactModel(errors, limits).fit(jax.random.key(2), data)
-    assert_four_verbs(fitted, (contact,), tmp_path / "pad_model.npz")
+    assert_common_interface(fitted, (contact,), tmp_path / "pad_model.npz")
     mean, _ = fitted.predict(contact)
-    assert (np.diff(np.linalg.norm(mean, axis=1)) > 0).all()  # harder is stronger
+    assert (np.diff(np.linalg.norm(mean, axis=1)) > 0).all()  # a larger load gives a larger reading
 
 
-def test_what_is_no_model_of_a_skin_is_refused(tmp_path):
+def test_a_file_of_another_kind_is_refused(tmp_path):
     serialization.save(tmp_path / "other.npz", "i2t kernel prior", Presses(np.zeros((1, 2)), np.zeros(1)))
-    with pytest.raises(SerializationError, match="holds a i2t kernel prior, which is no model of a skin"):
+    with pytest.raises(SerializationError, match="holds a i2t kernel prior, which is not a model of a skin"):
         skin_models.load(tmp_path / "other.npz")
 
 
-def test_a_fitted_pad_is_a_pad_to_simulate_with_and_a_pad_alone_is_no_fit(pressed, tmp_path):
+def test_a_fitted_pad_loads_as_a_pad_and_a_pad_alone_is_not_a_fit(pressed, tmp_path):
     model, data = pad_case(pressed)
     fitted = model.fit(None, data)
     fitted.save(tmp_path / "pad.npz")
     np.testing.assert_array_equal(i2t.load_pad(tmp_path / "pad.npz").magnetization, fitted.pad.magnetization)
     i2t.save_pad(tmp_path / "alone.npz", fitted.pad)
-    with pytest.raises(SerializationError, match=r"alone\.npz: holds a pad without its fit; read it by i2t\.load_pad"):
+    with pytest.raises(
+        SerializationError, match=r"alone\.npz: holds a pad without its fit; read it with i2t\.load_pad"
+    ):
         skin_models.load(tmp_path / "alone.npz")

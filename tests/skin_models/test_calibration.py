@@ -1,4 +1,4 @@
-"""What a user holds: a calibration from arrays, on disk and back, any board, and what is refused."""
+"""Calibrations: from arrays, in files, for any board, and refusals of wrong input."""
 
 import numpy as np
 import pytest
@@ -26,33 +26,33 @@ def calibration() -> Calibration:
 
 @pytest.fixture(scope="module")
 def structured() -> Calibration:
-    """A mixture of one kernel, which given hyperparameters mean."""
+    """A calibration with a single kernel, from given hyperparameters."""
     given = {"board": BOARD, "hyperparameters": FORCE_HYPERPARAMETERS, "metadata": {"skin": "made up"}}
     return calibrate(POSITIONS, FORCE, READINGS, load_kind="force", **given)
 
 
 @pytest.fixture(scope="module")
 def unknown() -> Calibration:
-    """Made without any load."""
+    """A calibration without any load."""
     return calibrate(POSITIONS, None, READINGS, load_kind="none")
 
 
 BOTH_KINDS = pytest.mark.parametrize(("which", "load"), [("calibration", DEPTH), ("structured", FORCE)])
 
 
-def assert_same_predictions(one: Calibration, other: Calibration, *given, **more) -> None:
-    for a, b in zip(one.predict(*given, **more), other.predict(*given, **more), strict=True):
+def assert_same_predictions(first: Calibration, second: Calibration, *given, **more) -> None:
+    for a, b in zip(first.predict(*given, **more), second.predict(*given, **more), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-5)
 
 
 @BOTH_KINDS
-def test_it_comes_back_as_it_was(which, load, request, tmp_path):
-    made = request.getfixturevalue(which)
-    made.save(tmp_path / "skin.npz")
+def test_a_saved_calibration_loads_unchanged(which, load, request, tmp_path):
+    original = request.getfixturevalue(which)
+    original.save(tmp_path / "skin.npz")
     again = load_calibration(tmp_path / "skin.npz")
-    assert (again.metadata, again.load_kind) == ({"skin": "made up"}, made.load_kind)
-    assert_same_predictions(made, again, POSITIONS, load)
-    assert made.predict(POSITIONS, load)[0].shape == (30, 15)
+    assert (again.metadata, again.load_kind) == ({"skin": "made up"}, original.load_kind)
+    assert_same_predictions(original, again, POSITIONS, load)
+    assert original.predict(POSITIONS, load)[0].shape == (30, 15)
     mean, std = again.predict(POSITIONS[0], load[0])
     assert mean.shape == std.shape == (15,)
     assert (std > 0).all()
@@ -67,24 +67,24 @@ def depths(position=POSITIONS, load=DEPTH, readings=READINGS, **given):
 @pytest.mark.parametrize(
     ("call", "word"),
     [
-        (lambda made, _: made.predict(POSITIONS, DEPTH[:3]), "do not go with"),
-        (lambda made, _: made.predict(1e3 * POSITIONS, DEPTH), "give metres"),
-        (lambda made, _: made.predict(POSITIONS, -DEPTH - 1), "between 0 and"),
+        (lambda model, _: model.predict(POSITIONS, DEPTH[:3]), "do not go with"),
+        (lambda model, _: model.predict(1e3 * POSITIONS, DEPTH), "give metres"),
+        (lambda model, _: model.predict(POSITIONS, -DEPTH - 1), "between 0 and"),
         (lambda *_: depths(readings=np.where(READINGS > 0, np.nan, READINGS)), "not finite"),
         (lambda *_: depths(POSITIONS[:4]), "do not belong together"),
         (lambda _, unknown: depths(previous_session=unknown), "other channels or another kind of load"),
         (lambda *_: depths(board=boards.grid_board(4, 4)), "16 chips"),
         (lambda *_: calibrate(None, None, READINGS, load_kind="none"), "say nothing about another press"),
-        (lambda _, unknown: unknown.predict(POSITIONS[:4], DEPTH[:4]), "loads are missing or not known"),
+        (lambda _, unknown: unknown.predict(POSITIONS[:4], DEPTH[:4]), "loads do not match this calibration"),
     ],
 )
-def test_what_cannot_be_is_refused(calibration, unknown, call, word):
+def test_wrong_input_is_refused(calibration, unknown, call, word):
     with pytest.raises(ValueError, match=word):
         call(calibration, unknown)
 
 
-def test_files_that_cannot_be_understood_any_more_say_how_to_make_them_again(calibration, tmp_path):
-    """Those of terms for the temperature, or of members that name no board."""
+def test_files_of_earlier_versions_are_refused_with_a_remedy(calibration, tmp_path):
+    """Earlier files had terms for the temperature, or members without a board."""
     path = tmp_path / "old.npz"
     terms = {"load": "depth", "boards": list(calibration.boards), "about": {"linear_terms": ["temperature"]}}
     record = CalibrationRecord(calibration.gp, calibration.interval_scaling)
@@ -96,7 +96,7 @@ def test_files_that_cannot_be_understood_any_more_say_how_to_make_them_again(cal
 
 
 @pytest.mark.full
-def test_what_is_known_of_presses_may_be_more_or_less(unknown, tmp_path):
+def test_loads_and_boards_are_optional(unknown, tmp_path):
     both = np.column_stack([DEPTH, FORCE])
     fitted = calibrate(
         POSITIONS, both, READINGS, load_kind="both", board=boards.eflesh_board(),
@@ -113,8 +113,8 @@ def test_what_is_known_of_presses_may_be_more_or_less(unknown, tmp_path):
     assert unknown.predict(POSITIONS[:4])[0].shape == (4, 15)
 
 
-def test_few_presses_are_fitted_with_one_thread_of_blas_and_the_others_come_back(monkeypatch):
-    """Threads that wait for each other cost many times what small matrices do."""
+def test_few_presses_are_fitted_with_one_blas_thread_which_is_undone_afterwards(monkeypatch):
+    """Waiting threads cost many times more than small matrices."""
     seen, fit = [], population.fit_population
 
     def fitting(*args, **more):

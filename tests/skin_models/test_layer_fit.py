@@ -54,7 +54,7 @@ def model_at(world, x):
     return _LinearModel(x, features, world.readings, PRIOR)
 
 
-def test_the_objective_is_the_evidence_and_the_prior_and_its_gradient_their_derivative():
+def test_the_objective_is_evidence_times_prior_and_its_gradient_is_exact():
     world, rng = World(0), np.random.default_rng(1)
     model, x = model_at(world, np.zeros(len(START))), 0.3 * rng.normal(size=len(START))
     layer = parameters_at(UNRAVEL(jnp.float32(x)), PRIOR)
@@ -71,7 +71,7 @@ def test_the_objective_is_the_evidence_and_the_prior_and_its_gradient_their_deri
         np.testing.assert_allclose(gradient[number], change / (2 * step), rtol=1e-4, atol=1e-3)
 
 
-def test_a_layer_is_found_and_its_ranges_hold_it_as_often_as_they_say():
+def test_a_layer_is_recovered_and_its_ranges_have_the_stated_coverage():
     inside = []
     for seed in range(12):
         world = World(seed)
@@ -83,10 +83,10 @@ def test_a_layer_is_found_and_its_ranges_hold_it_as_often_as_they_say():
     assert 0.9 < np.mean(inside) < 0.99
 
 
-def test_a_parameter_far_from_its_prior_and_a_search_that_does_not_end_are_said(monkeypatch):
+def test_implausible_parameters_and_an_unfinished_search_are_reported(monkeypatch):
     with pytest.warns(UserWarning, match="the fitted .*gap.* standard deviations from the prior's median"):
         World(3, gap=6.0).fit()
-    monkeypatch.setattr(layer_fit, "MAX_STEPS", 1)
+    monkeypatch.setattr(layer_fit, "_SEARCH", layer_fit.LayerSearch(max_steps=1))
     with pytest.warns(UserWarning, match="did not converge"):
         assert not World(4).fit().converged
 
@@ -95,9 +95,9 @@ def test_a_search_whose_steps_all_fail_has_not_converged():
     world = World(4)
 
     def broken(at):
-        """Finite at the start and where its slopes are asked for, and nowhere else."""
+        """Return finite features at the start and where its slopes are computed, and nowhere else."""
         x = np.abs(np.asarray(ravel_pytree(at)[0]))
-        alone = np.isclose(x, layer_fit.SLOPE_STEP).sum() == 1 and np.count_nonzero(x) == 1
+        alone = np.isclose(x, layer_fit._SEARCH.slope_step).sum() == 1 and np.count_nonzero(x) == 1
         return (1.0 if alone or not x.any() else np.nan) * world.linearized(at)[0]
 
     with pytest.warns(UserWarning, match="did not converge"):
@@ -118,14 +118,14 @@ def test_presses_that_are_not_finite_are_left_out_with_a_warning():
 
 
 @pytest.mark.filterwarnings("ignore:.*encountered:RuntimeWarning")
-def test_readings_that_cannot_be_are_refused():
+def test_impossible_readings_are_refused():
     world = World(6)
     world.readings = 1e200 * world.readings
     with pytest.raises(ValueError, match="no pad explains these presses"):
         world.fit()
 
 
-def test_a_compliance_that_may_be_none_has_a_range_that_begins_at_none():
+def test_the_range_of_a_compliance_that_may_be_zero_begins_at_zero():
     coordinates = jax.tree.map(jnp.zeros_like, PRIOR.median)
     at = partial(parameters_at, prior=PRIOR)
     root = -1 / PRIOR.std.mount_compliance

@@ -1,4 +1,4 @@
-"""The error of a position as left-out touches show it, against the distribution that they were drawn from."""
+"""Position errors fitted to left-out touches, against the distribution that they were drawn from."""
 
 import numpy as np
 import pytest
@@ -10,31 +10,31 @@ STD, SHARE = np.array([0.1e-3, 0.8e-3]), np.array([0.85, 0.15])
 
 
 def drawn(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Errors of the mixture with known variances of their own on top."""
+    """Draw errors of the mixture with additional errors of known variances."""
     rng = np.random.default_rng(seed)
     own = rng.uniform(0, 0.2e-3, count)
     return rng.normal(size=count) * np.hypot(rng.choice(STD, count, p=SHARE), own), own**2
 
 
 def tail(mixture: ScaleMixture, beyond: float) -> float:
-    """Probability of an error larger than that (m)."""
+    """Compute the probability of a larger error (m)."""
     return float(np.sum(mixture.share * 2 * stats.norm.sf(beyond, scale=mixture.std)))
 
 
 def _total_std(mixture: ScaleMixture) -> float:
-    """Standard deviation of the whole."""
+    """Compute the standard deviation of the mixture."""
     return float(np.sqrt(np.sum(mixture.share * mixture.std**2)))
 
 
-def test_a_mixture_is_found_again_without_the_variance_that_is_known():
+def test_a_mixture_is_recovered_without_the_known_variances():
     errors, variance = drawn(20_000)
-    found = fit_position_errors(errors, variance)
-    assert found.share.sum() == pytest.approx(1)
+    fitted = fit_position_errors(errors, variance)
+    assert fitted.share.sum() == pytest.approx(1)
     truth = ScaleMixture(STD, SHARE)
-    assert _total_std(found) == pytest.approx(_total_std(truth), rel=0.03)
+    assert _total_std(fitted) == pytest.approx(_total_std(truth), rel=0.03)
     for beyond in (0.1e-3, 0.3e-3, 1e-3, 1.5e-3):
-        assert tail(found, beyond) == pytest.approx(tail(truth, beyond), abs=0.01)
-    # What is known is no part of it: taken for nothing, it widens the middle.
+        assert tail(fitted, beyond) == pytest.approx(tail(truth, beyond), abs=0.01)
+    # If the known variances are ignored, they widen the middle of the distribution.
     assert tail(fit_position_errors(errors, 0 * variance), 0.1e-3) > tail(truth, 0.1e-3) + 0.05
 
 
@@ -51,12 +51,12 @@ def test_few_touches_leave_a_tail_and_many_normal_ones_hardly_any():
     assert (many.share > 0).all()
 
 
-def test_outliers_are_no_part_of_the_mixture():
+def test_outliers_do_not_belong_to_the_mixture():
     errors, variance = drawn(5000, 2)
     strays = np.random.default_rng(3).uniform(-16e-3, 16e-3, 50)
     with_strays = np.append(errors, strays), np.append(variance, np.zeros(50))
-    known = fit_position_errors(*with_strays, outlier_density=0.01 / 32e-3)
+    accounted = fit_position_errors(*with_strays, outlier_density=0.01 / 32e-3)
     blamed = fit_position_errors(*with_strays)
     clean = fit_position_errors(errors, variance)
-    assert _total_std(known) == pytest.approx(_total_std(clean), rel=0.08)
+    assert _total_std(accounted) == pytest.approx(_total_std(clean), rel=0.08)
     assert _total_std(blamed) > 1.08 * _total_std(clean)

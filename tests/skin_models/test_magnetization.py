@@ -1,4 +1,4 @@
-"""A pad fitted by physics: its design against the simulator, and simulated pads found again."""
+"""A pad fitted by physics: its design matrices against the simulator, and simulated pads recovered."""
 
 from functools import partial
 
@@ -21,7 +21,7 @@ BOARD = boards.reskin_board()
 
 
 @pytest.mark.full
-def test_the_design_gives_what_the_simulator_reads():
+def test_the_design_matrix_agrees_with_the_simulator():
     tip, board = RoundTip("cylinder", 2e-3), boards.grid_board(2, 2)
     rng = np.random.default_rng(0)
     weights = rng.normal(size=(3, physics.MODES, physics.MODES))
@@ -44,13 +44,13 @@ def test_the_design_gives_what_the_simulator_reads():
     expected = press(pad, tip.height(position, COARSE), 0.2e-3, grid=COARSE).reading
     designed = physics.design_matrix(layer, board, tip, position, jnp.float32(0.2e-3), by_force=False, grid=COARSE)
     got = 1e3 * np.einsum("ocab,cab->o", np.float64(designed), weights)
-    # Both are differences of fields a hundred times as large, in single precision.
+    # Both are differences of fields that are a hundred times larger, in single precision.
     np.testing.assert_allclose(got, expected, atol=5e-3 * np.abs(expected).max())
 
 
 @pytest.mark.full
-def test_a_pad_is_found_again_and_says_how_far_it_is_off():
-    """Sixty presses of a simulated pad with a ball, with 1 uT of noise: it is fitted to half of them."""
+def test_a_pad_is_recovered_and_its_errors_are_estimated():
+    """A simulated pad is pressed sixty times with a sphere, with 1 uT of noise, and fitted to half of the presses."""
     pad, rng = sample_pad(jax.random.key(2)), np.random.default_rng(2)
     presses = jnp.float32(rng.uniform(-7e-3, 7e-3, (60, 2))), jnp.float32(rng.uniform(0.2e-3, 0.8e-3, 60))
 
@@ -59,26 +59,26 @@ def test_a_pad_is_found_again_and_says_how_far_it_is_off():
         return jax.vmap(lambda x, d: press(pad, TIP.height(x, COARSE), d, grid=COARSE).reading)(at, depth)
 
     readings = np.asarray(read(pad, *presses) + jnp.float32(rng.normal(size=(60, 15))))
-    known, (at, depth), held = (part[:30] for part in presses), (part[30:] for part in presses), readings[30:]
+    pressed, (at, depth), held = (part[:30] for part in presses), (part[30:] for part in presses), readings[30:]
     model = MagnetizationModel(TIP, by_force=False, grid=COARSE, max_layer_presses=16)
-    fitted = model.fit(None, TipReadings(*known, jnp.float32(readings[:30]), BOARD))
-    # The fitted pad, pressed by the simulator, reads what the true one does.
+    fitted = model.fit(None, TipReadings(*pressed, jnp.float32(readings[:30]), BOARD))
+    # Pressed by the simulator, the fitted pad reads what the true one reads.
     layer = fitted.posterior.layer
     again = read(fitted.pad, at + layer.tip_offset[None], depth - layer.contact_offset)
-    off = np.sqrt(np.mean((held - again) ** 2))
-    assert off < np.sqrt(0.15) * np.sqrt(np.mean((held - held.mean(0)) ** 2))
+    error = np.sqrt(np.mean((held - again) ** 2))
+    assert error < np.sqrt(0.15) * np.sqrt(np.mean((held - held.mean(0)) ** 2))
     truth = np.asarray(pad.magnetization)
     assert np.sum((truth - fitted.pad.magnetization) ** 2) < 0.7 * np.sum(truth**2)
     for name in ("thickness", "poisson"):
         low, high = (float(getattr(part, name)) for part in fitted.posterior[1:3])
         assert low < float(getattr(pad, name)) < high
-    # What it says of presses left out is what it does on presses that it has not seen.
-    assert 0.5 * off < np.sqrt(np.mean(fitted.left_out**2)) < 2 * off
+    # Leave-one-out errors are comparable to the errors on new presses.
+    assert 0.5 * error < np.sqrt(np.mean(fitted.left_out**2)) < 2 * error
 
 
 @pytest.mark.full
-def test_a_pad_is_found_again_from_presses_by_force_at_symmetric_places():
-    """The ranges hold the truth, and the fit leaves half the error of the prior's layer at most."""
+def test_a_pad_is_recovered_from_presses_by_force_at_symmetric_places():
+    """The ranges contain the truth, and the fit has at most half the error of the prior's layer."""
     pad, rng = sample_pad(jax.random.key(1003)), np.random.default_rng(0)
     position = jnp.float32(1e-3 * np.round(rng.uniform(-6, 6, (60, 2))))  # corners of four cells
     presses = position, jnp.float32(rng.uniform(0.1, 1.5, 60))
@@ -114,14 +114,14 @@ def test_presses_that_are_not_finite_are_refused():
 
 
 @pytest.mark.parametrize("group", [None, np.array([2, 0, 1, 0, 2, 2])], ids=["presses", "places"])
-def test_left_out_is_what_leaving_out_gives(group):
+def test_left_out_predictions_agree_with_refitting(group):
     rng = np.random.default_rng(3)
     phi, y, noise = rng.normal(size=(6, 15, 20)), rng.normal(size=(6, 15)), 0.5
     whole = bayesian_linear_regression(phi, y, noise, group=group)
     for number in range(6 if group is None else 3):
         own = np.arange(6) == number if group is None else group == number
         rows, values = phi[~own].reshape(-1, 20), y[~own].ravel()
-        covariance = np.linalg.inv(np.eye(20) + rows.T @ rows / noise**2)  # of the weights, known from the others
+        covariance = np.linalg.inv(np.eye(20) + rows.T @ rows / noise**2)  # of the weights, given the other groups
         tested = phi[own].reshape(-1, 20)
         expected = tested @ covariance @ rows.T @ values / noise**2
         np.testing.assert_allclose(whole.left_out[own].ravel(), expected, rtol=1e-8, atol=1e-10)
@@ -129,14 +129,14 @@ def test_left_out_is_what_leaving_out_gives(group):
         np.testing.assert_allclose(whole.log_density[number], normal.logpdf(y[own].ravel()), rtol=1e-8)
 
 
-def test_a_dipoles_field_is_the_textbooks_and_every_parameter_grows_with_its_coordinate():
+def test_the_dipole_field_is_the_textbooks_and_parameters_grow_with_their_coordinates():
     moment, point = np.array([0.3, -1.0, 2.0]), np.array([4e-3, -3e-3, 1e-3])
     at = np.random.default_rng(4).normal(scale=2e-3, size=(3, 2, 2))
     away = point - np.moveaxis(at, 0, -1)
     distance = np.linalg.norm(away, axis=-1, keepdims=True)
     expected = 1e-7 * (3 * away * (away @ moment)[..., None] / distance**5 - moment / distance**3)
-    found = np.einsum("abij,b->ija", physics._dipole_tensor(jnp.float32(point), jnp.float32(at)), moment)
-    np.testing.assert_allclose(found, expected, rtol=1e-4)
+    field = np.einsum("abij,b->ija", physics._dipole_tensor(jnp.float32(point), jnp.float32(at)), moment)
+    np.testing.assert_allclose(field, expected, rtol=1e-4)
 
     prior = physics.layer_prior(15)
     low, middle, high = (
@@ -148,7 +148,7 @@ def test_a_dipoles_field_is_the_textbooks_and_every_parameter_grows_with_its_coo
     jax.tree.map(np.testing.assert_array_less, middle, high)
 
 
-def test_tips_are_told_by_their_shape_and_radius():
+def test_tips_are_parsed_from_shape_and_radius():
     assert parse_tip("sphere:4.0") == TIP
     assert parse_tip("Sphere: 4.0") == TIP
     assert parse_tip("cylinder:2") == RoundTip("cylinder", 2e-3)

@@ -1,4 +1,4 @@
-"""The Gaussian process against one written densely in double precision, and against maps it should find."""
+"""The Gaussian process against a dense one in double precision, and its hyperparameters against cross-validation."""
 
 import jax
 import jax.numpy as jnp
@@ -14,11 +14,11 @@ CHANNELS = 15
 fit, predict = gp.fit, jax.jit(gp.predict)
 HYPER = GPHyperparameters(
     jnp.array([0.1, 0.5, 0.2, 0.15, 0.05]), jnp.array(0.3), jnp.array(0.7), jnp.array(0.05)
-)  # as different from one another as can be
+)  # all different from one another
 
 
 def spots(rng: np.random.Generator, n: int) -> ContactPressure:
-    """Round contacts at random places under random loads."""
+    """Make round contacts at random places under random loads."""
     x = np.arange(M)
     place = rng.uniform(1, M - 2, (n, 2, 1))
     along = np.exp(-((x - place) ** 2) / (2 * rng.uniform(1, 2, (n, 1, 1)) ** 2))
@@ -30,7 +30,7 @@ def spots(rng: np.random.Generator, n: int) -> ContactPressure:
 def covariance(
     hyper: GPHyperparameters, a: ContactPressure, b: ContactPressure, unit: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """k(a, b) by the formula in the module's opening, cell by cell, and the mean of p C p over a for each length."""
+    """Compute k(a, b) by the formula of the module, cell by cell, and the mean of p C p over a for each length."""
     cells = np.stack(np.meshgrid(np.arange(M), np.arange(M), indexing="ij"), -1).reshape(-1, 2)
     square = ((cells[:, None] - cells[None]) ** 2).sum(-1)
     p, q = (np.asarray(x.pressure, np.float64).reshape(len(x.load), -1) for x in (a, b))
@@ -45,7 +45,7 @@ def covariance(
 def explained_between_groups(
     hyper: GPHyperparameters, touches: ContactPressure, readings: np.ndarray, groups: np.ndarray
 ) -> tuple[float, float]:
-    """R2 with each group predicted from all others, densely, and how far float32 hyperparameters may put it off."""
+    """Compute R2 with each group predicted from all others, and the error by rounding of the hyperparameters."""
     K, _ = covariance(hyper, touches, touches, None)
     noise = float(hyper.noise)
     error = 0.0
@@ -53,18 +53,18 @@ def explained_between_groups(
         kept = groups != group
         weights = np.linalg.solve(K[np.ix_(kept, kept)] + noise * np.eye(kept.sum()), readings[kept])
         error += (((K[np.ix_(~kept, kept)] @ weights - readings[~kept]) / np.sqrt((readings**2).mean(0))) ** 2).sum()
-    # The hyperparameters that come back are rounded; an error of theirs counts a few times.
+    # The hyperparameters are rounded to float32, and their errors count a few times.
     return 1 - error / readings.size, 1e-5
 
 
 def smooth_readings(rng: np.random.Generator, touches: ContactPressure) -> np.ndarray:
-    """Readings that random walks across the skin give, with a tenth of noise."""
+    """Make readings from random walks across the skin, with a tenth of noise."""
     maps = rng.normal(size=(CHANNELS, M, M)).cumsum(1).cumsum(2)
     readings = np.einsum("cij,nij->nc", maps - maps.mean((1, 2), keepdims=True), touches.pressure)
     return (readings + 0.1 * readings.std() * rng.normal(size=readings.shape)).astype(np.float32)
 
 
-def test_mean_and_variance_of_a_dense_process():
+def test_mean_and_variance_agree_with_a_dense_process():
     rng = np.random.default_rng(0)
     train, other = spots(rng, 30), spots(rng, 20)
     readings = rng.normal(scale=20, size=(30, CHANNELS)).astype(np.float32)
@@ -75,7 +75,7 @@ def test_mean_and_variance_of_a_dense_process():
     own, _ = covariance(HYPER, other, other, unit)
     noise = float(HYPER.noise)
     inverse = np.linalg.inv(K + noise * np.eye(30))
-    # Total variance of a channel is its signal's times 1 + noise.
+    # The total variance of a channel is its signal's times 1 + noise.
     scale = np.sqrt((readings.astype(np.float64) ** 2).mean(0) / (1 + noise))
     variance = np.diag(own - cross @ inverse @ cross.T) + noise
     # float32 solves lose a condition number of digits: at most trace K / noise.
@@ -85,8 +85,8 @@ def test_mean_and_variance_of_a_dense_process():
     np.testing.assert_allclose(std, np.sqrt(variance)[:, None] * scale, rtol=loss / noise)
 
 
-def test_factors_of_many_alike_touches_are_those_of_double_precision():
-    """300 touches of 144 cells under a noise of 1e-5: a condition of 3e7, beyond what float32 can factor."""
+def test_the_system_of_many_similar_touches_is_factored_in_double_precision():
+    """300 touches of 144 cells with a noise of 1e-5 give a condition number of 3e7, too much for float32."""
     rng = np.random.default_rng(5)
     touches, noise = spots(rng, 300), 1e-5
     readings = smooth_readings(rng, touches)
@@ -101,7 +101,7 @@ def test_factors_of_many_alike_touches_are_those_of_double_precision():
     )
 
 
-def test_errors_left_out_are_those_of_a_process_without_the_touch():
+def test_left_out_errors_agree_with_a_process_without_the_touch():
     rng = np.random.default_rng(1)
     touches = spots(rng, 20)
     readings = rng.normal(scale=20, size=(20, CHANNELS)).astype(np.float32)
@@ -114,37 +114,37 @@ def test_errors_left_out_are_those_of_a_process_without_the_touch():
         np.testing.assert_allclose(left_out[i], expected, rtol=1e-3, atol=1e-2)
 
 
-def test_no_pressure_gives_no_reading_and_one_prediction_does_not_depend_on_others():
+def test_no_pressure_gives_no_reading_and_predictions_are_independent():
     rng = np.random.default_rng(4)
     fitted = fit(HYPER, spots(rng, 30), jnp.float32(rng.normal(size=(30, CHANNELS))))
     other = spots(rng, 20)
     pressure, load = (part.at[:19].set(0) for part in other)
     mean, std = predict(fitted, ContactPressure(pressure, load))
     np.testing.assert_array_equal(mean[:19], 0)
-    # Nothing but the sensor's noise is left.
+    # Only the sensor's noise remains.
     np.testing.assert_allclose(std[:19], np.broadcast_to(np.sqrt(0.05) * fitted.scale, (19, CHANNELS)), rtol=1e-6)
-    for one, together in zip((mean, std), predict(fitted, other), strict=True):
-        # Sums of a few hundred float32 terms, through a solve with a condition of 10 / 0.05.
-        np.testing.assert_allclose(one[19], together[19], rtol=200 * 1e-5, atol=1e-5)
+    for alone, together in zip((mean, std), predict(fitted, other), strict=True):
+        # Sums of a few hundred float32 terms, through a solve with a condition number of 10 / 0.05.
+        np.testing.assert_allclose(alone[19], together[19], rtol=200 * 1e-5, atol=1e-5)
 
 
-def test_cross_validation_leaves_whole_groups_out_and_the_best_of_all_steps_is_taken():
+def test_cross_validation_leaves_whole_groups_out_and_the_best_step_is_taken():
     rng = np.random.default_rng(9)
     touches, groups = spots(rng, 24), np.repeat([7, 3, 9, 1], 6)
     readings = smooth_readings(rng, touches)
-    # As many folds as groups: each is left out once, however they were shuffled.
+    # There are as many folds as groups, so each group is left out once, however they are shuffled.
     chosen, explained = gp.choose_hyperparameters(touches, jnp.asarray(readings), groups, steps=8)
     start = GPHyperparameters(jnp.full(5, 0.2), jnp.array(0.5), jnp.array(1.0), jnp.exp(-2.0))
     at_start, rounding = explained_between_groups(start, touches, readings, groups)
     assert abs(float(explained[0]) - at_start) < rounding
     best, rounding = explained_between_groups(chosen, touches, readings, groups)
     explained = np.sort(explained)
-    # It can be told from all other steps, so that taking any of them would show.
+    # The best step differs enough from all others that a wrong choice would show.
     assert explained[-1] - explained[-2] > 2 * rounding
     assert abs(best - explained[-1]) < rounding
 
 
-def test_what_cannot_be_chosen_from_is_refused():
+def test_touches_without_groups_or_finite_readings_are_refused():
     touches, readings = spots(np.random.default_rng(8), 24), np.ones((24, CHANNELS), np.float32)
     with pytest.raises(ValueError, match="at least two groups"):
         gp.choose_hyperparameters(touches, jnp.asarray(readings), np.zeros(24, int))

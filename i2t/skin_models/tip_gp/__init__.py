@@ -1,4 +1,6 @@
-"""Gaussian process of one tip on one skin: `population` is the model, its covariance is in `kernel`, its members are in
-`prior`, and what it weighs them by is in `left_out`. `structured` is one of its kernels by given hyperparameters,
-`candidates` are boards that the skin's may be, and `plain` is the baseline.
+"""Gaussian process of one tip on one skin.
+
+`population` is the model, `kernel` its covariance, `prior` its members and `left_out` the errors that weigh them.
+`structured` is a single kernel with given hyperparameters, `candidates` lists boards that a skin may have, and `plain`
+is the baseline.
 """

@@ -1,8 +1,8 @@
-"""Candidate boards of a skin whose board is unknown: the named ones of as many chips, in four turns each.
+"""Candidate boards of a skin whose board is unknown: named boards with the same number of chips, in four rotations.
 
-Where a chip has its largest share of the readings' power, it lies: the presses' positions weighted by these shares have
-a centre for each chip, and boards are ranked by how well these centres lie as their chips do. The few that fit best are
-candidates. Which of them it is, or none, is for what presses left out say (`i2t.skin_models.tip_gp.population`).
+A chip is near the positions where it has a large share of the readings' power. The mean of the presses' positions,
+weighted by these shares, estimates where each chip lies, and boards are ranked by how well these estimates match their
+chips. The best few are candidates; leave-one-out errors decide between them (`i2t.skin_models.tip_gp.population`).
 """
 
 import numpy as np
@@ -10,51 +10,48 @@ from jaxtyping import Float
 
 from i2t.skin.boards import AXES_OF_CHIP, BOARDS
 
-MAX_CANDIDATE_BOARDS = 2
-MIN_RANKED_PRESSES = 3
-QUARTER_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
-SAME_M = 1e-6  # chips that differ by less are in one place
-
 
 def board_candidates(
-    positions: Float[np.ndarray, "n 2"], readings: Float[np.ndarray, "n c"]
+    positions: Float[np.ndarray, "n 2"], readings: Float[np.ndarray, "n c"], *, limit: int = 2
 ) -> dict[str, Float[np.ndarray, "chips 2"]]:
-    """Boards that best fit the places where each chip reads most.
+    """List the boards that best match the places where each chip reads most.
 
     Args:
-        positions: Of the presses (m).
-        readings: Of the presses (uT).
+        positions: `(n, 2)` positions of the presses (m).
+        readings: `(n, c)` readings of the presses (uT).
+        limit: Maximum number of boards.
 
     Returns:
-        Positions of the chips (m) of at most MAX_CANDIDATE_BOARDS boards by name, the best first; none where no board
-        of a name has as many chips, or presses say nothing of where chips are.
+        Chip positions `(chips, 2)` (m) of at most `limit` boards by name, the best first. There are none if no named
+        board has this number of chips, or if the presses do not show where the chips are.
     """
     chips = readings.shape[1] // AXES_OF_CHIP
-    if readings.shape[1] % AXES_OF_CHIP or len(positions) < MIN_RANKED_PRESSES or not np.ptp(positions, axis=0).all():
+    if readings.shape[1] % AXES_OF_CHIP or len(positions) < 3 or not np.ptp(positions, axis=0).all():
         return {}
-    found = _named_boards(chips)
-    fit = {name: _fit(positions, readings, at) for name, at in found.items()}
-    best = sorted((name for name in found if fit[name] > 0), key=lambda name: -fit[name])
-    return {name: found[name] for name in best[:MAX_CANDIDATE_BOARDS]}
+    boards = _named_boards(chips)
+    fit = {name: _fit(positions, readings, at) for name, at in boards.items()}
+    best = sorted((name for name in boards if fit[name] > 0), key=lambda name: -fit[name])
+    return {name: boards[name] for name in best[:limit]}
 
 
 def _named_boards(chips: int) -> dict[str, np.ndarray]:
-    """Chip positions of named boards in four turns; equal ones are left out."""
-    found: dict[str, np.ndarray] = {}
+    """List the chip positions of the named boards in four rotations, without duplicates (within 1 um)."""
+    quarter_turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    boards: dict[str, np.ndarray] = {}
     for name, make in BOARDS.items():
         at = np.asarray(make().chips[:, :2], np.float64)
         for quarters in range(4) if len(at) == chips else ():
-            turned = at @ np.linalg.matrix_power(QUARTER_TURN, quarters).T
-            if not any(np.abs(turned - other).max() < SAME_M for other in found.values()):
-                found[f"{name} turned by {90 * quarters} degrees" if quarters else name] = turned
-    return found
+            turned = at @ np.linalg.matrix_power(quarter_turn, quarters).T
+            if not any(np.abs(turned - other).max() < 1e-6 for other in boards.values()):
+                boards[f"{name} turned by {90 * quarters} degrees" if quarters else name] = turned
+    return boards
 
 
 def _fit(positions: np.ndarray, readings: np.ndarray, chips: np.ndarray) -> float:
-    """Correlation of chip positions with the centres of their share of the readings' power."""
+    """Correlate the chip positions with the estimates from the chips' shares of the readings' power."""
     power = (readings.reshape(len(readings), len(chips), AXES_OF_CHIP) ** 2).sum(2)
     share = power / np.maximum(power.sum(1, keepdims=True), 1e-12)
     centre = share.T @ (positions - positions.mean(0)) / np.maximum(share.sum(0), 1e-12)[:, None]
-    centre, lie = centre - centre.mean(0), chips - chips.mean(0)
-    size = np.sqrt((centre**2).sum() * (lie**2).sum())
-    return float((centre * lie).sum() / size) if size > 0 else 0.0
+    centre, offset = centre - centre.mean(0), chips - chips.mean(0)
+    size = np.sqrt((centre**2).sum() * (offset**2).sum())
+    return float((centre * offset).sum() / size) if size > 0 else 0.0

@@ -1,19 +1,19 @@
-"""The covariance of readings over presses, for many candidate skins at once.
+"""Covariance of readings over presses, for many candidate skins at once.
 
-A press has a position x (m, tool frame) and a load d, its depth or its normal force in units of the recording's typical
-load (root mean square), so that one kernel serves both. A reading of a channel of chip p is
+A press has a position x (m, tool frame) and a load d. The load is its depth or its normal force in units of the
+recording's typical load (root mean square), so that one kernel serves both. A reading of a channel of chip p is
 
   y(x, d) = e_p(x) [f(d) g(x) + f(d) b(x, d) + g0(x)] + const + noise,
   f(d) = ((d + load_offset) / (1 + load_offset))^load_power,
 
-a map g stretched by the load, a part b whose shape changes with the load, a part
-g0 that does not depend on it (skins that stay displaced), a constant, and noise with a part that grows with the signal.
-The amplitude e_p falls with the distance of x from chip p. Map and bend have together the variance 1 at the typical
-load; all variances are relative to the square of a channel's scale.
+with a map g that the load scales, a bend b whose shape changes with the load, a static part g0 that does not depend on
+the load (skins that stay displaced), a constant, and noise with a part that grows with the signal. The amplitude e_p
+falls with the distance of x from chip p. Map and bend together have the variance 1 at the typical load. All variances
+are relative to the square of a channel's scale.
 
 A plain Gaussian process is one of these kernels: no growth with the load, no map, a bend and a large constant.
 
-NumPy, so that no number of presses compiles. Kernels are stacked along a leading axis s.
+The module uses NumPy, so that it compiles for no number of presses. Kernels are stacked along a leading axis s.
 """
 
 from typing import NamedTuple
@@ -23,9 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from i2t.types import in_one_line
 
-LOAD_STEP = 1e-3  # typical loads, half of the central difference of `load_slopes`
-MIN_RESPONSE_BASE = 1e-3  # of f: loads below zero
-UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not know where the chips are
+UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not use chip positions
 
 
 @in_one_line
@@ -35,7 +33,7 @@ class SkinKernels(NamedTuple):
     load_power: Float[np.ndarray, " s"]
     load_offset: Float[np.ndarray, " s"]  # typical loads
     map_length: Float[np.ndarray, " s"]  # m, of g
-    bend_share: Float[np.ndarray, " s"]  # of the variance of g and b together
+    bend_share: Float[np.ndarray, " s"]  # share of b in the variance of g and b together
     bend_length: Float[np.ndarray, " s"]  # m
     bend_load_width: Float[np.ndarray, " s"]  # typical loads
     static_variance: Float[np.ndarray, " s"]  # of g0
@@ -43,39 +41,39 @@ class SkinKernels(NamedTuple):
     constant_variance: Float[np.ndarray, " s"]
     noise_variance: Float[np.ndarray, " s"]
     gain_noise_variance: Float[np.ndarray, " s"]  # of noise that grows with e f
-    chip_reach: Float[np.ndarray, " s"]  # m, over which e falls
-    far_amplitude: Float[np.ndarray, " s"]  # e far from the chip; 1 where it does not fall
+    chip_reach: Float[np.ndarray, " s"]  # m, distance over which e falls
+    far_amplitude: Float[np.ndarray, " s"]  # e far from the chip; 1 if e does not fall
 
 
 class PressGeometry(NamedTuple):
-    """Positions and loads as kernels use them."""
+    """Positions and loads in the form that kernels use."""
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # typical loads
-    chip_square: Float[np.ndarray, "chips n"] | None  # m^2, squared distance from each chip
+    chip_square: Float[np.ndarray, "chips n"] | None  # m^2, squared distances from the chips
 
 
 def take(kernels: SkinKernels, which: Int[np.ndarray, " k"] | Bool[np.ndarray, " s"] | slice) -> SkinKernels:
-    """Some of the kernels.
+    """Select kernels.
 
     Args:
-        kernels: All of them.
-        which: Their numbers, or a mask.
+        kernels: A stack of s kernels.
+        which: Numbers of the selected kernels, a mask `(s,)` or a slice.
 
     Returns:
-        Those.
+        A stack of the selected kernels.
     """
     return SkinKernels(*(values[which] for values in kernels))
 
 
 def join(*parts: SkinKernels) -> SkinKernels:
-    """Kernels one after the other.
+    """Concatenate stacks of kernels.
 
     Args:
         parts: Stacks of kernels.
 
     Returns:
-        One stack.
+        One stack of all kernels in the given order.
     """
     return SkinKernels(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
@@ -85,56 +83,57 @@ def geometry(
     load: Float[np.ndarray, " n"],
     chip_positions: Float[np.ndarray, "chips 2"] | None,
 ) -> PressGeometry:
-    """Geometry of presses for kernels.
+    """Prepare the geometry of presses for kernels.
 
     Args:
-        position: Positions (m).
-        load: Loads (typical loads).
-        chip_positions: Positions of the chips (m) where they are known.
+        position: `(n, 2)` positions of the presses (m).
+        load: `(n,)` loads of the presses (typical loads).
+        chip_positions: `(chips, 2)` chip positions (m), if they are known.
 
     Returns:
-        The geometry.
+        Positions, loads and squared distances from the chips.
     """
     square = None if chip_positions is None else squared_distance(chip_positions, position)
     return PressGeometry(position, load, square)
 
 
 def squared_distance(a: Float[np.ndarray, "a 2"], b: Float[np.ndarray, "b 2"]) -> Float[np.ndarray, "a b"]:
-    """Squared distances between points of the plane.
+    """Compute the squared distances between points of the plane.
 
     Args:
-        a: Points (m).
-        b: Other points (m).
+        a: `(a, 2)` points (m).
+        b: `(b, 2)` other points (m).
 
     Returns:
-        Squared distances (m^2).
+        `(a, b)` squared distances (m^2).
     """
     return (a[:, None, 0] - b[None, :, 0]) ** 2 + (a[:, None, 1] - b[None, :, 1]) ** 2
 
 
 def responses(kernels: SkinKernels, load: Float[np.ndarray, " n"]) -> Float[np.ndarray, "s n"]:
-    """Growth of the signal with the load: f, 1 at the typical load.
+    """Compute f, the growth of the signal with the load, which is 1 at the typical load.
 
     Args:
-        kernels: Power and offset.
-        load: Loads (typical loads).
+        kernels: A stack of s kernels.
+        load: `(n,)` loads (typical loads).
 
     Returns:
-        f of each kernel and load.
+        `(s, n)` values of f, one for each kernel and load.
     """
     offset = kernels.load_offset[:, None]
-    return np.maximum((load[None, :] + offset) / (1 + offset), MIN_RESPONSE_BASE) ** kernels.load_power[:, None]
+    base = np.maximum((load[None, :] + offset) / (1 + offset), 1e-3)  # loads may be negative
+    return base ** kernels.load_power[:, None]
 
 
 def amplitudes(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
-    """Amplitude e of each group of channels: a group for each chip, or one of all without chips.
+    """Compute the amplitude e of each group of channels: one group for each chip, or a single one without chips.
 
     Args:
-        kernels: Reach of a chip and amplitude far from it.
-        at: Presses.
+        kernels: A stack of s kernels.
+        at: Geometry of n presses.
 
     Returns:
-        Amplitudes.
+        `(s, groups, n)` amplitudes, dimensionless.
     """
     if at.chip_square is None:
         return np.ones((len(kernels.load_power), 1, len(at.load)))
@@ -144,15 +143,15 @@ def amplitudes(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s 
 
 
 def signal_covariances(kernels: SkinKernels, a: PressGeometry, b: PressGeometry) -> Float[np.ndarray, "s groups a b"]:
-    """Covariances of the readings of two sets of presses, without noise.
+    """Compute the covariances of the readings of two sets of presses, without noise.
 
     Args:
-        kernels: s of them.
+        kernels: A stack of s kernels.
         a: Presses, one for each row.
         b: Presses, one for each column.
 
     Returns:
-        A matrix for each kernel and group of channels.
+        `(s, groups, a, b)` matrices, one for each kernel and group of channels.
     """
     square = squared_distance(a.position, b.position)[None]
     load_square = ((a.load[:, None] - b.load[None, :]) ** 2)[None]
@@ -169,43 +168,46 @@ def signal_covariances(kernels: SkinKernels, a: PressGeometry, b: PressGeometry)
 
 
 def signal_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
-    """Diagonals of `signal_covariances` of presses with themselves.
+    """Compute the diagonals of `signal_covariances` of presses with themselves.
 
     Args:
-        kernels: s of them.
-        at: Presses.
+        kernels: A stack of s kernels.
+        at: Geometry of n presses.
 
     Returns:
-        Variances of each kernel, group of channels and press.
+        `(s, groups, n)` variances of each kernel, group of channels and press.
     """
     inner = responses(kernels, at.load) ** 2 + kernels.static_variance[:, None]
     return amplitudes(kernels, at) ** 2 * inner[:, None, :] + kernels.constant_variance[:, None, None]
 
 
 def noise_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
-    """Variances of the noise.
+    """Compute the variances of the noise.
 
     Args:
-        kernels: s of them.
-        at: Presses.
+        kernels: A stack of s kernels.
+        at: Geometry of n presses.
 
     Returns:
-        Variances of each kernel, group of channels and press.
+        `(s, groups, n)` variances of each kernel, group of channels and press.
     """
     grown = (amplitudes(kernels, at) * responses(kernels, at.load)[:, None, :]) ** 2
     return kernels.noise_variance[:, None, None] + kernels.gain_noise_variance[:, None, None] * grown
 
 
-def load_slopes(kernels: SkinKernels, a: PressGeometry, b: PressGeometry) -> Float[np.ndarray, "s groups a b"]:
-    """Derivatives of `signal_covariances` by the load of the rows, by central differences.
+def load_slopes(
+    kernels: SkinKernels, a: PressGeometry, b: PressGeometry, *, step: float = 1e-3
+) -> Float[np.ndarray, "s groups a b"]:
+    """Compute the derivatives of `signal_covariances` by the load of the rows, by central differences.
 
     Args:
-        kernels: s of them.
+        kernels: A stack of s kernels.
         a: Presses, one for each row.
         b: Presses, one for each column.
+        step: Half of the difference of the loads (typical loads).
 
     Returns:
-        Derivatives for one typical load.
+        `(s, groups, a, b)` derivatives per typical load.
     """
-    high, low = (signal_covariances(kernels, a._replace(load=a.load + sign * LOAD_STEP), b) for sign in (1, -1))
-    return (high - low) / (2 * LOAD_STEP)
+    high, low = (signal_covariances(kernels, a._replace(load=a.load + sign * step), b) for sign in (1, -1))
+    return (high - low) / (2 * step)

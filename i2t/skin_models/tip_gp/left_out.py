@@ -1,4 +1,4 @@
-"""Each press as predicted from all others, in closed form (`i2t.leave_one_out`) and for many kernels at once."""
+"""Leave-one-out predictions of presses in closed form (`i2t.leave_one_out`), for many kernels at once."""
 
 import contextlib
 from collections.abc import Iterator
@@ -13,49 +13,43 @@ from i2t.leave_one_out import UNINFORMED_VARIANCE, inverses, leave_out_parts, le
 from i2t.skin_models.tip_gp import kernel
 from i2t.skin_models.tip_gp.kernel import PressGeometry, SkinKernels
 
-CHUNK_VALUES = 3_000_000  # of matrices that are held at once
-ONE_THREAD_PRESSES = 400  # most presses for which BLAS gets one thread
-SHARED_SCALE_PRESSES = 2.0  # presses' worth of belief that all channels have one scale
-MIN_SCALE_UT = 1e-3
-CURVE_CELLS = 64  # of a curve that fills the plane, along an edge; a power of two
-
 
 class Observed(NamedTuple):
-    """Readings that kernels explain."""
+    """Readings to be explained by kernels."""
 
     target: Float[np.ndarray, "n c"]  # uT
-    extra_noise: Float[np.ndarray, "n groups"]  # relative variance of presses that are no good
+    extra_noise: Float[np.ndarray, "n groups"]  # additional relative variance of outlying presses
 
 
 class LeftOutPresses(NamedTuple):
-    """n presses predicted from each other by s kernels."""
+    """Leave-one-out predictions of n presses by s kernels."""
 
     error: Float[np.ndarray, "s n c"]  # uT, reading minus mean
     variance: Float[np.ndarray, "s n c"]  # uT^2, noise included
     scale: Float[np.ndarray, "s c"]  # uT
-    part_error: Float[np.ndarray, "s n c"]  # uT, with all presses of a part left out together
+    part_error: Float[np.ndarray, "s n c"]  # uT, if all presses of a part are left out together
     part_variance: Float[np.ndarray, "s n c"]  # uT^2
 
 
 class Conditioned(NamedTuple):
-    """One kernel given n presses; groups of channels have systems of their own."""
+    """One kernel conditioned on n presses; each group of channels has a system of its own."""
 
     inverse: Float[np.ndarray, "groups n n"]
     weights: Float[np.ndarray, "n c"]
     scale: Float[np.ndarray, " c"]  # uT
 
 
-def one_thread_for_few(presses: int) -> contextlib.AbstractContextManager[Any]:
-    """Give BLAS one thread while matrices of few presses are computed, because threads that wait for each other cost
-    many times what such a matrix does.
+def limit_blas_threads(presses: int, *, limit: int = 400) -> contextlib.AbstractContextManager[Any]:
+    """Give BLAS one thread for the matrices of few presses, because waiting threads cost more than such a matrix.
 
     Args:
-        presses: Number of presses, the edge of the matrices.
+        presses: Number of presses, which is the size of the matrices.
+        limit: Maximum number of presses with one thread.
 
     Returns:
-        A context in which BLAS has one thread, or as many as before if there are many presses.
+        A context in which BLAS has one thread, or as many as before if there are more presses than the limit.
     """
-    return _blas().limit(limits=1 if presses <= ONE_THREAD_PRESSES else None, user_api="blas")
+    return _blas().limit(limits=1 if presses <= limit else None, user_api="blas")
 
 
 @cache
@@ -66,16 +60,16 @@ def _blas() -> ThreadpoolController:
 def left_out(
     kernels: SkinKernels, at: PressGeometry, observed: Observed, part: Int[np.ndarray, " n"] | None = None
 ) -> LeftOutPresses:
-    """Predict each press from all others with each kernel, and from all that are not of its part.
+    """Predict each press from all others with each kernel, and from all presses that are not of its part.
 
     Args:
-        kernels: s of them.
-        at: The presses.
-        observed: Their readings.
-        part: Number of the part in which each press lies; by default each is a part of its own.
+        kernels: A stack of s kernels.
+        at: Geometry of the n presses.
+        observed: Readings of the presses.
+        part: `(n,)` number of each press's part; by default each press is a part of its own.
 
     Returns:
-        Errors, variances and scales.
+        Errors, variances and scales of the predictions.
     """
     n, c = observed.target.shape
     s = len(kernels.load_power)
@@ -91,35 +85,35 @@ def left_out(
     return LeftOutPresses(error, variance, scale, part_error, part_variance)
 
 
-def parts_that_lie_together(position: Float[np.ndarray, "n 2"], parts: int) -> Int[np.ndarray, " n"]:
-    """Cut positions along a curve that fills the plane (Morton's) into parts of equally many presses.
+def spatial_parts(position: Float[np.ndarray, "n 2"], parts: int, *, curve_bits: int = 6) -> Int[np.ndarray, " n"]:
+    """Cut positions into parts of equal size along a space-filling curve (Morton's).
 
     Args:
-        position: Of the presses (m).
-        parts: How many.
+        position: `(n, 2)` positions of the presses (m).
+        parts: Number of parts.
+        curve_bits: Bits of the curve's resolution along each axis.
 
     Returns:
-        Number of the part of each press, from 0.
+        `(n,)` number of each press's part, from 0.
     """
     n, extent = len(position), max(float(np.ptp(position, axis=0).max()), 1e-9)
-    cell = ((CURVE_CELLS - 1) * (position - position.min(0)) / extent).astype(int)
-    bits = range(CURVE_CELLS.bit_length() - 1)
-    along = sum(((cell[:, axis] >> bit) & 1) << (2 * bit + axis) for bit in bits for axis in (0, 1))
+    cell = ((2**curve_bits - 1) * (position - position.min(0)) / extent).astype(int)
+    along = sum(((cell[:, axis] >> bit) & 1) << (2 * bit + axis) for bit in range(curve_bits) for axis in (0, 1))
     part = np.empty(n, int)
     part[np.argsort(along, kind="stable")] = np.sort(np.arange(n) % min(parts, n))
     return part
 
 
 def left_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Float[np.ndarray, "s n c"]:
-    """Slopes by the load of the means of presses left out.
+    """Compute the slopes of the leave-one-out means by the load.
 
     Args:
-        kernels: s of them.
-        at: The presses.
-        observed: Their readings.
+        kernels: A stack of s kernels.
+        at: Geometry of the n presses.
+        observed: Readings of the presses.
 
     Returns:
-        uT for one typical load.
+        `(s, n, c)` slopes (uT per typical load).
     """
     slopes = []
     for i, given in enumerate(condition_all(kernels, at, observed)):
@@ -127,7 +121,7 @@ def left_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed)
         groups = len(given.inverse)
         change = np.broadcast_to(change, (groups, *change.shape[1:]))
         weights = grouped(given.weights, groups)
-        # Weights without press i are w - A_i w_i / A_ii, A the inverse: zero at i itself.
+        # The weights without press i are w - A_i w_i / A_ii, where A is the inverse; they vanish at i itself.
         own = np.einsum("gij,gji->gi", change, given.inverse)[..., None]
         lost = leave_out_rows(np.diagonal(given.inverse, axis1=1, axis2=2), own * weights).error
         slopes.append(ungrouped(change @ weights - lost))
@@ -138,65 +132,68 @@ def condition_all(kernels: SkinKernels, at: PressGeometry, observed: Observed) -
     """Condition kernels on the presses, one after the other.
 
     Args:
-        kernels: s of them.
-        at: The presses.
-        observed: Their readings.
+        kernels: A stack of s kernels.
+        at: Geometry of the n presses.
+        observed: Readings of the presses.
 
     Yields:
-        Each kernel given the presses.
+        Each kernel conditioned on the presses.
     """
     n, groups = observed.extra_noise.shape
     for part in _chunks(len(kernels.load_power), groups * n * n):
         some = kernel.take(kernels, part)
         signal, noise = kernel.signal_covariances(some, at, at), kernel.noise_variances(some, at)
-        for one, own_noise in zip(signal, noise, strict=True):
-            many = max(len(one), groups)
+        for covariance, own_noise in zip(signal, noise, strict=True):
+            many = max(len(covariance), groups)
             noise_of = np.broadcast_to(own_noise, (many, n)) + observed.extra_noise.T
-            system = np.array(np.broadcast_to(one, (many, n, n)))
+            system = np.array(np.broadcast_to(covariance, (many, n, n)))
             system[:, np.arange(n), np.arange(n)] += noise_of
             yield _condition(system, observed)
 
 
 def grouped(values: Float[np.ndarray, "n c"], groups: int) -> Float[np.ndarray, "groups n each"]:
-    """Channels that share a system, those of one chip or all, next to each other.
+    """Group the channels that share a system: those of one chip, or all channels.
 
     Args:
-        values: Of all channels.
-        groups: Their number.
+        values: `(n, c)` values of all channels.
+        groups: Number of groups.
 
     Returns:
-        The same values.
+        `(groups, n, c / groups)` values of each group.
     """
     return np.swapaxes(values.reshape(len(values), groups, -1), 0, 1)
 
 
 def ungrouped(values: Float[np.ndarray, "groups n each"]) -> Float[np.ndarray, "n c"]:
-    """The inverse of `grouped`.
+    """Undo `grouped`.
 
     Args:
-        values: Of groups of channels.
+        values: `(groups, n, c / groups)` values of each group.
 
     Returns:
-        The same values.
+        `(n, c)` values of all channels.
     """
     return np.swapaxes(values, 0, 1).reshape(values.shape[1], -1)
 
 
 def _condition(system: np.ndarray, observed: Observed) -> Conditioned:
-    """One kernel, from the covariances (groups, n, n) of the readings."""
+    """Condition one kernel, given the covariances (groups, n, n) of the readings."""
     inverse = inverses(system, failed=1 / UNINFORMED_VARIANCE)
     weights = ungrouped(inverse @ grouped(observed.target, len(inverse)))
     return Conditioned(inverse, weights, _channel_scale(observed.target, weights))
 
 
-def _channel_scale(target: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Scale of each channel: its most likely value, drawn to that of all channels."""
+def _channel_scale(
+    target: np.ndarray, weights: np.ndarray, *, shared_presses: float = 2.0, min_scale: float = 1e-3
+) -> np.ndarray:
+    """Estimate the scale (uT) of each channel: its most likely value, shrunk towards that of all channels."""
     n, square = len(target), np.sum(target * weights, axis=0)
-    shrunk = (square + SHARED_SCALE_PRESSES * np.mean(square) / n) / (n + SHARED_SCALE_PRESSES)
-    return np.sqrt(np.maximum(shrunk, MIN_SCALE_UT**2))
+    shrunk = (square + shared_presses * np.mean(square) / n) / (n + shared_presses)
+    return np.sqrt(np.maximum(shrunk, min_scale**2))
 
 
-def _chunks(count: int, values: int) -> Iterator[slice]:
-    size = max(1, CHUNK_VALUES // max(values, 1))
+def _chunks(count: int, values: int, *, max_values: int = 3_000_000) -> Iterator[slice]:
+    """Cut a stack of matrices into chunks, so that memory holds at most this number of values at once."""
+    size = max(1, max_values // max(values, 1))
     for start in range(0, count, size):
         yield slice(start, min(start + size, count))

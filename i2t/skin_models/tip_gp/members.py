@@ -1,4 +1,4 @@
-"""Members of the mixture that one skin's Gaussian process is: kernels of a population, each on a load and a board."""
+"""Members of the mixture that models one skin: kernels of a population, each for one load and one board."""
 
 from typing import NamedTuple
 
@@ -11,82 +11,91 @@ from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
 from i2t.types import in_one_line
 
 NO_BOARD = -1
-BOARD_SHARE = 0.5  # of the prior, of kernels that know where the chips are
-PREVIOUS_SHARE = 0.5  # of the prior, of a previous session as the mean where there is one
-PREVIOUS_NOISE_FACTORS = (1.0, 10.0, 100.0)  # on the noise of kernels that explain what a previous session leaves
 
 
 @in_one_line
 class Components(NamedTuple):
-    """Members of the mixture."""
+    """Members of a mixture."""
 
     kernels: SkinKernels
     load_column: Int[np.ndarray, " k"]
     uses_previous: Bool[np.ndarray, " k"]
     log_share: Float[np.ndarray, " k"]
-    board: Int[np.ndarray, " k"]  # number of the board whose chips it knows, or NO_BOARD
+    board: Int[np.ndarray, " k"]  # number of the board whose chips the member uses, or NO_BOARD
 
 
-def on_boards(kernels: SkinKernels, log_share: Float[np.ndarray, " s"], column: int, boards: int) -> Components:
-    """Members of kernels: all of them without chips, and those that know chips once for each board.
+def on_boards(
+    kernels: SkinKernels,
+    log_share: Float[np.ndarray, " s"],
+    column: int,
+    boards: int,
+    *,
+    board_weight: float = 0.5,
+) -> Components:
+    """Make members of kernels: all kernels once without chips, and those that use chips once for each board.
 
     Args:
-        kernels: s of them.
-        log_share: Logarithms of their shares of the population.
-        column: Of the loads, which the members take.
-        boards: How many boards may be the skin's.
+        kernels: A stack of s kernels.
+        log_share: `(s,)` logarithms of the kernels' shares of the population.
+        column: Column of the loads that the members use.
+        boards: Number of boards that the skin may have.
+        board_weight: Prior weight of the members that use chip positions.
 
     Returns:
-        The members.
+        The members, without chips first and then board by board.
     """
 
     def on(board: int, which: np.ndarray, share: float) -> Components:
-        of, some = kernel.take(kernels, which), log_share[which]
+        some_kernels, some = kernel.take(kernels, which), log_share[which]
         if board == NO_BOARD:
-            of = of._replace(far_amplitude=np.full(len(some), UNIFORM_FAR_AMPLITUDE))
-        every = np.ones(len(some), int)
+            some_kernels = some_kernels._replace(far_amplitude=np.full(len(some), UNIFORM_FAR_AMPLITUDE))
+        ones = np.ones(len(some), int)
         return Components(
-            kernels=of,
-            load_column=column * every,
+            kernels=some_kernels,
+            load_column=column * ones,
             uses_previous=np.zeros(len(some), bool),
             log_share=some - logsumexp(some) + np.log(share),
-            board=board * every,
+            board=board * ones,
         )
 
     falls = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     boards = boards if falls.any() else 0
-    without = on(NO_BOARD, np.ones(len(falls), bool), 1 - BOARD_SHARE if boards else 1.0)
-    return join_members(without, *(on(board, falls, BOARD_SHARE / boards) for board in range(boards)))
+    without = on(NO_BOARD, np.ones(len(falls), bool), 1 - board_weight if boards else 1.0)
+    return join_members(without, *(on(board, falls, board_weight / boards) for board in range(boards)))
 
 
-def with_previous(components: Components) -> Components:
-    """Members joined by others, mostly noise, for what a previous session leaves of the readings.
+def with_previous(
+    components: Components, *, previous_weight: float = 0.5, noise_factors: tuple[float, ...] = (1.0, 10.0, 100.0)
+) -> Components:
+    """Add members that model the difference of the readings from the prediction of a previous session.
 
     Args:
-        components: For the readings.
+        components: Members that model the readings.
+        previous_weight: Prior weight of the added members.
+        noise_factors: Factors on the noise of the added members, since the difference is mostly noise.
 
     Returns:
-        Both.
+        The given members, followed by the added ones for each factor.
     """
-    fresh = np.log(1 - PREVIOUS_SHARE)
+    fresh = np.log(1 - previous_weight)
     parts = [components._replace(log_share=components.log_share + fresh)]
     yes = np.ones(len(components.log_share), bool)
-    for factor in PREVIOUS_NOISE_FACTORS:
+    for factor in noise_factors:
         noisier = components.kernels._replace(noise_variance=factor * components.kernels.noise_variance)
-        share = PREVIOUS_SHARE / len(PREVIOUS_NOISE_FACTORS)
+        share = previous_weight / len(noise_factors)
         log_share = components.log_share + np.log(share)
         parts.append(components._replace(log_share=log_share, kernels=noisier, uses_previous=yes))
     return join_members(*parts)
 
 
 def join_members(*parts: Components) -> Components:
-    """Members one after the other.
+    """Concatenate members.
 
     Args:
-        parts: Of a mixture.
+        parts: Members of a mixture.
 
     Returns:
-        All members.
+        All members in the given order.
     """
     names = Components._fields[1:]
     rest = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
@@ -94,14 +103,14 @@ def join_members(*parts: Components) -> Components:
 
 
 def take_members(components: Components, which: Int[np.ndarray, " j"]) -> Components:
-    """Some of the members.
+    """Select members.
 
     Args:
-        components: All of them.
-        which: Their numbers.
+        components: All members.
+        which: `(j,)` numbers of the selected members.
 
     Returns:
-        These members.
+        The j selected members.
     """
     rest = {name: getattr(components, name)[which] for name in Components._fields[1:]}
     return Components(kernels=kernel.take(components.kernels, which), **rest)

@@ -1,33 +1,34 @@
-"""A Gaussian process of one skin whose hyperparameters are marginalised over a population of skins.
+"""Gaussian process of one skin whose hyperparameters are marginalised over a population of skins.
 
-It is a mixture over the population of kernels (`prior`, `kernel`), weighted by presses left out (`left_out`).
+The model is a mixture over the kernels of the population (`prior`, `kernel`), weighted by leave-one-out errors
+(`left_out`).
 
-Marginal likelihood misled on real presses, so a kernel's weight is its share of the population times what it is worth
-in predicting presses left out: its log density (Student's t, so that one bad press does not decide; pseudo-Bayesian
-model averaging, Gelfand and Dey, JRSS B 56, 1994; Yao et al., Bayesian Analysis 13, 2018) and its squared error. Both
-are tempered because presses and channels are not independent; the exponents were chosen on simulated skins. Channels
-may lean to kernels of their own (one chip may be noisier than the others).
+Marginal likelihood was misleading on real presses. The weight of a kernel is therefore its share of the population
+times two leave-one-out scores: the log density (Student's t, so that one bad press does not decide; pseudo-Bayesian
+model averaging, Gelfand and Dey, JRSS B 56, 1994; Yao et al., Bayesian Analysis 13, 2018) and the squared error. Both
+are tempered, because presses and channels are not independent. Each channel may favour kernels of its own, since one
+chip may be noisier than the others.
 
-What is best among the presses need not be best where nothing was pressed. So there are two sets of weights: near the
-presses by presses left out one by one, and far from them by presses left out with all that lie together. A prediction
-takes a weighted mean of both, by its distance from the nearest press.
+The kernel that is best among the presses may not be the best far from them. There are therefore two sets of weights:
+near the presses, mainly from presses left out one by one; far from them, mainly from presses left out together with
+their neighbours. A prediction uses a weighted mean of both, by its distance from the nearest press.
 
-A few presses cannot tell hundreds of kernels apart, so that the mixture may be worse than a plain Gaussian process of
-the same presses. At last it is stacked with that process, channel by channel, near the presses and far from them
-(Wolpert, Neural Networks 5, 1992; Breiman, Machine Learning 24, 1996): the squared error of the parts that are left
-out, each predicted by weights that it had no part in, decides, with a share of the plain process that falls with the
+A few presses cannot distinguish hundreds of kernels, and the mixture may then be worse than a plain Gaussian process.
+It is therefore stacked with that process, channel by channel, near the presses and far from them (Wolpert, Neural
+Networks 5, 1992; Breiman, Machine Learning 24, 1996). The share of each is chosen by the squared error of parts left
+out, each predicted with weights that were computed without it. The plain process keeps a share that falls with the
 number of presses.
 
-Kernels whose amplitude falls with the distance from a chip are members once with the chips of the skin's board, and all
-kernels once without chips; what is left out weighs the board as it weighs kernels. Of several boards that may be the
-skin's, a short list of kernels chooses one by presses left out, and only that one takes part.
+Kernels whose amplitude falls with the distance from a chip are members twice: with the chips of the skin's board and
+without chips. Leave-one-out errors weigh the board as they weigh kernels. If several boards are possible, a short list
+of kernels chooses one of them by leave-one-out errors, and only that board takes part.
 
-Presses that lie far outside their stated errors are given more noise (Student's t errors as a scale mixture; West,
-JRSS B 46, 1984), and local heights of the skin, common to all channels, are found from what is left along the slopes
-by the load.
+Presses far outside their stated errors are given more noise (Student's t errors as a scale mixture; West, JRSS B 46,
+1984). Local heights of the skin, common to all channels, are estimated from the errors along the slopes by the load.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,9 +39,7 @@ from scipy.stats import t as student_t
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.skin_models.tip_gp import kernel
 from i2t.skin_models.tip_gp.heights import (
-    HEIGHT_LENGTHS_M,
-    HEIGHT_STDS,
-    MIN_HEIGHT_SHARE,
+    ROUGHNESS,
     Heights,
     SlopedErrors,
     height_inverses,
@@ -56,65 +55,102 @@ from i2t.skin_models.tip_gp.left_out import (
     condition_all,
     left_out,
     left_out_slopes,
-    parts_that_lie_together,
+    spatial_parts,
     ungrouped,
 )
 from i2t.skin_models.tip_gp.members import NO_BOARD, Components, join_members, on_boards, take_members, with_previous
 from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior, with_plain
 from i2t.types import in_one_line
 
-DENSITY_EXPONENT = 0.3  # of the leave-one-out density, all channels together
-ERROR_EXPONENT = 8.0  # of the leave-one-out error, in presses' worth of one channel
-CHANNEL_EXPONENT = 0.1  # of a channel's own density, on top
-TEMPERING_PRESSES = 5.0  # beyond so many, presses add ever less to what is known of the kernel
-# A skin is also asked for where it was not pressed: presses that lie together are left out together, too.
-PARTS, MIN_PART_PRESSES = 5, 10
-NEAR_PART_SHARE, FAR_PART_SHARE = 0.25, 0.75  # of the worth, by what is left out part by part
-BOARD_KERNELS = 32  # by which one of several boards is chosen
-# Stacking with the plain process, chosen on simulated skins and on presses of one real skin.
-FAR_PLAIN_PRESSES = 2.0  # presses' worth of belief that the population adds nothing far from the presses
-STACKING_PARTS = (PARTS, 3)  # ways to cut the presses: large parts are as far from the others as edges of a skin
-STACKED_CHANNELS = 4.0  # mean channels' worth of belief that all channels are stacked alike
-DENSITY_DOF = 5.0  # of the t that leave-one-out errors are judged by
-# Presses that kernels are weighted by, and how many kernels are weighted by them.
-STAGES = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))
-KEPT_SHARE, MAX_KEPT, MAX_KEPT_OF_MANY, KEEP_FEW_BEYOND = 0.995, 48, 6, 400
-TAIL_DOF = 4.0  # of the errors' t
-TAIL_LIMIT = 9.0  # mean square of a chip's errors in standard deviations beyond which it is given more noise
-MIN_ROBUST_PRESSES = 8
-FIRST_HEIGHT_PRESSES = 10
-HEIGHT_PASSES, GIVEN_HEIGHT_PASSES = 2, 3  # the second where it is known how rough a skin is
-MIN_TYPICAL_LOAD = 1e-9
-DEFAULT_SCALING = 1.1  # of the standard deviations, on simulated skins
-SCALING_PRESSES = 10.0  # presses' worth of belief in it
-SHARED_PRESSES = 30.0  # presses' worth of belief that all channels have one
-ALL_ROWS = slice(None)
-MIN_FAR_M = 1e-4  # from where weights are those near the presses to where they are those far from them, at least
-PREDICT_ROWS = 500  # presses that are predicted at once
+
+@dataclass(frozen=True)
+class Weighting:
+    """Weights of the kernels from leave-one-out errors; the exponents were chosen on simulated skins."""
+
+    density_exponent: float = 0.3  # exponent of the leave-one-out density of all channels together
+    error_exponent: float = 8.0  # exponent of the leave-one-out error, in presses of one channel
+    channel_exponent: float = 0.1  # additional exponent of a channel's own density
+    tempering_presses: float = 5.0  # number of presses beyond which further presses add less and less
+    density_dof: float = 5.0  # degrees of freedom of the t distribution of leave-one-out errors
+    # Presses that lie together are also left out together, as a test of positions far from all presses.
+    parts: int = 5
+    min_part_presses: int = 10
+    near_part_share: float = 0.25  # share of the score from parts left out, for weights near the presses
+    far_part_share: float = 0.75  # the same for weights far from the presses
+    min_far_distance: float = 1e-4  # m, minimum distance between positions with near and with far weights
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Selection of the members of the mixture, in stages of more presses and fewer kernels."""
+
+    stages: tuple[tuple[int, int], ...] = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))  # (presses, members)
+    kept_share: float = 0.995  # share of the weight that is kept at the end
+    max_members: int = 48
+    many_presses: int = 400  # number of presses above which fewer members are kept
+    max_members_of_many: int = 6
+    board_kernels: int = 32  # kernels that choose one of several boards
+
+
+@dataclass(frozen=True)
+class Stacking:
+    """Stacking with the plain process, chosen on simulated skins and on presses of one real skin."""
+
+    far_plain_presses: float = 2.0  # prior presses, far from the others, for which the population adds nothing
+    parts: tuple[int, ...] = (5, 3)  # numbers of parts; larger parts resemble the edges of a skin
+    prior_channels: float = 4.0  # weight, in mean channels, of the share that all channels have in common
+
+
+@dataclass(frozen=True)
+class IntervalScaling:
+    """Prior of the factor on the standard deviations."""
+
+    factor: float = 1.1  # factor found on simulated skins
+    prior_presses: float = 10.0  # weight of that factor, in presses
+    shared_presses: float = 30.0  # weight of a factor common to all channels, in presses
+
+
+@dataclass(frozen=True)
+class MixtureConfig:
+    """All choices of the mixture."""
+
+    weighting: Weighting = Weighting()
+    selection: Selection = Selection()
+    stacking: Stacking = Stacking()
+    scaling: IntervalScaling = IntervalScaling()
+    tail_dof: float = 4.0  # degrees of freedom of the errors' t distribution
+    tail_limit: float = 9.0  # mean squared error of a chip, in variances, above which it is given more noise
+    min_robust_presses: int = 8
+    min_height_presses: int = 10
+    height_passes: int = 2
+    given_height_passes: int = 3  # passes if the roughness of the skin is given
+
+
+_CONFIG = MixtureConfig()
 
 
 @in_one_line
 class PressTable(NamedTuple):
-    """Presses with all that is known before their readings."""
+    """Presses, without their readings."""
 
-    position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros where no position is known
-    loads: Float[np.ndarray, "n kinds"]  # m of depth, N of force: a column for each kind of load that is known
-    previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, as a previous session predicts
+    position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros if no position is known
+    loads: Float[np.ndarray, "n kinds"]  # m of depth, N of force; one column for each kind of load that is known
+    previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, prediction of a previous session
 
 
 @in_one_line
 class PopulationGP(NamedTuple):
-    """The mixture conditioned on n presses of one skin."""
+    """Mixture conditioned on n presses of one skin."""
 
     presses: PressTable
     readings: Float[np.ndarray, "n c"]  # uT
     chip_positions: Float[np.ndarray, "boards chips 2"] | None  # m
     typical_loads: Float[np.ndarray, " kinds"]  # m or N
-    extra_noise: Float[np.ndarray, "n groups"]  # relative variance of presses that are no good
+    extra_noise: Float[np.ndarray, "n groups"]  # additional relative variance of outlying presses
     heights: Heights
     components: Components
     weights: Float[np.ndarray, "k c"]  # near the presses
-    far_weights: Float[np.ndarray, "k c"] | None = None  # far from them; None where nothing can be said
+    far_weights: Float[np.ndarray, "k c"] | None = None  # far from the presses; None if they are too few
 
 
 def fit_population(
@@ -125,25 +161,25 @@ def fit_population(
     chip_positions: Float[np.ndarray, "boards chips 2"] | None = None,
     prior: KernelPrior | None = None,
 ) -> PopulationGP:
-    """Weigh the population by the presses of one skin, and condition it on them.
+    """Weigh the kernels of a population by the presses of one skin, and condition the mixture on them.
 
     Args:
-        presses: In any order.
-        readings: Their readings (uT).
-        load_kinds: "depth" or "force", of each column of the loads.
-        chip_positions: Positions of the chips (m) of each board that may be the skin's; channels come three for each.
+        presses: n presses in any order.
+        readings: `(n, c)` readings of the presses (uT).
+        load_kinds: "depth" or "force" for each column of the loads.
+        chip_positions: `(boards, chips, 2)` chip positions (m) of each board that the skin may have. Each chip has
+            three successive channels.
         prior: Kernels of a population; by default those of the package.
 
     Returns:
-        The conditioned mixture. Of several boards, its `chip_positions` are of the one that a short list of kernels
-        chose.
+        The conditioned mixture. If several boards were given, its `chip_positions` are those of the chosen one.
     """
-    gp = _on_likeliest_board(_start(presses, readings, load_kinds, chip_positions, prior or load_prior()))
+    gp = _on_likeliest_board(_unweighted_members(presses, readings, load_kinds, chip_positions, prior or load_prior()))
     plain = _plain_processes(gp.components)
     gp = _weigh_in_stages(gp)
-    if len(readings) >= MIN_ROBUST_PRESSES:
+    if len(readings) >= _CONFIG.min_robust_presses:
         gp = _with_heavy_tails(gp)
-    if load_kinds and len(readings) >= FIRST_HEIGHT_PRESSES:
+    if load_kinds and len(readings) >= _CONFIG.min_height_presses:
         gp = _with_heights(gp)
     return _stacked_on_plain(gp, plain)
 
@@ -158,16 +194,16 @@ def fit_one(
     height_std: float = 0.0,
     height_length: float = 1.0,
 ) -> PopulationGP:
-    """Condition one kernel, whose hyperparameters are known, on the presses of one skin.
+    """Condition one kernel with given hyperparameters on the presses of one skin.
 
     Args:
-        kernels: A stack of one.
-        presses: With one load.
-        readings: Their readings (uT).
+        kernels: A stack of one kernel.
+        presses: n presses with one load each.
+        readings: `(n, c)` readings of the presses (uT).
         typical_load: Unit of the kernel's loads (m or N).
-        chip_positions: Positions of the chips (m), where the kernel shall know them.
-        height_std: Of the skin's local heights (typical loads); 0 where it has none.
-        height_length: Over which these change (m).
+        chip_positions: `(chips, 2)` chip positions (m), if the kernel uses them.
+        height_std: Standard deviation of the skin's local heights (typical loads); 0 for a flat skin.
+        height_length: Correlation length of the heights (m).
 
     Returns:
         A mixture of this kernel alone.
@@ -175,7 +211,7 @@ def fit_one(
     board, chips = (NO_BOARD, None) if chip_positions is None else (0, chip_positions[None])
     alone = Components(kernels, np.array([0]), np.array([False]), np.zeros(1), np.array([board]))
     gp = _unweighted(presses, readings, alone, np.array([typical_load]), chips)
-    for _ in range(GIVEN_HEIGHT_PASSES if height_std else 0):
+    for _ in range(_CONFIG.given_height_passes if height_std else 0):
         gp = gp._replace(
             heights=measured_heights(np.array([height_std]), np.array([height_length]), _sloped_errors(gp))
         )
@@ -183,109 +219,112 @@ def fit_one(
 
 
 def condition(gp: PopulationGP) -> list[Conditioned]:
-    """The systems of a mixture's members, computed from saved values.
+    """Compute the linear systems of a mixture's members, which are not saved.
 
     Args:
         gp: The mixture.
 
     Returns:
-        One for each component.
+        One system for each component.
     """
-    found: dict[int, Conditioned] = {}
-    for rows, at, observed in _alike(gp):
-        given = condition_all(kernel.take(gp.components.kernels, rows), at, observed)
-        found |= dict(zip(rows.tolist(), given, strict=True))
-    return [found[i] for i in range(len(found))]
+    systems: dict[int, Conditioned] = {}
+    for rows, at, observed in _groups_by_input(gp):
+        group = condition_all(kernel.take(gp.components.kernels, rows), at, observed)
+        systems |= dict(zip(rows.tolist(), group, strict=True))
+    return [systems[i] for i in range(len(systems))]
 
 
 def predict_population(
-    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned] | None = None
+    gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned] | None = None, *, batch_size: int = 500
 ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c"]]:
     """Predict the readings of presses.
 
     Args:
         gp: The mixture of one skin.
-        presses: What is known of the presses.
-        conditioned: Its systems, where they are at hand.
+        presses: m presses, without readings.
+        conditioned: The result of `condition`, if it is available.
+        batch_size: Number of presses that are predicted at once.
 
     Returns:
-        Mean and standard deviation (uT), noise included.
+        `(m, c)` means and standard deviations of the readings (uT), noise included.
     """
     conditioned = conditioned or condition(gp)
     inverses = height_inverses(gp.heights, gp.presses.position)
     parts = [
-        _predict_rows(gp, _rows_of(presses, slice(start, start + PREDICT_ROWS)), conditioned, inverses)
-        for start in range(0, len(presses.position), PREDICT_ROWS)
+        _predict_rows(gp, _rows_of(presses, slice(start, start + batch_size)), conditioned, inverses)
+        for start in range(0, len(presses.position), batch_size)
     ]
-    mean, variance = (np.concatenate(each) for each in zip(*parts, strict=True))
+    mean, variance = (np.concatenate(part) for part in zip(*parts, strict=True))
     return mean, np.sqrt(variance)
 
 
 def board_shares(gp: PopulationGP) -> Float[np.ndarray, " boards"]:
-    """Weight of each board in a mixture.
+    """Compute the weight of each board in a mixture.
 
     Args:
         gp: The mixture.
 
     Returns:
-        Weights, the first that of members that know no chips; they sum to 1.
+        `(boards + 1,)` weights that sum to 1; the first is that of members without chips.
     """
     boards = 0 if gp.chip_positions is None else len(gp.chip_positions)
     return np.bincount(gp.components.board + 1, _shares(gp), boards + 1)
 
 
 def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
-    """Factors on the standard deviations of a mixture, so that nine in ten readings lie within 1.645 of them.
+    """Compute factors on the standard deviations, so that nine in ten readings lie within 1.645 of them.
 
-    From presses left out, each of which is predicted by weights that it took part in (cross-conformal prediction; Vovk,
-    Annals of Mathematics and Artificial Intelligence 74, 2015). Because a few presses say little, each channel's factor
-    is drawn to that of all channels, and that one to what was found on simulated skins.
+    The factors come from leave-one-out errors, each predicted with weights that its own press took part in
+    (cross-conformal prediction; Vovk, Annals of Mathematics and Artificial Intelligence 74, 2015). Because a few
+    presses are uncertain evidence, each channel's factor is shrunk towards that of all channels, which is shrunk
+    towards the one found on simulated skins.
 
     Args:
         gp: The mixture.
 
     Returns:
-        A factor for each channel.
+        `(c,)` factors, one for each channel.
     """
+    prior = _CONFIG.scaling
     n, (mean, variance) = len(gp.readings), _left_out_mixture(gp)
     ratios = np.abs(gp.readings - mean) / np.sqrt(variance) / STDS_WITHIN_90
     level = min(0.9 * (n + 1) / n, 1.0)
-    together = (n * np.quantile(ratios, level) + SCALING_PRESSES * DEFAULT_SCALING) / (n + SCALING_PRESSES)
-    each = n * np.quantile(ratios, level, axis=0) + SHARED_PRESSES * together
-    return each / (n + SHARED_PRESSES)
+    together = (n * np.quantile(ratios, level) + prior.prior_presses * prior.factor) / (n + prior.prior_presses)
+    by_channel = n * np.quantile(ratios, level, axis=0) + prior.shared_presses * together
+    return by_channel / (n + prior.shared_presses)
 
 
 def left_out_errors(gp: PopulationGP) -> Float[np.ndarray, "n c"]:
-    """Errors of a mixture on its presses, each predicted from all others with the weights that all gave.
+    """Compute the leave-one-out errors of a mixture, with the weights that all its presses gave.
 
     Args:
         gp: The mixture.
 
     Returns:
-        Measured minus predicted (uT).
+        `(n, c)` measured minus predicted readings (uT).
     """
     return gp.readings - _left_out_mixture(gp)[0]
 
 
-# --- the mixture's members and their weights ---
+# --- members of the mixture and their weights ---
 
 
-def _start(
+def _unweighted_members(
     presses: PressTable,
     readings: np.ndarray,
     load_kinds: tuple[str, ...],
     chip_positions: np.ndarray | None,
     prior: KernelPrior,
 ) -> PopulationGP:
-    """All members, not weighted yet."""
+    """Build the mixture of all members with equal weights."""
     n = len(readings)
     loads = presses.loads if load_kinds else np.ones((n, 1))
-    typical = np.maximum(np.sqrt(np.mean(loads**2, axis=0)), MIN_TYPICAL_LOAD)
+    typical = np.maximum(np.sqrt(np.mean(loads**2, axis=0)), 1e-9)
     presses = presses._replace(loads=loads)
     parts = []
     for column, kind in enumerate(load_kinds or ("force",)):
-        found = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
-        parts.append(on_boards(*found, column, 0 if chip_positions is None else len(chip_positions)))
+        kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
+        parts.append(on_boards(kernels, log_share, column, 0 if chip_positions is None else len(chip_positions)))
     components = join_members(*parts)
     if presses.previous_mean is not None:
         components = with_previous(components)
@@ -313,17 +352,18 @@ def _unweighted(
 
 
 def _on_likeliest_board(gp: PopulationGP) -> PopulationGP:
-    """Members of one board and those without chips: of several boards the one that a short list of kernels favours."""
+    """Keep the members of one board and those without chips. A short list of kernels chooses the board."""
     boards, components = 0 if gp.chip_positions is None else len(gp.chip_positions), gp.components
     if boards < 2 or not (components.board != NO_BOARD).any():
         return gp
-    # Members of all boards stand in one order, so that the same kernels compete.
+    # Members of all boards are in the same order, so the same kernels compete.
     of_board = np.stack([np.flatnonzero(components.board == board) for board in range(boards)])
-    common = np.argsort(-components.log_share[of_board[0]], kind="stable")[:BOARD_KERNELS]
-    short = _some_presses(_keep(gp, of_board[:, common].ravel()), min(STAGES[0][0], len(gp.readings)))
+    common = np.argsort(-components.log_share[of_board[0]], kind="stable")[: _CONFIG.selection.board_kernels]
+    short_list = _select_members(gp, of_board[:, common].ravel())
+    short = _subsample(short_list, min(_CONFIG.selection.stages[0][0], len(gp.readings)))
     near, far = _weights(short, _left_out_all(short))
     board = int(np.argmax(board_shares(short._replace(weights=near, far_weights=far))[1:]))
-    gp = _keep(gp, np.flatnonzero((components.board == NO_BOARD) | (components.board == board)))
+    gp = _select_members(gp, np.flatnonzero((components.board == NO_BOARD) | (components.board == board)))
     own = gp.components.board != NO_BOARD
     log_share = gp.components.log_share + np.where(own, np.log(boards), 0)
     kept = gp.components._replace(board=np.where(own, 0, NO_BOARD), log_share=log_share)
@@ -332,29 +372,29 @@ def _on_likeliest_board(gp: PopulationGP) -> PopulationGP:
 
 
 def _weigh_in_stages(gp: PopulationGP) -> PopulationGP:
-    """Weigh ever fewer members by ever more presses; those of little weight in the end are dropped."""
-    n = len(gp.readings)
-    for presses, members in STAGES:
+    """Weigh fewer and fewer members by more and more presses, and drop those of little weight at the end."""
+    n, selection = len(gp.readings), _CONFIG.selection
+    for presses, members in selection.stages:
         if len(gp.weights) > members:
-            gp = _keep(gp, np.argsort(-_shares(gp), kind="stable")[:members])
-        some = _some_presses(gp, min(presses, n))
+            gp = _select_members(gp, np.argsort(-_shares(gp), kind="stable")[:members])
+        some = _subsample(gp, min(presses, n))
         near, far = _weights(some, _left_out_all(some))
         gp = gp._replace(weights=near, far_weights=far)
         if presses >= n:
             break
     order = np.argsort(-_shares(gp), kind="stable")
-    enough = 1 + int(np.searchsorted(np.cumsum(_shares(gp)[order]), KEPT_SHARE))
-    most = MAX_KEPT if n <= KEEP_FEW_BEYOND else MAX_KEPT_OF_MANY
-    return _keep(gp, order[: min(enough, most)])
+    enough = 1 + int(np.searchsorted(np.cumsum(_shares(gp)[order]), selection.kept_share))
+    limit = selection.max_members if n <= selection.many_presses else selection.max_members_of_many
+    return _select_members(gp, order[: min(enough, limit)])
 
 
 def _shares(gp: PopulationGP) -> np.ndarray:
-    """Mean weight (k,) of each member, over channels, near the presses and far from them."""
+    """Compute the mean weight (k,) of each member over channels, near the presses and far from them."""
     far = gp.weights if gp.far_weights is None else gp.far_weights
     return (gp.weights + far).mean(1) / 2
 
 
-def _keep(gp: PopulationGP, which: np.ndarray) -> PopulationGP:
+def _select_members(gp: PopulationGP, which: np.ndarray) -> PopulationGP:
     def some(weights: np.ndarray) -> np.ndarray:
         return weights[which] / weights[which].sum(0, keepdims=True)
 
@@ -362,8 +402,8 @@ def _keep(gp: PopulationGP, which: np.ndarray) -> PopulationGP:
     return gp._replace(components=take_members(gp.components, which), weights=some(gp.weights), far_weights=far)
 
 
-def _some_presses(gp: PopulationGP, count: int) -> PopulationGP:
-    """Some presses at random, whatever their order, always the same."""
+def _subsample(gp: PopulationGP, count: int) -> PopulationGP:
+    """Take a random subset of the presses, the same in each call."""
     some = np.random.default_rng(0).permutation(len(gp.readings))[:count]
     return gp._replace(
         presses=_rows_of(gp.presses, some),
@@ -378,83 +418,85 @@ def _rows_of(presses: PressTable, rows: slice | np.ndarray) -> PressTable:
     return PressTable(presses.position[rows], presses.loads[rows], None if mean is None else mean[rows])
 
 
-def _weighed(gp: PopulationGP) -> PopulationGP:
-    """The mixture with weights by all its presses."""
+def _reweighted(gp: PopulationGP) -> PopulationGP:
+    """Weigh the members by all presses of the mixture."""
     near, far = _weights(gp, _left_out_all(gp))
     return gp._replace(weights=near, far_weights=far)
 
 
-def _trust(gp: PopulationGP) -> np.ndarray:
-    """Weight (n, c) of the squared error of each reading: less where it has been given more noise."""
+def _reading_weights(gp: PopulationGP) -> np.ndarray:
+    """Compute the weight (n, c) of each reading's squared error, which falls with the reading's additional noise."""
     return np.repeat(1 / (1 + gp.extra_noise), gp.readings.shape[1] // gp.extra_noise.shape[1], axis=1)
 
 
 def _weights(
-    gp: PopulationGP, found: LeftOutPresses, rows: slice | np.ndarray = ALL_ROWS
+    gp: PopulationGP, left_out: LeftOutPresses, rows: slice | np.ndarray = slice(None)
 ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Weights (k, c) of the members near the presses and far from them by some presses, each channel's summing to 1."""
-    trust = _trust(gp)[rows]
+    """Weigh the members by some presses: weights (k, c) near the presses and far from them, 1 in sum per channel."""
+    weighting = _CONFIG.weighting
+    trust = _reading_weights(gp)[rows]
     n = len(trust)
 
-    def worth_of(error: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def score(error: np.ndarray, variance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         error, variance = error[:, rows], variance[:, rows]
         std = np.sqrt(np.maximum(variance, 1e-12))
-        density = (student_t.logpdf(error / std, DENSITY_DOF) - np.log(std)).sum(1)
+        density = (student_t.logpdf(error / std, weighting.density_dof) - np.log(std)).sum(1)
         missed = (trust[None] * error**2).sum((1, 2))
-        return DENSITY_EXPONENT * density.sum(1) - ERROR_EXPONENT * n / 2 * np.log(np.maximum(missed, 1e-30)), density
+        by_error = weighting.error_exponent * n / 2 * np.log(np.maximum(missed, 1e-30))
+        return weighting.density_exponent * density.sum(1) - by_error, density
 
-    def weights_of(worth: np.ndarray, density: np.ndarray) -> np.ndarray:
-        tempered = 1 / (1 + n / TEMPERING_PRESSES)
-        each = (gp.components.log_share + tempered * worth)[:, None] + CHANNEL_EXPONENT * density
-        return np.exp(each - logsumexp(each, axis=0, keepdims=True))
+    def weights_of(total: np.ndarray, density: np.ndarray) -> np.ndarray:
+        tempered = 1 / (1 + n / weighting.tempering_presses)
+        by_channel = (gp.components.log_share + tempered * total)[:, None] + weighting.channel_exponent * density
+        return np.exp(by_channel - logsumexp(by_channel, axis=0, keepdims=True))
 
-    alone = worth_of(found.error, found.variance)
-    if found.part_error is found.error:
+    alone = score(left_out.error, left_out.variance)
+    if left_out.part_error is left_out.error:
         return weights_of(*alone), None
-    together = worth_of(found.part_error, found.part_variance)
+    together = score(left_out.part_error, left_out.part_variance)
     near, far = (
-        weights_of(*((1 - share) * one + share * other for one, other in zip(alone, together, strict=True)))
-        for share in (NEAR_PART_SHARE, FAR_PART_SHARE)
+        weights_of(*((1 - share) * single + share * part for single, part in zip(alone, together, strict=True)))
+        for share in (weighting.near_part_share, weighting.far_part_share)
     )
     return near, far
 
 
 def _left_out_all(gp: PopulationGP, part: np.ndarray | None = None) -> LeftOutPresses:
-    """Errors of all members, by default with the parts of `_parts`."""
+    """Compute the leave-one-out errors of all members, by default with the parts of `_parts`."""
     (n, c), components = gp.readings.shape, gp.components
     k = len(components.log_share)
     part = _parts(gp) if part is None else part
-    each = [np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c))]
-    each += each[:2] if part is None else [np.empty((k, n, c)), np.empty((k, n, c))]
-    found = LeftOutPresses(*each)
-    for rows, at, observed in _alike(gp):
-        given = left_out(kernel.take(components.kernels, rows), at, observed, part)
-        for into, values in zip(found, given, strict=True):
+    arrays = [np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c))]
+    arrays += arrays[:2] if part is None else [np.empty((k, n, c)), np.empty((k, n, c))]
+    result = LeftOutPresses(*arrays)
+    for rows, at, observed in _groups_by_input(gp):
+        group = left_out(kernel.take(components.kernels, rows), at, observed, part)
+        for into, values in zip(result, group, strict=True):
             into[rows] = values
-    return found
+    return result
 
 
-def _parts(gp: PopulationGP, parts: int = PARTS) -> np.ndarray | None:
-    """Presses that are left out together, because they lie together; None where they are few or all at one place."""
+def _parts(gp: PopulationGP, parts: int = _CONFIG.weighting.parts) -> np.ndarray | None:
+    """Group presses that lie together and are left out together. Return None if they are few or all at one place."""
     position = gp.presses.position
-    if len(position) < MIN_PART_PRESSES or not np.ptp(position, axis=0).any():
+    if len(position) < _CONFIG.weighting.min_part_presses or not np.ptp(position, axis=0).any():
         return None
-    return parts_that_lie_together(position, parts)
+    return spatial_parts(position, parts)
 
 
-def _alike(gp: PopulationGP) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
-    """Numbers of members that see the same inputs, and these inputs."""
+def _groups_by_input(gp: PopulationGP) -> Iterator[tuple[np.ndarray, PressGeometry, Observed]]:
+    """Group the members by their inputs, and yield the numbers of each group with its inputs."""
     components = gp.components
     which = np.column_stack([components.load_column, components.uses_previous, components.board])
-    presses = _raised(gp, gp.presses, _own_heights(gp))
+    presses = _add_heights(gp, gp.presses, _heights_at_presses(gp))
     for combination in np.unique(which, axis=0):
         rows = np.flatnonzero((which == combination).all(1))
         column, previous, board = combination
         yield rows, _geometry(gp, presses, int(column), int(board)), _observed(gp, bool(previous))
 
 
-def _raised(gp: PopulationGP, presses: PressTable, height: np.ndarray) -> PressTable:
-    """Presses with local heights (typical loads) added to their loads of the first kind."""
+def _add_heights(gp: PopulationGP, presses: PressTable, height: np.ndarray) -> PressTable:
+    """Add local heights (typical loads) to the first load of presses."""
     first = presses.loads[:, 0] + height * gp.typical_loads[0]
     return presses._replace(loads=np.column_stack([first, presses.loads[:, 1:]]))
 
@@ -475,15 +517,15 @@ def _observed(gp: PopulationGP, previous: bool) -> Observed:
     return Observed(target, gp.extra_noise if gp.extra_noise.any() else gp.extra_noise[:, :1])
 
 
-def _mixed(gp: PopulationGP, found: LeftOutPresses) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance (n, c) of presses left out."""
-    error = np.einsum("kc,knc->nc", gp.weights, found.error)
-    spread = found.variance + (found.error - error[None]) ** 2
+def _mixed(gp: PopulationGP, left_out: LeftOutPresses) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the mixture's means and variances (n, c) of presses left out."""
+    error = np.einsum("kc,knc->nc", gp.weights, left_out.error)
+    spread = left_out.variance + (left_out.error - error[None]) ** 2
     return gp.readings - error, np.einsum("kc,knc->nc", gp.weights, spread)
 
 
 def _left_out_mixture(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray]:
-    """Each press as predicted from all others, with the weights that all presses gave."""
+    """Predict each press from all others, with the weights that all presses gave."""
     return _mixed(gp, _left_out_all(gp))
 
 
@@ -491,56 +533,56 @@ def _left_out_mixture(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
-    """Mixture with more noise for chips of presses far outside their stated errors, and new weights."""
+    """Give more noise to chips of presses far outside their stated errors, and weigh the members again."""
     n, c = gp.readings.shape
     groups = gp.extra_noise.shape[1]
-    each = c // groups
-    found = _left_out_all(gp)
-    mean, variance = _mixed(gp, found)
-    square = ((gp.readings - mean) ** 2 / variance).reshape(n, groups, each).mean(2)
-    ratio = (TAIL_DOF + each * square) / (TAIL_DOF + each)
-    far = square > TAIL_LIMIT
-    if not far.any():
+    channels = c // groups
+    left_out = _left_out_all(gp)
+    mean, variance = _mixed(gp, left_out)
+    square = ((gp.readings - mean) ** 2 / variance).reshape(n, groups, channels).mean(2)
+    ratio = (_CONFIG.tail_dof + channels * square) / (_CONFIG.tail_dof + channels)
+    outlying = square > _CONFIG.tail_limit
+    if not outlying.any():
         return gp
-    scale = np.einsum("kc,kc->c", gp.weights, found.scale)
-    relative = (variance / scale[None] ** 2).reshape(n, groups, each).mean(2)
-    gp = gp._replace(extra_noise=np.where(far, (ratio - 1) * relative, 0.0))
-    return _weighed(gp)
+    scale = np.einsum("kc,kc->c", gp.weights, left_out.scale)
+    relative = (variance / scale[None] ** 2).reshape(n, groups, channels).mean(2)
+    gp = gp._replace(extra_noise=np.where(outlying, (ratio - 1) * relative, 0.0))
+    return _reweighted(gp)
 
 
 # --- local heights of the skin ---
 
 
 def _with_heights(gp: PopulationGP) -> PopulationGP:
-    """Loads corrected by local heights, as far as they explain errors of presses left out."""
+    """Correct the loads by local heights, as far as these explain leave-one-out errors."""
     std, length = (
-        np.array(part) for part in zip(*((s, x) for x in HEIGHT_LENGTHS_M for s in HEIGHT_STDS), strict=True)
+        np.array(part) for part in zip(*((s, x) for x in ROUGHNESS.lengths for s in ROUGHNESS.stds), strict=True)
     )
-    for _ in range(HEIGHT_PASSES):
+    for _ in range(_CONFIG.height_passes):
         left_out = _sloped_errors(gp)
         tried = measured_heights(std, length, left_out)
         share = hypothesis_shares(tried, gp.presses.position, left_out)
-        kept = share > MIN_HEIGHT_SHARE
+        kept = share > ROUGHNESS.min_share
         if not kept.any():
             return gp
         gp = gp._replace(heights=tried._replace(std=std[kept], length=length[kept], share=share[kept]))
-        gp = _weighed(gp)
+        gp = _reweighted(gp)
     return gp
 
 
 def _sloped_errors(gp: PopulationGP) -> SlopedErrors:
-    """The mixture's presses left out, with slopes by the first load."""
+    """Compute the mixture's leave-one-out errors and their slopes by the first load."""
     mean, variance = _left_out_mixture(gp)
     slopes = np.zeros((len(gp.weights), *gp.readings.shape))
-    for rows, at, observed in _alike(gp):
+    for rows, at, observed in _groups_by_input(gp):
         if gp.components.load_column[rows[0]] == 0:
             slopes[rows] = left_out_slopes(kernel.take(gp.components.kernels, rows), at, observed)
     slope = np.einsum("kc,knc->nc", gp.weights, slopes)
-    return SlopedErrors(gp.readings - mean, variance, slope, _own_heights(gp))
+    return SlopedErrors(gp.readings - mean, variance, slope, _heights_at_presses(gp))
 
 
-def _own_heights(gp: PopulationGP) -> np.ndarray:
-    """Heights at the mixture's presses (typical loads)."""
+def _heights_at_presses(gp: PopulationGP) -> np.ndarray:
+    """Compute the local heights at the mixture's own presses (typical loads)."""
     position = gp.presses.position
     if not len(gp.heights.std):
         return np.zeros(len(position))
@@ -551,7 +593,7 @@ def _own_heights(gp: PopulationGP) -> np.ndarray:
 
 
 def _plain_processes(components: Components) -> Components:
-    """The plain process that is fitted to the presses, by each kind of load: the last without chips (`with_plain`)."""
+    """Take, for each kind of load, the plain process fitted to the presses; it is the last one without chips."""
     alone = (components.board == NO_BOARD) & ~components.uses_previous
     columns = np.unique(components.load_column)
     return take_members(
@@ -560,18 +602,18 @@ def _plain_processes(components: Components) -> Components:
 
 
 def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
-    """The mixture with the best plain process as a last member, whose weight is by what the others add to it on parts
-    that are left out; the mixture itself where the presses are too few for parts.
+    """Add the best plain process as a last member, with a share chosen on parts that are left out. Return the mixture
+    itself if the presses are too few for parts.
     """
-    cuts = [part for part in (_parts(gp, parts) for parts in STACKING_PARTS) if part is not None]
+    cuts = [part for part in (_parts(gp, parts) for parts in _CONFIG.stacking.parts) if part is not None]
     if not cuts:
         return gp
     near, far = zip(*(_errors_by_other_parts(gp, part) for part in cuts), strict=True)
     alone = [_left_out_all(gp._replace(components=plain), part) for part in cuts]
-    best = int(np.argmin(sum((_trust(gp) * left_out.part_error**2).sum((1, 2)) for left_out in alone)))
+    best = int(np.argmin(sum((_reading_weights(gp) * left_out.part_error**2).sum((1, 2)) for left_out in alone)))
     near_share = _stacking_share(gp, np.stack(near), np.stack([left_out.error[best] for left_out in alone]), 0.0)
     plain_far = np.stack([left_out.part_error[best] for left_out in alone])
-    far_share = _stacking_share(gp, np.stack(far), plain_far, FAR_PLAIN_PRESSES)
+    far_share = _stacking_share(gp, np.stack(far), plain_far, _CONFIG.stacking.far_plain_presses)
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     return gp._replace(
         components=join_members(gp.components, take_members(plain, np.array([best]))),
@@ -581,7 +623,7 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
 
 
 def _errors_by_other_parts(gp: PopulationGP, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Errors (n, c) of the mixture on presses left out alone, and with their part, by the weights of other parts."""
+    """Compute the mixture's errors (n, c) on presses left out alone and by parts, with weights from the other parts."""
     left_out = _left_out_all(gp, part)
     alone, together = np.empty_like(gp.readings), np.empty_like(gp.readings)
     for i in range(part.max() + 1):
@@ -593,24 +635,24 @@ def _errors_by_other_parts(gp: PopulationGP, part: np.ndarray) -> tuple[np.ndarr
 
 
 def _stacking_share(gp: PopulationGP, error: np.ndarray, plain_error: np.ndarray, plain_presses: float) -> np.ndarray:
-    """Share (c,) of the mixture in the sum of it and the plain process whose squared error is the least.
+    """Find the share (c,) of the mixture for which its weighted sum with the plain process has the least squared error.
 
     Args:
         gp: The mixture.
-        error: Its errors (cuts, n, c) (uT), for each way to cut the presses into parts.
-        plain_error: Those of the plain process, likewise.
-        plain_presses: Presses' worth of belief that the mixture adds nothing: the share is at most n / (n + this).
+        error: `(cuts, n, c)` errors of the mixture (uT), for each way to cut the presses into parts.
+        plain_error: `(cuts, n, c)` errors of the plain process (uT).
+        plain_presses: Prior presses for which the mixture adds nothing: the share is at most n / (n + plain_presses).
 
     Returns:
-        A share between 0 and 1 for each channel, drawn to that of all channels.
+        A share between 0 and 1 for each channel, shrunk towards the one of all channels.
     """
-    apart, trust = plain_error - error, _trust(gp)
+    apart, trust = plain_error - error, _reading_weights(gp)
     gained, spread = (trust * plain_error * apart).sum((0, 1)), (trust * apart**2).sum((0, 1))
-    most = len(gp.readings) / (len(gp.readings) + plain_presses)
-    spread = np.maximum(spread / most, 1e-12)
-    shared = np.clip(gained.sum() / spread.sum(), 0, most)
-    belief = STACKED_CHANNELS * spread.mean()
-    return np.clip((gained + belief * shared) / (spread + belief), 0, most)
+    limit = len(gp.readings) / (len(gp.readings) + plain_presses)
+    spread = np.maximum(spread / limit, 1e-12)
+    shared = np.clip(gained.sum() / spread.sum(), 0, limit)
+    belief = _CONFIG.stacking.prior_channels * spread.mean()
+    return np.clip((gained + belief * shared) / (spread + belief), 0, limit)
 
 
 # --- prediction ---
@@ -619,16 +661,16 @@ def _stacking_share(gp: PopulationGP, error: np.ndarray, plain_error: np.ndarray
 def _predict_rows(
     gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned], inverses: list[np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance (m, c) of a few presses."""
+    """Predict the means and variances (m, c) of a batch of presses."""
     m, c = len(presses.position), gp.readings.shape[1]
     away = squared_distance(presses.position, gp.presses.position)
     height, height_variance = heights_at(gp.heights, away, inverses)
     loads = presses.loads if gp.presses.loads.shape[1] == presses.loads.shape[1] else np.ones((m, 1))
-    presses = _raised(gp, presses._replace(loads=loads), height)
+    presses = _add_heights(gp, presses._replace(loads=loads), height)
     between = squared_distance(gp.presses.position, gp.presses.position)
-    fitted = _raised(gp, gp.presses, heights_at(gp.heights, between, inverses)[0])
+    fitted = _add_heights(gp, gp.presses, heights_at(gp.heights, between, inverses)[0])
     mean, square = np.zeros((m, c)), np.zeros((m, c))
-    slope, far = np.zeros((m, c)), _farness(gp, presses.position)[:, None]
+    slope, far = np.zeros((m, c)), _far_weight(gp, presses.position)[:, None]
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     for i, given in enumerate(conditioned):
         weight = (1 - far) * gp.weights[i] + far * far_weights[i]
@@ -640,25 +682,25 @@ def _predict_rows(
     return mean, np.maximum(variance, 1e-12)
 
 
-def _farness(gp: PopulationGP, position: np.ndarray) -> np.ndarray:
-    """Farness (m,): 0 for positions as near to a press as presses are to each other, to 1 for those as far as presses
-    are from all that are not of their part.
+def _far_weight(gp: PopulationGP, position: np.ndarray) -> np.ndarray:
+    """Compute the weight (m,) of the far weights: 0 at the median distance between neighbouring presses or nearer, 1 at
+    the median distance of presses from other parts or farther.
     """
-    known, part = gp.presses.position, _parts(gp)
+    pressed, part = gp.presses.position, _parts(gp)
     if part is None:
         return np.zeros(len(position))
-    between = squared_distance(known, known)
-    alone = np.where(np.eye(len(known), dtype=bool), np.inf, between)
+    between = squared_distance(pressed, pressed)
+    alone = np.where(np.eye(len(pressed), dtype=bool), np.inf, between)
     apart = np.where(part[:, None] == part, np.inf, between)
     near, far = (float(np.median(np.sqrt(square.min(1)))) for square in (alone, apart))
-    distance = np.sqrt(squared_distance(position, known).min(1))
-    return np.clip((distance - near) / max(far - near, MIN_FAR_M), 0, 1)
+    distance = np.sqrt(squared_distance(position, pressed).min(1))
+    return np.clip((distance - near) / max(far - near, _CONFIG.weighting.min_far_distance), 0, 1)
 
 
 def _predict_one(
     gp: PopulationGP, i: int, given: Conditioned, presses: PressTable, raised: PressTable
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Mean, variance and slope by the first load (m, c) of one member, from its own presses with their heights."""
+    """Predict mean, variance and slope by the first load (m, c) with one member, whose presses have their heights."""
     member = take_members(gp.components, np.array([i]))
     column, board = int(member.load_column[0]), int(member.board[0])
     at, fitted_at = _geometry(gp, presses, column, board), _geometry(gp, raised, column, board)

@@ -1,5 +1,6 @@
-"""The population of kernels that comes with the package, as `python -m experiments.calibrate --prior` makes it."""
+"""Population of kernels that comes with the package, made by `python -m experiments.calibrate --prior`."""
 
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import as_file, files
 from itertools import product
@@ -15,36 +16,36 @@ from i2t.skin_models.tip_gp.plain import fit_scales, plain_kernel
 
 PRIOR_FILE = "prior.npz"
 PRIOR_KIND = "i2t kernel prior"
-PLAIN_LENGTH_FACTORS = (0.15, 0.25, 0.4, 0.6, 0.9, 1.6, 3.0)  # of the standard deviation of positions times two
-PLAIN_WIDTHS = (0.3, 0.7, 1.5, 4.0)  # standard deviations of the loads
-PLAIN_NOISE = (1e-3, 1e-2, 1e-1)
-# Presses whose labels say little, because these are wrong or little is known: much noise, and nothing but the mean.
-NOISY_LENGTH_FACTORS, NOISY_WIDTHS, NOISY_NOISE = (0.25, 0.6, 1.6), (0.7, 4.0), (0.5, 2.0)
-MEAN_NOISE, MEAN_CONSTANT = 1e3, 1e5
-PLAIN_CONSTANT = 10.0
-PLAIN_SHARE = 0.25  # of the prior, of plain Gaussian processes
-FITTED_PART = 0.4  # of these, of the one that is fitted to the presses
-MEAN_PART = 0.1  # of these, of the one that predicts their mean
-MIN_FITTED_TO, MAX_FITTED_TO = 4, 150  # presses
-LEAST_SPREAD_M = 1e-7  # of positions: less is one place
+
+
+@dataclass(frozen=True)
+class PlainMembers:
+    """Plain Gaussian processes that join the population, and their shares of the prior."""
+
+    share: float = 0.25  # prior probability of all plain processes together
+    fitted_part: float = 0.4  # part of that share for the process that is fitted to the presses
+    mean_part: float = 0.1  # part of that share for the process that predicts the mean of the presses
+    constant: float = 10.0  # variance of the constant, relative to the signal's
+    min_fitted_presses: int = 4
+    max_fitted_presses: int = 150
+
+
+_PLAIN = PlainMembers()
 
 
 class KernelPrior(NamedTuple):
-    """Kernels of a population of skins, and how common each is among skins pressed by depth and by force."""
+    """Kernels of a population of skins, and how common they are among skins pressed by depth and by force."""
 
     kernels: SkinKernels
     log_share: Float[np.ndarray, "kinds s"]  # rows: depth, force
 
 
-LOAD_KINDS = ("depth", "force")  # rows of `KernelPrior.log_share`
-
-
 @cache
 def load_prior() -> KernelPrior:
-    """The prior that comes with the package.
+    """Load the prior that comes with the package.
 
     Returns:
-        Kernels and their shares.
+        Kernels and the logarithms of their shares.
 
     Raises:
         SerializationError: The package's file is damaged or missing.
@@ -59,55 +60,57 @@ def save_prior(path: Path | str, prior: KernelPrior, about: dict[str, Any]) -> N
     """Write a prior as one file, in single precision.
 
     Args:
-        path: Of the file.
-        prior: Kernels and their shares.
-        about: How it was made, as JSON can hold it.
+        path: Path of the file.
+        prior: Kernels and the logarithms of their shares.
+        about: How the prior was made, in types that JSON can hold.
 
     Raises:
-        SerializationError: It cannot be written.
+        SerializationError: The file cannot be written.
     """
     kernels = SkinKernels(*(np.asarray(values, np.float32) for values in prior.kernels))
     serialization.save(path, PRIOR_KIND, KernelPrior(kernels, np.asarray(prior.log_share, np.float32)), about)
 
 
 def plain_kernels(position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]) -> SkinKernels:
-    """Plain Gaussian processes, squared exponential over position and load, at scales of the presses at hand.
+    """Make plain Gaussian processes, squared exponential over position and load, at the scales of some presses.
 
     Args:
-        position: Of the presses (m).
-        load: Of the presses (typical loads).
+        position: `(n, 2)` positions of the presses (m).
+        load: `(n,)` loads of the presses (typical loads).
 
     Returns:
-        A grid over length, load width and noise; the last one predicts the mean of the presses.
+        A grid of kernels over length, load width and noise; the last one predicts the mean of the presses.
     """
     spread = 2 * float(np.sqrt(np.mean(np.var(position, axis=0))))
-    spread = spread if spread > LEAST_SPREAD_M else 2e-3
+    spread = spread if spread > 1e-7 else 2e-3  # m; presses at one place have no spread
     load_spread = max(float(np.std(load)), 1e-2)
-    usual = product(PLAIN_LENGTH_FACTORS, PLAIN_WIDTHS, PLAIN_NOISE)
-    noisy = product(NOISY_LENGTH_FACTORS, NOISY_WIDTHS, NOISY_NOISE)
-    grid = np.array([*usual, *noisy, (1.0, 1.0, MEAN_NOISE)])
-    constant = np.append(np.full(len(grid) - 1, PLAIN_CONSTANT), MEAN_CONSTANT)
+    # Lengths and widths are multiples of the spreads of positions and loads.
+    usual = product((0.15, 0.25, 0.4, 0.6, 0.9, 1.6, 3.0), (0.3, 0.7, 1.5, 4.0), (1e-3, 1e-2, 1e-1))
+    # Wrong or uninformative labels call for much noise, or for nothing but the mean.
+    noisy = product((0.25, 0.6, 1.6), (0.7, 4.0), (0.5, 2.0))
+    grid = np.array([*usual, *noisy, (1.0, 1.0, 1e3)])
+    constant = np.append(np.full(len(grid) - 1, _PLAIN.constant), 1e5)
     return plain_kernel(spread * grid[:, 0], load_spread * grid[:, 1], grid[:, 2], constant)
 
 
 def fitted_kernel(
     position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"]
 ) -> SkinKernels:
-    """The plain Gaussian process whose lengths and noise are the most likely for the presses.
+    """Fit the lengths and the noise of a plain Gaussian process to the presses.
 
     Args:
-        position: Of the presses (m).
-        load: Of the presses (typical loads).
-        readings: Of the presses (uT).
+        position: `(n, 2)` positions of the presses (m).
+        load: `(n,)` loads of the presses (typical loads).
+        readings: `(n, c)` readings of the presses (uT).
 
     Returns:
-        One kernel, or none where the presses are too few to fit it to.
+        A stack of one kernel, or an empty stack if the presses are too few.
     """
-    some = np.random.default_rng(0).permutation(len(load))[:MAX_FITTED_TO]
-    if len(some) < MIN_FITTED_TO or not np.ptp(readings, axis=0).any():
+    some = np.random.default_rng(0).permutation(len(load))[: _PLAIN.max_fitted_presses]
+    if len(some) < _PLAIN.min_fitted_presses or not np.ptp(readings, axis=0).any():
         return plain_kernel(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
     scales = fit_scales(position[some], load[some], readings[some])
-    return plain_kernel(*(np.array([value]) for value in (scales.length, scales.width, scales.noise, PLAIN_CONSTANT)))
+    return plain_kernel(*(np.array([value]) for value in (scales.length, scales.width, scales.noise, _PLAIN.constant)))
 
 
 def with_plain(
@@ -117,23 +120,23 @@ def with_plain(
     load: Float[np.ndarray, " n"],
     readings: Float[np.ndarray, "n c"],
 ) -> tuple[SkinKernels, Float[np.ndarray, " k"]]:
-    """The prior of a kind of load, joined by plain Gaussian processes.
+    """Add plain Gaussian processes to the prior of a kind of load.
 
     Args:
-        prior: Of the population.
-        kind: Of load, one of `LOAD_KINDS`.
-        position: Of the presses (m).
-        load: Of the presses (typical loads).
-        readings: Of the presses (uT), to which one of the plain processes is fitted.
+        prior: Prior of the population.
+        kind: Kind of load, "depth" or "force".
+        position: `(n, 2)` positions of the presses (m).
+        load: `(n,)` loads of the presses (typical loads).
+        readings: `(n, c)` readings of the presses (uT), to which one of the plain processes is fitted.
 
     Returns:
-        Kernels and the logarithms of their shares.
+        A stack of k kernels, and the `(k,)` logarithms of their shares.
     """
-    log_share = prior.log_share[LOAD_KINDS.index(kind)]
-    known = np.isfinite(log_share)
+    log_share = prior.log_share[("depth", "force").index(kind)]
+    present = np.isfinite(log_share)
     plain, fitted = plain_kernels(position, load), fitted_kernel(position, load, readings)
     counts = len(plain.load_power) - 1, 1, len(fitted.load_power)
-    parts = PLAIN_SHARE * np.array([1 - MEAN_PART - FITTED_PART, MEAN_PART, FITTED_PART])
-    share = np.log(1 - PLAIN_SHARE) + log_share[known] - np.log(np.sum(np.exp(log_share[known])))
-    of_plain = np.repeat(np.log(parts / np.maximum(counts, 1)), counts)
-    return join(take(prior.kernels, known), plain, fitted), np.append(share, of_plain)
+    parts = _PLAIN.share * np.array([1 - _PLAIN.mean_part - _PLAIN.fitted_part, _PLAIN.mean_part, _PLAIN.fitted_part])
+    share = np.log(1 - _PLAIN.share) + log_share[present] - np.log(np.sum(np.exp(log_share[present])))
+    plain_share = np.repeat(np.log(parts / np.maximum(counts, 1)), counts)
+    return join(take(prior.kernels, present), plain, fitted), np.append(share, plain_share)

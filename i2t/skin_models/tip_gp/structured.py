@@ -1,12 +1,12 @@
-"""The Gaussian process of one skin by hyperparameters that are given: a mixture of one kernel.
+"""Gaussian process of one skin with given hyperparameters: a mixture of one kernel.
 
 A reading of channel c of a press at x (m, tool frame) with the load d, its depth (m) or its normal force (N), is
 
   y_c = e_c(x) [f(d) g_c(x) + f(d) b_c(x, d) + g0_c(x)] + const_c + noise,
   f(d) = ((d + load_offset) / (unit_load + load_offset))^load_power,
 
-as in `i2t.skin_models.tip_gp.kernel`. The surface is not flat: d is replaced by d + h(x), with one height h per
-position for all channels, which is found as in `i2t.skin_models.tip_gp.population`.
+as in `i2t.skin_models.tip_gp.kernel`. If the surface is not flat, d is replaced by d + h(x), with one height h per
+position for all channels, which is estimated as in `i2t.skin_models.tip_gp.population`.
 """
 
 from typing import NamedTuple
@@ -19,13 +19,13 @@ from i2t.skin_models.tip_gp.population import PopulationGP, PressTable, fit_one
 
 
 class StructuredGPHyperparameters(NamedTuple):
-    """Hyperparameters.
+    """Hyperparameters of one kernel.
 
-    Loads have the unit of the presses' (m or N); variances are relative to a channel's at the unit load.
+    Loads have the unit of the presses' loads (m or N); variances are relative to a channel's at the unit load.
     """
 
     unit_load: float  # load at which f is 1
-    load_offset: float  # load below zero at which f vanishes
+    load_offset: float  # f vanishes at minus this load
     load_power: float
     map_length: float  # m, of the maps g and g0
     map_variance: float  # of g
@@ -34,23 +34,23 @@ class StructuredGPHyperparameters(NamedTuple):
     bend_load_width: float  # load
     static_variance: float  # of g0
     constant_variance: float  # of const
-    noise_variance: float  # of noise and of what the model leaves out
+    noise_variance: float  # of noise and of model errors
     height_std: float  # load, of h
     height_length: float  # m
-    chip_reach: float  # m, over which e falls
+    chip_reach: float  # m, distance over which e falls
     far_amplitude: float  # e far from the chip
 
 
-# Found on the development presses of one eFlesh session (docs/calibration.md): the long length is in the order of the
-# height of the magnets over the chips and of their spacing, the short one that of a lattice's struts.
+# Fitted to the development presses of one eFlesh session (docs/calibration.md). The long length is of the order of the
+# height of the magnets over the chips and of their spacing; the short one is that of a lattice's struts.
 DEPTH_HYPERPARAMETERS = StructuredGPHyperparameters(
     unit_load=2e-3, load_offset=2.7e-3, load_power=1.8, map_length=16.5e-3, map_variance=1.0, bend_variance=0.0145,
     bend_length=2e-3, bend_load_width=7e-3, static_variance=0.03, constant_variance=2e-3, noise_variance=4.5e-3,
     height_std=0.17e-3, height_length=1.8e-3, chip_reach=10e-3, far_amplitude=0.2,
 )  # fmt: skip
-# Found on 24 simulated boards pressed with a spherical tip of 4 mm to 0.2 to 1 N, by a coordinate search on R2 of
-# presses left out: a map of two lengths, that of the layer's thickness and twice as much, hardly bent by the load. What
-# does not depend on the force is kept from a guess: simulated boards have none, real ones may.
+# Fitted to 24 simulated boards pressed with a spherical tip of 4 mm to 0.2 to 1 N, by a coordinate search on the
+# leave-one-out R2. The result is a map of two lengths, the layer's thickness and twice that, hardly bent by the load.
+# The static part is a guess, because simulated boards have none, but real ones may.
 FORCE_HYPERPARAMETERS = StructuredGPHyperparameters(
     unit_load=1.0, load_offset=0.24, load_power=1.4, map_length=2.1e-3, map_variance=1.0, bend_variance=5.2,
     bend_length=5e-3, bend_load_width=7.8, static_variance=0.3, constant_variance=0.1, noise_variance=1.7e-2,
@@ -67,16 +67,16 @@ def fit_structured(
     """Condition the process on n presses and their readings.
 
     Args:
-        hyperparameters: Of the process.
-        presses: With one load.
-        readings: Their readings (uT); with chips three channels for each, in the chips' order.
-        chip_positions: Positions of the chips (m), for amplitudes that fall with the distance from them.
+        hyperparameters: Hyperparameters of the process.
+        presses: n presses with one load each.
+        readings: `(n, c)` readings of the presses (uT); with chips, three channels for each in the chips' order.
+        chip_positions: `(chips, 2)` chip positions (m), for amplitudes that fall with the distance from the chips.
 
     Returns:
         The conditioned process.
     """
     h = StructuredGPHyperparameters(*(float(value) for value in hyperparameters))
-    variance = h.map_variance + h.bend_variance  # of a kernel's map and bend together: 1
+    variance = h.map_variance + h.bend_variance  # of map and bend together, which is 1 in a kernel
     values = {
         "load_power": h.load_power, "load_offset": h.load_offset / h.unit_load, "map_length": h.map_length,
         "bend_share": h.bend_variance / variance, "bend_length": h.bend_length,

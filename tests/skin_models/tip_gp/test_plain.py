@@ -1,4 +1,4 @@
-"""The baseline's plain process: its scales, its predictions and the gradient that they are fitted by."""
+"""The baseline's plain process: its scales, its predictions and the gradient of its loss."""
 
 import numpy as np
 import pytest
@@ -10,40 +10,42 @@ from i2t.skin_models.tip_gp import plain
 
 
 def test_the_plain_process_finds_the_scales_of_its_own_presses():
-    """Drawn from the process itself: lengths within a third, and better predictions than with half the length."""
+    """Presses are drawn from the process itself: lengths are within a third, and better than half the length."""
     rng = np.random.default_rng(4)
     position, load = rng.uniform(-0.01, 0.01, (200, 2)), rng.uniform(0, 2, 200)
     square = ((position[:, None] - position) ** 2).sum(-1) / 4e-3**2 + (load[:, None] - load) ** 2 / 1.5**2
     system = np.exp(-square / 2) + 0.01 * np.eye(200)
     readings = 30 * np.linalg.cholesky(system) @ rng.normal(size=(200, 9)) + 100
-    known = position[:120], load[:120], readings[:120]
-    found = plain.fit_scales(*known)
-    assert found.length == pytest.approx(4e-3, rel=0.33)
-    assert found.width == pytest.approx(1.5, rel=0.33)
+    fitted = position[:120], load[:120], readings[:120]
+    fit = plain.fit_scales(*fitted)
+    assert fit.length == pytest.approx(4e-3, rel=0.33)
+    assert fit.width == pytest.approx(1.5, rel=0.33)
     at = position[120:], load[120:]
     errors = [
-        ((plain.predict_plain(scales, known, at) - readings[120:]) ** 2).sum()
-        for scales in (found, found._replace(length=found.length / 2))
+        ((plain.predict_plain(scales, fitted, at) - readings[120:]) ** 2).sum()
+        for scales in (fit, fit._replace(length=fit.length / 2))
     ]
     assert errors[0] < errors[1]
-    # Of presses at one depth it is a process of positions.
+    # For presses at one depth, it is a process over positions.
     reading = position @ rng.normal(size=(2, 6)) * 1e4
-    known = position[:12], np.zeros(12), reading[:12]
-    flat = plain.predict_plain(plain.fit_scales(*known), known, (position[:12], np.zeros(12)))
+    pressed = position[:12], np.zeros(12), reading[:12]
+    flat = plain.predict_plain(plain.fit_scales(*pressed), pressed, (position[:12], np.zeros(12)))
     assert ((flat - reading[:12]) ** 2).sum() < 0.1 * ((reading[:12] - reading[:12].mean(0)) ** 2).sum()
 
 
-def test_predictions_and_the_gradient_of_the_loss_are_those_of_other_programs():
-    """scikit-learn's process with the same scales, and finite differences."""
+def test_predictions_agree_with_scikit_learn_and_the_gradient_with_finite_differences():
     rng = np.random.default_rng(5)
     position, load, readings = rng.uniform(-0.01, 0.01, (12, 2)), rng.uniform(0, 2, 12), rng.normal(100, 30, (12, 4))
     scales = plain.PlainScales(4e-3, 1.5, 0.01)
-    known, at = (slice(8), slice(8, None))
+    fitted, at = (slice(8), slice(8, None))
     x = np.column_stack([position, load])
     other = GaussianProcessRegressor(RBF([4e-3, 4e-3, 1.5]), alpha=0.01, optimizer=None)
-    expected = other.fit(x[known], readings[known] - readings[known].mean(0)).predict(x[at]) + readings[known].mean(0)
-    found = plain.predict_plain(scales, (position[known], load[known], readings[known]), (position[at], load[at]))
-    np.testing.assert_allclose(found, expected, rtol=1e-9)
+    mean = readings[fitted].mean(0)
+    expected = other.fit(x[fitted], readings[fitted] - mean).predict(x[at]) + mean
+    predicted = plain.predict_plain(
+        scales, (position[fitted], load[fitted], readings[fitted]), (position[at], load[at])
+    )
+    np.testing.assert_allclose(predicted, expected, rtol=1e-9)
 
     square = ((position[:, None] - position) ** 2).sum(-1), (load[:, None] - load) ** 2
     fixed = np.array(scales), square, readings - readings.mean(0)
