@@ -97,7 +97,7 @@ def test_what_is_no_path_is_refused():
     ):  # fmt: skip
         takes = getattr(function, "__wrapped__", function)
         for value in (None, 5, ["a"]):
-            with pytest.raises(TypeError, match=r"path: .*no path; give the name of a file or folder"):
+            with pytest.raises(TypeError, match=r"path: .*not a path; give the name of a file or folder"):
                 takes(value, *others)
         with pytest.raises(ValueError, match="is empty"):
             takes("", *others)

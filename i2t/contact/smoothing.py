@@ -70,9 +70,9 @@ def local_planes(
             y, x = (offset - radius).astype(depth.dtype)
             z = jax.lax.dynamic_slice(padded, offset, (n, n))
             residual = z - (plane[0] + plane[1] * y + plane[2] * x)
-            known = jnp.isfinite(z)
-            w = jnp.where(known, jnp.exp(-(x * x + y * y) / (2 * sigma**2) - residual**2 / (2 * edge**2)), 0)
-            z = jnp.where(known, z, 0)
+            is_known = jnp.isfinite(z)
+            w = jnp.where(is_known, jnp.exp(-(x * x + y * y) / (2 * sigma**2) - residual**2 / (2 * edge**2)), 0)
+            z = jnp.where(is_known, z, 0)
             terms = (w, w * y, w * x, w * y * y, w * x * y, w * x * x, w * z, w * y * z, w * x * z)
             return tuple(m + t for m, t in zip(moments, terms, strict=True)), None
 

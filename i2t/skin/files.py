@@ -66,7 +66,7 @@ def load_pad(path: Path | str) -> Pad:
         return _checked(path, pad)
 
 
-def _load(path: Path | str) -> tuple[Pad, dict[str, Any]]:
+def _load(path: Any) -> tuple[Pad, dict[str, Any]]:
     """Load a pad and its metadata, with the field names of earlier versions replaced."""
     return serialization.load(path, KIND, Pad, renamed={"magnetisation": "magnetization", "give": "mount_compliance"})
 

@@ -8,12 +8,13 @@ import pytest
 from helpers.baselines import placed_dataset, round_tip
 
 from experiments.fidelity import causes
-from experiments.fidelity.causes import FORCE_SIGN, LAG, SOFTNESS
+from experiments.fidelity.causes import SOFTNESS
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.sections import written
 from experiments.train.loads import press_load, with_known_load
 from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import save_dataset
+from i2t.recordings.diagnose import FindingName
 from i2t.skin import boards
 
 FORCED = PressureModelConfig(pitch=1e-3)
@@ -68,7 +69,7 @@ def test_late_labels_are_found(lag):
     late = np.roll(made.touches.reading, -lag, axis=0)
     shifted = replace(made, touches=made.touches._replace(reading=late))
     (found,) = causes.late_rows(shifted)
-    assert (found.name, found.wrong) == (LAG, lag != 0)
+    assert (found.name, found.wrong) == (FindingName.LAG, lag != 0)
     if lag:
         assert f"shifted by {lag:+d} rows" in found.sentence
 
@@ -84,7 +85,7 @@ def test_a_data_set_is_told_what_was_found_and_what_was_not(tmp_path):
     said = "\n".join(section.sentences)
     assert "shifted by +1 rows" in said
     assert "Could not be tested: height zero" in said
-    assert {each["name"] for each in section.numbers["causes"] if each["wrong"]} >= {LAG}
+    assert {each["name"] for each in section.numbers["causes"] if each["wrong"]} >= {FindingName.LAG}
 
     save_dataset(tmp_path / "simulated.h5", made)
     other = partial(causes.cause_section, tmp_path / "simulated.h5", FIDELITY_PRESETS["debug"], 0)
@@ -115,4 +116,4 @@ def test_a_changed_sign_or_height_is_found_by_trying_it():
     pulled = replace(made, touches=made.touches._replace(force=-made.touches.force))
     cfg = replace(FORCED, pitch=17e-3 / 24, smooth=False, tilt=0.0, cell=1e-3)
     found = {one.name: one for one in causes.tried_changes(pulled, every, groups, cfg)}
-    assert found[FORCE_SIGN].wrong
+    assert found[FindingName.FORCE_SIGN].wrong
