@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import i2t
 from tools.reproduce.steps import STEPS
-from tools.reproduce.tables import MARK, README_TABLE, table
+from tools.reproduce.tables import LIMITS_TABLE, MARK, README_TABLE, table
 
 ROOT = Path(__file__).parents[2]
 COMMAND = re.compile(r"python -m (?:i2t|experiments|tools|tests)[^`\n]*")
@@ -139,7 +139,8 @@ def _mentions(said: str, word: str) -> bool:
 
 def tables(page: Path, text: str) -> Iterator[Finding]:
     """Tables are what was measured, on a page that prints the command."""
-    printed = {step.name: f"python {step.command}" for step in STEPS} | {README_TABLE[0]: ""}  # it links to them
+    printed = {step.name: f"python {step.command}" for step in STEPS}
+    printed |= dict.fromkeys((README_TABLE[0], LIMITS_TABLE[0]), "")  # tables of no single command
     for found in MARK.finditer(text):
         line, step = _line(text, found.start()), found[2]
         if step not in printed:
