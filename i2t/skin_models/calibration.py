@@ -96,7 +96,7 @@ class Calibration:
 
     @property
     def left_out(self) -> Float[np.ndarray, "n c"]:
-        """Errors (uT) on the presses of the fit: measured minus predicted from all other presses."""
+        """Measured minus predicted readings (uT) of each press of the fit, predicted from all other presses."""
         with limit_blas_threads(len(self.gp.readings)):
             return population.left_out_errors(self.gp)
 
