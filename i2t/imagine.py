@@ -119,8 +119,8 @@ def _board(args: ImagineArgs, predictor: "Predictor") -> "Board":
     elif not same_board(board, trained_on):
         other = name_of_board(trained_on) or "another board with the same number of chips"
         raise ValueError(
-            f"--board {name} differs from the board of the predictor of {args.model}, {other}, whose chips its "
-            "readings are of; leave --board out, or train on touches of this board"
+            f"--board {name} differs from the board of the predictor of {args.model}, {other}; leave --board out, or "
+            "train on touches of this board"
         )
     return board
 

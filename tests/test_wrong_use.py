@@ -67,7 +67,7 @@ COMMANDS = [
     ("tools.reproduce --only nothing", "there is no step nothing"),
     ("tools.notebooks nothing", "no notebook is called nothing"),
     ("i2t.imagine --board grid-2x2", "name the board that it was trained on"),
-    ("i2t.imagine --board anyskin", "another board than that of the predictor of nominal, reskin"),
+    ("i2t.imagine --board anyskin", "differs from the board of the predictor of nominal, reskin"),
     ("i2t.imagine --model nowhere", "holds no predictor"),
     ("i2t.imagine --model nominall", "did you mean nominal"),
     ("i2t.view empty", "holds no touches"),
