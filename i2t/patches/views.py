@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, REACH
@@ -117,6 +118,22 @@ def pixels_on_skin(pitch: float) -> int:
         The number of pixels, which is even.
     """
     return 2 * int(PAD_WINDOW / pitch / 2)
+
+
+def complete_views(wide: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
+    """Fill the missing central pixels of cropped views with their patches.
+
+    Args:
+        wide: Depths (m) of views, NaN where they were cropped.
+        patch: Depths (m) of the patches in the middle of the views.
+
+    Returns:
+        `(n, w, w)` copy of the views; the surroundings of cropped views stay NaN.
+    """
+    views = np.array(wide)
+    middle = centre(views, patch.shape[-1])
+    middle[...] = np.where(np.isnan(middle), patch, middle)
+    return views
 
 
 def centre(view: AnyArray, pixels: int) -> AnyArray:

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from i2t.dataset import Dataset
 from i2t.geometry import apply, from_twist, full_precision, inverse, to_twist
 from i2t.patches.dimensions import PATCH_PIXELS
-from i2t.patches.views import WideView, camera_view, centre
+from i2t.patches.views import WideView, camera_view, complete_views
 from i2t.registration.session import SessionEstimate, SessionRegistrationConfig
 from i2t.runtime.batching import filled_batches
 from i2t.types import Array as AnyArray
@@ -117,9 +117,7 @@ def with_hand_eye(
 def _continued(wide: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
     """Complete views by their patches in the middle, and by the repeated edge of the patch where they were cropped."""
     margin = (wide.shape[-1] - patch.shape[-1]) // 2
-    view = np.array(wide)
-    middle = centre(view, patch.shape[-1])
-    middle[...] = np.where(np.isnan(middle), patch, middle)
+    view = complete_views(wide, patch)
     edges = np.pad(patch, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
     return np.where(np.isnan(view), edges, view)
 

@@ -34,7 +34,7 @@ from jaxtyping import Array, Bool, Float
 
 from i2t.geometry import from_twist, full_precision, inverse, to_twist
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, PATCH_WINDOW, REACH, TWIST_LEVER_M
-from i2t.patches.views import SAME_SURFACE_M
+from i2t.patches.views import SAME_SURFACE_M, complete_views
 from i2t.registration.contacts import (
     Contacts,
     LinearisedContacts,
@@ -236,10 +236,7 @@ def _prepare(
 
 def _measured_views(touches: Touches) -> _Views:
     """Collect the heights that the camera measured; a cropped view has those of its patch."""
-    behind, patch = np.array(touches.wide, np.float32), np.asarray(touches.patch, np.float32)
-    margin = (behind.shape[-1] - patch.shape[-1]) // 2
-    middle = behind[:, margin : margin + patch.shape[-1], margin : margin + patch.shape[-1]]
-    middle[...] = np.where(np.isnan(middle), patch, middle)
+    behind = complete_views(np.asarray(touches.wide, np.float32), np.asarray(touches.patch, np.float32))
     seen = np.isfinite(touches.nearest)
     nearest = np.where(seen, touches.nearest, 0).astype(np.float32)
     measured = np.isfinite(behind) & seen[:, None, None]
