@@ -23,8 +23,8 @@ class TrainArgs(ResumableOptions):
     objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for the pad model
     unit: UnitName | None = None  # of those files
     rig: Path | None = None  # with --dataset: of the lab; its object_covariance says how far poses may be off
-    # Of objects with meshes, touches tell where each session's object and camera were, or where the one camera of all
-    # sessions was, for objects without a mesh.
+    # sessions: find the poses of object and camera in each session (needs the meshes of the objects); camera: find the
+    # offset of one camera from sessions on the training objects, and correct all views
     registered: Registration | None = None
     pad_model_of: Literal["train", "all"] = "train"  # touches of --dataset that the pad model is fitted to
     split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
