@@ -30,10 +30,10 @@ def one_tip(recording: SkinRecording) -> None:
 
 
 def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
-    """Name and values (n,) of the load: depth where it is known and varies, else force, else nothing (one load for
+    """Name and values (n,) of the load: travel where it is known and varies, else force, else nothing (one load for
     all).
     """
-    names: tuple[LoadName, ...] = ("depth", "force")
+    names: tuple[LoadName, ...] = ("travel", "force")
     for name in names:
         if recording.varies(name) and recording.known(name).mean() > 0.5:
             return name, recording.targets[name][:, 0]

@@ -15,12 +15,12 @@ TOUCHES = 150
 
 
 def recording() -> Dataset:
-    """Presses at places of a skin whose reading grows with the depth and bends over the place."""
+    """Presses at places of a skin whose reading grows with the travel and bends over the place."""
     rng = np.random.default_rng(0)
-    place, depth = rng.uniform(-8e-3, 8e-3, (TOUCHES, 2)), rng.uniform(0.5e-3, 2e-3, TOUCHES)
+    place, travel = rng.uniform(-8e-3, 8e-3, (TOUCHES, 2)), rng.uniform(0.5e-3, 2e-3, TOUCHES)
     maps = np.sin(place @ rng.uniform(-400, 400, (2, 15)) + rng.uniform(0, 6, 15))
-    readings = 40e3 * depth[:, None] * maps + rng.normal(0, 0.5, maps.shape)
-    return placed_dataset(place, np.zeros((TOUCHES, 6, 6)), readings, depth=depth)
+    readings = 40e3 * travel[:, None] * maps + rng.normal(0, 0.5, maps.shape)
+    return placed_dataset(place, np.zeros((TOUCHES, 6, 6)), readings, travel=travel)
 
 
 def thirds() -> Split:
@@ -53,7 +53,7 @@ def test_nothing_is_said_of_touches_that_are_not_of_one_tip_at_known_places(chan
     if change == "off the skin":
         touches.T_w_o[0, 0, 3] = 50e-3
     if change == "no load":
-        touches.depth[np.flatnonzero(thirds().test)[0]] = np.nan  # of one touch to test
+        touches.travel[np.flatnonzero(thirds().test)[0]] = np.nan  # of one touch to test
     assert position_readings(replace(dataset, touches=touches), thirds(), 0) == {}
 
 

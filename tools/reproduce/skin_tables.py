@@ -55,8 +55,8 @@ SESSIONS = {  # of eFlesh, by the names of their folders
     "20250401_015037_probe": "`normal`, second",
     "20250416_200533_probe": "`shear`",
 }
-SHOWN_HEADS = ("position", "depth"), ("force",), ("force",), ("shear",)  # of each of these sessions
-HEAD_UNITS = {"position": "mm", "depth": "mm", "force": "N", "shear": "N"}
+SHOWN_HEADS = ("position", "travel"), ("force",), ("force",), ("shear",)  # of each of these sessions
+HEAD_UNITS = {"position": "mm", "travel": "mm", "force": "N", "shear": "N"}
 KEPT_SECTIONS = {
     "What it is": ("rows", "channels"),
     "Noise and drift": ("noise", "drift"),
