@@ -2,8 +2,8 @@
 
 No mechanics is solved. A press moves every magnet by smooth functions of its position and travel, down and away from
 the tip, and turns it towards the tip; how far, over which length, and how it grows with travel differs from skin to
-skin, and so do the magnets. The fields are those of `i2t.skin.magnets`. All sizes are assumptions, wide enough to hold a
-skin of 30 mm with magnets of a few mm. Metres, microtesla.
+skin, and so do the magnets. The fields are those of `i2t.skin.magnets`. All sizes are assumptions, wide enough to hold
+a skin of 30 mm with magnets of a few mm. Metres, microtesla.
 """
 
 from typing import NamedTuple

@@ -133,7 +133,7 @@ def _across(
     known: SkinRecording, other: SkinRecording, preset: FidelityPreset, seed: int, section: Section,
     rows: list[list[str]],
 ) -> None:  # fmt: skip
-    """A plain Gaussian process of one session on another, and one of some presses of that session."""
+    """A leave-one-out GP of one session on another, and one of some presses of that session."""
     before, now = _alike(known, other)
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]

@@ -56,23 +56,23 @@ def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Sectio
     _close(section, "hysteresis and creep", rows)
 
 
-def ceilings(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
+def repeatability(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
     """Limits that repeated presses set to the best model."""
     presses = press_set(recording)
     rows, predicted = predicted_from_others(presses, preset.forward_rows)
     reached = explained_share(presses.readings[rows], predicted)
-    section.numbers["r2_plain_gp_leave_one_out"] = reached
+    section.numbers["r2_leave_one_out_gp"] = reached
     section.sentences.append(
-        f"A plain Gaussian process of {len(rows)} presses explains R2 {reached:.4f} of each from the others."
+        f"A GP on position and load of {len(rows)} presses explains R2 {reached:.4f} of each from the others."
     )
     size = _repeat_noise(presses)
     total = np.mean(np.sum((presses.readings - presses.readings.mean(0)) ** 2, axis=1))
-    ceiling = 1 - float(np.sum(size**2) / total)
-    section.numbers |= {"repeat_std_uT": size.tolist(), "r2_ceiling": ceiling}
+    limit = 1 - float(np.sum(size**2) / total)
+    section.numbers |= {"repeat_std_uT": size.tolist(), "r2_repeatability_limit": limit}
     said = (
-        f"so that no model can explain more than R2 {ceiling:.4f}"
-        if reached <= ceiling
-        else f"more than noise, as R2 {reached:.4f} is explained where that would leave {ceiling:.4f} to explain"
+        f"so that no model can explain more than R2 {limit:.4f}"
+        if reached <= limit
+        else f"more than noise, as R2 {reached:.4f} is explained where that would leave {limit:.4f} to explain"
     )
     section.sentences.append(
         f"Presses repeated at one place and load differ by {np.sqrt(np.mean(size**2)):.2f} uT (standard deviation of a "

@@ -282,7 +282,8 @@ def load_calibration(path: Path | str) -> Calibration:
 def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:
     """Build a calibration from its record on disk."""
     load_kind, gp, boards = about.get("load", ""), record.gp, tuple(about.get("boards") or ())
-    load_kind = "travel" if load_kind == "depth" else load_kind  # as earlier files call it
+    if load_kind == "depth":  # as earlier files call it
+        load_kind = "travel"
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)
         and part.weights.shape == (len(part.components.log_share), part.readings.shape[1])

@@ -22,7 +22,7 @@ from i2t.recordings.read import SkinRecording, from_dataset
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
 TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW)
 SKIN = presses_of_a_skin(90)
-PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis and creep", "Ceilings", "Calibration curves")
+PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis and creep", "Repeatability", "Calibration curves")
 
 
 def _targets(**changed):
@@ -180,7 +180,7 @@ def test_mistakes_that_were_put_in_are_found():
 @pytest.mark.full
 def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
     """Labels of another row and positions in millimetres: as good as the sound recording, and said."""
-    for part in ("noise", "hysteresis", "ceilings"):
+    for part in ("noise", "hysteresis", "repeatability"):
         monkeypatch.setattr(dynamics, part, lambda *args: None)
     tiny = replace(TINY, counts=(40,))
     late = {name: np.roll(values, 2, axis=0) for name, values in SKIN.targets.items()}
@@ -276,16 +276,18 @@ def test_noise_and_hysteresis_are_measured_as_put_in():
     assert 0.015 < np.mean(loops) < 0.05
 
 
-def test_the_ceiling_is_that_of_the_noise_put_in():
+def test_the_limit_is_that_of_the_noise_put_in():
     rng = np.random.default_rng(0)
     once = presses_of_a_skin(120, noise_ut=0)
     twice = once.rows(np.tile(np.arange(120), 2))
     noisy = replace(twice, readings=twice.readings + 4.0 * rng.normal(size=twice.readings.shape))
-    section = Section("Ceilings")
-    dynamics.ceilings(noisy, replace(TINY, forward_rows=200), section)
+    section = Section("Repeatability")
+    dynamics.repeatability(noisy, replace(TINY, forward_rows=200), section)
     total = np.mean(np.sum((noisy.readings - noisy.readings.mean(0)) ** 2, axis=1))
-    assert section.numbers["r2_ceiling"] == pytest.approx(1 - 15 * 4.0**2 / total, abs=0.3 * 15 * 4.0**2 / total)
-    assert section.numbers["r2_plain_gp_leave_one_out"] < section.numbers["r2_ceiling"]
+    assert section.numbers["r2_repeatability_limit"] == pytest.approx(
+        1 - 15 * 4.0**2 / total, abs=0.3 * 15 * 4.0**2 / total
+    )
+    assert section.numbers["r2_leave_one_out_gp"] < section.numbers["r2_repeatability_limit"]
 
 
 def test_one_chip_that_remembers_is_named():

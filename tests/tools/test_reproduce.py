@@ -179,7 +179,7 @@ def _session(shear=False):
         "What it is": {"rows": 10, "known": {}},
         "Noise and drift": {"noise": noise, "drift": {"median_uT": 1.0, "largest_uT": 2.0, "simulator_uT": 4.0}},
         "Hysteresis and creep": {} if shear else {"hysteresis": {"loop_share": [0.1, 0.3], "left_share": [0.0]}},
-        "Ceilings": {"repeat_std_uT": [3.0, 4.0], "r2_ceiling": 0.9},
+        "Repeatability": {"repeat_std_uT": [3.0, 4.0], "r2_repeatability_limit": 0.9},
         "Heads": {"sentences": [], "heads": dict.fromkeys(("position", "travel", "force", "shear"), splits)},
     }
 
