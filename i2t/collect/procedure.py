@@ -447,7 +447,9 @@ class Procedure:
 
 def _without_images(touch: TouchResult) -> TouchResult:
     """Copy a touch without its images, which would fill the memory of a history."""
-    return touch._replace(view=None, skins={name: skin._replace(seen=None) for name, skin in touch.skins.items()})
+    return touch._replace(
+        camera_view=None, skins={name: skin._replace(seen=None) for name, skin in touch.skins.items()}
+    )
 
 
 def _counter_differences(now: SkinCounters, before: SkinCounters) -> SkinCounters:

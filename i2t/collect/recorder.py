@@ -344,7 +344,7 @@ def _lock_file(file: IO[str]) -> None:
 
 def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float) -> Record:
     """Assemble the record of a touch; `to_wall` (s) converts the devices' time to Unix time."""
-    view = touch.view
+    view = touch.camera_view
     assert view is not None
     counters = {"site": touch.site.number, "attempt": touch.attempt + 1}
     sets: dict[str, Dataset] = {}

@@ -66,8 +66,8 @@ class TouchResult(NamedTuple):
     attempt: int
     reason: StopReason
     skins: Mapping[str, SkinTouch]  # results by the names of the skins
-    view: View | None  # None in a history
-    T_w_c: Float[Array, "4 4"]  # pose of the camera when the view was taken
+    camera_view: View | None  # None in a history
+    T_w_c: Float[Array, "4 4"]  # pose of the camera when it took the view
 
     @property
     def code(self) -> ReturnCode:

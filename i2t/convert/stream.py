@@ -6,7 +6,7 @@ row, and `i2t.recordings.segmentation` finds the presses meanwhile. At most the 
 that memory does not grow with the log.
 
 A press becomes one row: its steady reading minus the rest before it, and the medians of the other columns over the same
-rows; its time is that of its beginning. A height becomes a travel, which counts from the height at which the reading
+rows; its time is that of its beginning. A height becomes travel, which counts from the height at which the reading
 left its rest. The search begins anew if the pad changes, after a pause and if the clock begins again, unless the skin
 is pressed there and continues to read the same. A press belongs to the session of its steady rows. Rows in which a chip
 did not answer are not part of a press, and end a press only if they hide it for longer than a pause. Rows that repeat
@@ -283,7 +283,7 @@ class _LogPresses:
 
     @property
     def labels(self) -> list[str]:
-        """Names of a press's labels, in which a height has become a travel."""
+        """Names of a press's labels, in which a height has become travel."""
         return ["travel_mm" if i == self.height else name for i, name in enumerate(self.columns.labels)]
 
     def add(self, search: _Search) -> None:

@@ -135,7 +135,7 @@ def test_every_pose_stays_in_the_box_above_the_object_and_histories_hold_no_imag
     np.testing.assert_allclose(heights[1:][across], procedure.top + procedure.settings.clearance)
     assert [len(history) for history in histories] == [0, 1, 2, 3]
     last = histories[-1][0].touch
-    assert last.view is None
+    assert last.camera_view is None
     np.testing.assert_array_equal(last.reading, memory.saved[0].reading)
 
 
