@@ -16,14 +16,14 @@ def main(presses: int = 60, tip_radius: float = 4e-3) -> float:
     pad = i2t.sample_pad(jax.random.key(2))  # here the "real" skin; bring your own presses instead
     random = np.random.default_rng(0)
     positions = random.uniform(-6e-3, 6e-3, (presses + 60, 2))  # m, of the tip in the tool frame
-    depths = random.uniform(0.1e-3, 0.5e-3, presses + 60)  # m past first contact
+    travels = random.uniform(0.1e-3, 0.5e-3, presses + 60)  # m past first contact
 
     def press(at: jax.Array) -> tuple[jax.Array, jax.Array]:
         squared = (GRID.centres[None, :] - at[0]) ** 2 + (GRID.centres[:, None] - at[1]) ** 2
         pressed = i2t.press(pad, (squared - squared.min()) / (2 * tip_radius), at[2])
         return pressed.reading, pressed.force
 
-    readings, forces = map(np.asarray, jax.lax.map(press, jnp.column_stack([positions, depths])))
+    readings, forces = map(np.asarray, jax.lax.map(press, jnp.column_stack([positions, travels])))
     readings = readings + random.normal(0, 1.0, readings.shape)  # uT of noise
 
     known, others, board = slice(None, presses), slice(presses, None), i2t.Board(*map(np.asarray, pad.board))

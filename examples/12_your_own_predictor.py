@@ -30,7 +30,7 @@ class SlopeModel(TouchModel):
         return len(self.spread)
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Predict n touches; `touches` has their force and depth too, where they were measured."""
+        """Predict n touches; `touches` has their force and travel too, where they were measured."""
         mean = features(touches.patch) @ self.weights
         return Reading(mean, np.broadcast_to(self.spread, mean.shape))
 

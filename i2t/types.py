@@ -166,10 +166,10 @@ class Pad(NamedTuple):
 class Truth(NamedTuple):
     """Error-free values of a simulated touch, which only the simulation knows."""
 
-    wide: Float[Any, "*n w w"]  # m, 72 x 72 view of the surface that the skin met, without camera or pose error
+    view: Float[Any, "*n w w"]  # m, view (72 x 72) of the surface that the skin met, without camera or pose error
     nearest: Float[Any, "*n"]  # m, position of the nearest surface point along tool z at the end of the press
     force: Float[Any, "*n"]  # N
-    indentation: Float[Any, "*n"]  # m, largest indentation of the skin
+    indentation: Float[Any, "*n"]  # m, largest compression of the skin
     reading: Float[Any, "*n c"]  # uT, without noise or ambient
 
 
@@ -177,7 +177,7 @@ class Truth(NamedTuple):
 class Touches(NamedTuple):
     """Touches, one on each row of every array: views, readings, and measurements of the arm.
 
-    NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the depth of
+    NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the travel of
     the press where camera and arm agree.
 
     Example:
@@ -186,13 +186,13 @@ class Touches(NamedTuple):
     """
 
     patch: Float[Any, "*n p p"]  # m, 48 x 48, what the camera saw in the tool frame at the end of the press
-    # m, 72 x 72, the same view with its surroundings, negative where something stands out before the patch's nearest
+    # m, 72 x 72, the patch with its surroundings, negative where something stands out before the patch's nearest
     # point; NaN where the recording was cropped
-    wide: Float[Any, "*n w w"]
+    view: Float[Any, "*n w w"]
     nearest: Float[Any, "*n"]  # m
     reading: Float[Any, "*n c"]  # uT, mean in contact minus ambient, in the board's order and axes; NaN: a missing chip
     force: Float[Any, "*n"]  # N, along tool z
-    depth: Float[Any, "*n"]  # m, travel past first contact
+    travel: Float[Any, "*n"]  # m, of the tool past first contact
     T_w_t: Float[Any, "*n 4 4"]  # tool pose at the end of the press, as the arm reports it
     T_w_o: Float[Any, "*n 4 4"]  # object pose as the lab believes it
     object: Int[Any, "*n"]  # index into the data set's object names

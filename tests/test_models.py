@@ -17,7 +17,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import make_board, name_of_board, same_board
 from i2t.skin.pad import numbered_pad
 from i2t.skin_models.pad_model import load_pad_model
-from tools.ready_models import GRID_DEPTHS, GRID_PLACES, main
+from tools.ready_models import GRID_PLACES, GRID_TRAVELS, main
 
 ROOT = Path(__file__).parents[1]
 MAX_BYTES = 5_000_000  # of all together
@@ -68,7 +68,7 @@ def test_the_ready_calibration_is_of_one_real_skin_and_holds_no_press_of_it():
     calibration = i2t.load_calibration("eflesh")
     assert calibration.metadata["source"] == "real"
     presses = calibration.gp.presses
-    assert len(np.unique(np.round(presses.loads, 6))) == GRID_DEPTHS  # a grid
+    assert len(np.unique(np.round(presses.loads, 6))) == GRID_TRAVELS  # a grid
     assert len(np.unique(np.round(presses.position, 6), axis=0)) == GRID_PLACES**2
     mean, std = calibration.predict([[0.0, 0.0]] * 2, [1e-3, 3e-3])
     assert (std > 0).all()
@@ -140,7 +140,7 @@ def test_the_ready_predictor_is_as_good_as_its_card_says():
     """On new simulated touches of an object that it has not seen, with the pad and the errors of its training."""
     surface = i2t.prepare_surface(i2t.make_object("hammer").mesh)
     made = i2t.simulate_touches(jax.random.key(7), [surface], numbered_pad(0), SimulationErrors(), 36)
-    given = {"force": made.force, "nearest": made.nearest, "depth": made.depth, "wide": made.wide}
+    given = {"force": made.force, "nearest": made.nearest, "travel": made.travel, "view": made.view}
     reading = i2t.load_predictor("nominal").predict(made.patch, **given)
     truth = np.asarray(made.reading)
     off = truth - reading.mean

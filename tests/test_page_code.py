@@ -49,13 +49,13 @@ def _recorded() -> Names:
 
 def _pressed() -> Names:
     random = np.random.default_rng(0)
-    positions, depths = random.uniform(-5e-3, 5e-3, (30, 2)), random.uniform(0.1e-3, 0.5e-3, 30)
-    readings = 1e5 * depths[:, None] * np.cos(positions @ random.normal(0, 200, (2, 15)))
+    positions, travels = random.uniform(-5e-3, 5e-3, (30, 2)), random.uniform(0.1e-3, 0.5e-3, 30)
+    readings = 1e5 * travels[:, None] * np.cos(positions @ random.normal(0, 200, (2, 15)))
     Path("runs/calibrate").mkdir(parents=True)
-    i2t.calibrate(positions, depths, readings, load_kind="depth").save("runs/calibrate/calibration.npz")
+    i2t.calibrate(positions, travels, readings, load_kind="travel").save("runs/calibrate/calibration.npz")
     return {
-        "positions": positions[:20], "depths": depths[:20], "readings": readings[:20],
-        "other_positions": positions[20:], "other_depths": depths[20:],
+        "positions": positions[:20], "travels": travels[:20], "readings": readings[:20],
+        "other_positions": positions[20:], "other_travels": travels[20:],
     }  # fmt: skip
 
 

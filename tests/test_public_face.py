@@ -143,7 +143,7 @@ mesh, key, eye = i2t.make_object("star").mesh, jax.random.key(0), np.eye(4)
 surface, pad, predictor = i2t.prepare_surface(mesh), i2t.nominal_pad(), i2t.load_predictor("nominal")
 camera, image = i2t.Camera(8, 6, 10.0, 10.0, 3.5, 2.5), np.full((6, 8), 0.1, np.float32)
 patch, top, height = np.zeros((48, 48)), (0, 0, 30e-3), np.zeros((40, 40))
-place, depth, reading = np.zeros((4, 2)), np.full(4, 1e-3), np.zeros((4, 15))
+place, travel, reading = np.zeros((4, 2)), np.full(4, 1e-3), np.zeros((4, 15))
 calls = {CALLS}
 said = []
 for name, call in calls:
@@ -165,7 +165,7 @@ CALLS = [
     ("objects", "i2t.simulate_touches(key, [], pad, None, 4)"),
     ("touches_per_session", "i2t.simulate_touches(key, [surface], pad, None, 4, touches_per_session=0)"),
     ("patch", "predictor.predict('patch')"),
-    ("wide", "predictor.predict(patch, wide='all')"),
+    ("view", "predictor.predict(patch, view='all')"),
     ("T_o_t", "predictor.predict_touch(mesh, 'here')"),
     ("height", "i2t.press(pad, 'flat', 1e-3)"),
     ("indentation", "i2t.press(pad, height, float('nan'))"),
@@ -185,7 +185,7 @@ CALLS = [
     ("contact_std", "i2t.register_by_touch(key, surface, eye, eye[None], np.ones(1), translation_std=1e-3, "
      "rotation_std=0.1, contact_std=0.0)"),
     ("touches", "i2t.register_session([eye], surface)"),
-    ("readings", "i2t.calibrate(place, depth, 'readings', load_kind='depth')"),
+    ("readings", "i2t.calibrate(place, travel, 'readings', load_kind='travel')"),
     ("positions", "i2t.load_calibration('eflesh').predict('here', 1e-3)"),
     ("meshes", "i2t.ObjectRecognizer(key, i2t.load_pad_model('nominal').model, [mesh, mesh])"),
     ("T_w_o", "i2t.ObjectRecognizer(key, i2t.load_pad_model('nominal').model, {'a': mesh, 'b': mesh}, T_w_o=2 * eye)"),

@@ -186,7 +186,7 @@ def test_normalisation_standardises_and_survives_constant_channels() -> None:
         target=raw.target.at[:, 4].set(0.1),
         inputs=raw.inputs._replace(conditions=raw.inputs.conditions.at[:, 1].set(-3e-4)),
     )
-    model = replace(MODEL, conditions=("force", "depth"))
+    model = replace(MODEL, conditions=("force", "travel"))
     norm = net.normalisation(raw)
     prepared = net.prepared(model, norm, raw)
     varying = np.arange(15) != 4

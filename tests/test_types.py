@@ -17,7 +17,7 @@ from i2t.types import Patch
 def test_fields_are_as_annotated():
     board = make_board("grid-4x4")
     pad = nominal_pad(board=board)
-    touches = make(3, truth=True, wide=True, board="grid-4x4").touches
+    touches = make(3, truth=True, view=True, board="grid-4x4").touches
     surface = prepare_surface(catalogue.make_object("star").mesh)
     for value in (board, pad, touches, surface, Patch(np.zeros((48, 48), np.float32), np.float32(0))):
         assert wrong_fields(value) == []
@@ -31,5 +31,5 @@ def test_fields_are_as_annotated():
 def test_a_wrong_field_is_found():
     touches = make(3, truth=True).touches
     assert wrong_fields(touches._replace(force=np.zeros(2, np.float32))) == ["force"]
-    assert wrong_fields(touches._replace(truth=touches.truth._replace(wide=np.zeros((3, 72, 71))))) == ["truth.wide"]
+    assert wrong_fields(touches._replace(truth=touches.truth._replace(view=np.zeros((3, 72, 71))))) == ["truth.view"]
     assert wrong_fields(nominal_pad()._replace(young=3)) == ["young"]

@@ -25,8 +25,8 @@ from i2t.collect.touch import SeenPatch
 from i2t.convert.commands import main as convert
 from i2t.depth.camera import Camera
 from i2t.depth.patches import DepthPatch, DepthView
-from i2t.patches.dimensions import REACH, WIDE_PIXELS
-from i2t.patches.views import WideView, centre
+from i2t.patches.dimensions import REACH, VIEW_PIXELS
+from i2t.patches.views import PatchView, centre
 from i2t.prediction import user_input
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor, Reading
@@ -96,7 +96,7 @@ def folder(tmp_path_factory) -> Path:
     (here / "empty").mkdir()
     box.export(here / "mesh.stl")
     box.export(here / "other" / "mesh.stl")
-    names = "x_mm,y_mm,depth_mm," + ",".join(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")
+    names = "x_mm,y_mm,travel_mm," + ",".join(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")
     rows = [f"{x},{-x},0.{x + 3}," + ",".join(str(10 * x + i) for i in range(15)) for x in range(-2, 3)]
     (here / "table.csv").write_text("\n".join([names, *rows]) + "\n")
     (here / "text.txt").write_text("no data at all\n")
@@ -227,7 +227,7 @@ def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
 # --- functions ---
 
 
-WIDE = np.zeros((72, 72), np.float32)
+VIEW = np.zeros((72, 72), np.float32)
 FLAT = np.zeros((48, 48), np.float32)
 WHOLE = np.ones((48, 48), bool)
 
@@ -236,7 +236,7 @@ WHOLE = np.ones((48, 48), bool)
 def predictor() -> Predictor:
     """The simplest there is: what is refused does not depend on the model."""
     baseline = MeanReading(np.arange(15.0), np.ones(15))
-    return Predictor(baseline, 17e-3, REACH, default_force=1.0, default_depth=0.3e-3)
+    return Predictor(baseline, 17e-3, REACH, default_force=1.0, default_travel=0.3e-3)
 
 
 @pytest.fixture(scope="module")
@@ -278,18 +278,18 @@ PATCHES: list[tuple[dict[str, Any], str]] = [
     ({"patch": Patch(FLAT, np.float32(-0.02))}, "begins 20 mm behind the skin"),
     ({"patch": Patch(FLAT[None].repeat(3, 0), np.float32([0, 0.5, 0]))}, "skin at this pose (touch 1)"),
     ({"patch": DepthPatch(Patch(FLAT, np.float32(0.2)), WHOLE, ~WHOLE)}, "begins 200 mm in front of the skin"),
-    ({"patch": WideView(Patch(FLAT, np.float32(0.2)), WIDE)}, "begins 200 mm in front of the skin"),
-    ({"patch": DepthView(WideView(Patch(FLAT, np.float32(0.2)), WIDE), WIDE == 0)}, "begins 200 mm in front"),
-    ({"patch": SeenPatch(FLAT, WIDE, 0.2, 1.0)}, "begins 200 mm in front of the skin"),
-    ({"patch": [Patch(FLAT, 0.0), SeenPatch(FLAT, WIDE, 0.0, 1.0)]}, "lists of one kind"),
+    ({"patch": PatchView(Patch(FLAT, np.float32(0.2)), VIEW)}, "begins 200 mm in front of the skin"),
+    ({"patch": DepthView(PatchView(Patch(FLAT, np.float32(0.2)), VIEW), VIEW == 0)}, "begins 200 mm in front"),
+    ({"patch": SeenPatch(FLAT, VIEW, 0.2, 1.0)}, "begins 200 mm in front of the skin"),
+    ({"patch": [Patch(FLAT, 0.0), SeenPatch(FLAT, VIEW, 0.0, 1.0)]}, "lists of one kind"),
     ({"patch": DepthPatch(Patch(FLAT + REACH, np.float32(np.inf)), ~WHOLE, ~WHOLE)}, "no pixel of the patch was seen"),
     ({"patch": sized(window=34e-3)}, "its window is 34 mm, and the model was trained on patches of 17 mm"),
     ({"patch": sized(reach=2e-3)}, "its reach is 2 mm, and the model was trained on patches of 4 mm"),
     ({"patch": [sized(window=17e-3), sized(window=34e-3)]}, "its window is 34 mm"),
     ({"patch": DepthPatch(Patch(FLAT, np.float32(0)), WHOLE & (np.arange(48) < 3), ~WHOLE)}, "only 6 % of the patch"),
-    ({"patch": FLAT, "wide": np.full((72, 72), np.nan)}, "NaN or infinite where the patch is"),
-    ({"patch": FLAT, "wide": np.zeros((72, 71))}, "wide has shape"),
-    ({"patch": FLAT, "wide": WIDE + 2e-3}, "another view"),
+    ({"patch": FLAT, "view": np.full((72, 72), np.nan)}, "NaN or infinite where the patch is"),
+    ({"patch": FLAT, "view": np.zeros((72, 71))}, "view has shape"),
+    ({"patch": FLAT, "view": VIEW + 2e-3}, "differs from the patch in its middle"),
     ({"patch": FLAT, "valid": np.zeros((48, 48), bool)}, "no pixel of the patch was seen"),
 ]  # fmt: skip
 
@@ -320,18 +320,18 @@ def test_a_force_beyond_the_largest_of_training_is_warned_of_and_four_times_that
 def test_the_whole_patch_says_as_much_as_its_parts(predictor):
     """One, many, or a list of them; a distance that is unknown is none."""
     depth = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
-    mask, wide = np.arange(48 * 48).reshape(48, 48) < 2000, WIDE.copy()
-    centre(wide, 48)[:] = depth
-    seen = WIDE == 0
+    mask, view = np.arange(48 * 48).reshape(48, 48) < 2000, VIEW.copy()
+    centre(view, 48)[:] = depth
+    seen = VIEW == 0
     seen[12:-12, 12:-12] = mask
     patch, nearest = Patch(depth, np.float32(-2e-4)), -2e-4
     for whole, parts in (
         (patch, {"nearest": nearest}),
         (Patch(depth, np.nan), {}),
         (DepthPatch(patch, mask, ~mask), {"nearest": nearest, "valid": mask}),
-        (WideView(patch, wide), {"nearest": nearest, "wide": wide}),
-        (DepthView(WideView(patch, wide), seen), {"nearest": nearest, "wide": wide, "valid": mask}),
-        (SeenPatch(depth, wide, nearest, 1.0), {"nearest": nearest, "wide": wide}),
+        (PatchView(patch, view), {"nearest": nearest, "view": view}),
+        (DepthView(PatchView(patch, view), seen), {"nearest": nearest, "view": view, "valid": mask}),
+        (SeenPatch(depth, view, nearest, 1.0), {"nearest": nearest, "view": view}),
     ):
         expected, single = predictor.predict(depth, force=1.0, **parts), predictor.predict(whole, force=1.0)
         many = predictor.predict([whole, whole], force=[1.0, 1.0])
@@ -357,9 +357,9 @@ def test_a_depth_image_in_another_unit_is_no_touch(predictor, unit):
             predictor.predict(seen, force=1.0)
 
 
-def seen(height: float) -> WideView:
+def seen(height: float) -> PatchView:
     """A flat at a height above the tool's origin (m, along tool z)."""
-    return WideView(Patch(FLAT, np.float32(height)), np.zeros((WIDE_PIXELS, WIDE_PIXELS), np.float32))
+    return PatchView(Patch(FLAT, np.float32(height)), np.zeros((VIEW_PIXELS, VIEW_PIXELS), np.float32))
 
 
 def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):

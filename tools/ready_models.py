@@ -11,9 +11,9 @@ predicts objects that it has not seen, from the run's own metrics. docs/model_ca
 
 makes the calibration of a real skin, calibration.npz and its card, which i2t/models/eflesh holds
 (`i2t.load_calibration("eflesh")`). It is fitted to presses of one eFlesh session and holds none of them: a structured
-Gaussian process conditioned on many presses (the teacher) predicts readings on a grid of places and depths, and a small
-one is conditioned on these predictions. The widths of its intervals are measured on presses of their own. All is judged
-at places that neither the teacher nor the widths have seen: a fifth of all, drawn once.
+Gaussian process conditioned on many presses (the teacher) predicts readings on a grid of places and travels, and a
+small one is conditioned on these predictions. The widths of its intervals are measured on presses of their own.
+All is judged at places that neither the teacher nor the widths have seen: a fifth of all, drawn once.
 """
 
 import json
@@ -38,7 +38,7 @@ ORBAX_NOTE = "commit_success.txt"  # names the folder of the machine that wrote 
 CARD_SCORES = ("r2", "r2_interval", "rmse", "rmse_sigma", "cosine", "coverage_90")
 TEST_SHARE = 0.2  # of the places
 TEACHER_PRESSES, INTERVAL_PRESSES = 1000, 500
-GRID_PLACES, GRID_DEPTHS = 10, 3  # along an edge of the skin, and at each place
+GRID_PLACES, GRID_TRAVELS = 10, 3  # along an edge of the skin, and at each place
 PLACE_DECIMALS = 4  # m: places that differ by less are one
 RANGE_STDS, RANGE_SHARE = 1.645, 0.9  # of a normal distribution
 BASELINE_PRESSES, BASELINE_NEIGHBOURS = 20, 3
@@ -102,7 +102,7 @@ class _Session(NamedTuple):
     """Presses in the skin, in the order of time."""
 
     position: np.ndarray  # (n, 2) m
-    depth: np.ndarray  # (n,) m
+    travel: np.ndarray  # (n,) m
     reading: np.ndarray  # (n, c) uT
 
     def some(self, rows: np.ndarray) -> "_Session":
@@ -117,8 +117,8 @@ def _of_a_session(args: ReadyModelsArgs, folder: Path) -> dict[str, Any]:
 
     converted = eflesh.convert(folder)
     touches = converted.dataset.touches
-    rows = np.flatnonzero(touches.depth > 0)
-    session = _Session(touches.T_w_o[rows, :2, 3].astype(np.float64), touches.depth[rows], touches.reading[rows])
+    rows = np.flatnonzero(touches.travel > 0)
+    session = _Session(touches.T_w_o[rows, :2, 3].astype(np.float64), touches.travel[rows], touches.reading[rows])
     rng = np.random.default_rng(args.seed)
     places, place_of = np.unique(np.round(session.position, PLACE_DECIMALS), axis=0, return_inverse=True)
     chosen = rng.permutation(len(places))[: round(TEST_SHARE * len(places))]
@@ -132,18 +132,18 @@ def _of_a_session(args: ReadyModelsArgs, folder: Path) -> dict[str, Any]:
         "source": "real",
         "recording": f"eFlesh, characterization/datasets/spatial/{folder.name}",
         "licence": "MIT, Copyright (c) 2025 Venkatesh Pattabiraman",
-        "presses": {"teacher": TEACHER_PRESSES, "intervals": INTERVAL_PRESSES, "test": len(test.depth)},
+        "presses": {"teacher": TEACHER_PRESSES, "intervals": INTERVAL_PRESSES, "test": len(test.travel)},
         "places": {"all": len(places), "test": len(chosen)},
         "grid": len(_grid(session)),
         "range_mm": {
-            "x": _range(session.position[:, 0]), "y": _range(session.position[:, 1]), "depth": _range(session.depth)
+            "x": _range(session.position[:, 0]), "y": _range(session.position[:, 1]), "travel": _range(session.travel)
         },
         "methods": {
             "small calibration": _judged(small, test),
             "its teacher, 1000 presses": _judged(teacher, test),
-            f"i2t.calibrate, {BASELINE_PRESSES} presses": _judged(calibrate(*few, load_kind="depth"), test),
+            f"i2t.calibrate, {BASELINE_PRESSES} presses": _judged(calibrate(*few, load_kind="travel"), test),
             f"mean of {BASELINE_NEIGHBOURS} nearest of the 1000": _scores(test, _nearest(fitted_to, test)),
-            "mean reading": _scores(test, np.tile(fitted_to.reading.mean(0), (len(test.depth), 1))),
+            "mean reading": _scores(test, np.tile(fitted_to.reading.mean(0), (len(test.travel), 1))),
         },
     }  # fmt: skip
     about = {key: card[key] for key in ("source", "recording", "licence")} | {"notes": list(converted.notes)}
@@ -151,31 +151,31 @@ def _of_a_session(args: ReadyModelsArgs, folder: Path) -> dict[str, Any]:
     return card
 
 
-def _fitted(position: np.ndarray, depth: np.ndarray, reading: np.ndarray) -> "Calibration":
-    from i2t.skin_models import DEPTH_HYPERPARAMETERS, calibrate
+def _fitted(position: np.ndarray, travel: np.ndarray, reading: np.ndarray) -> "Calibration":
+    from i2t.skin_models import TRAVEL_HYPERPARAMETERS, calibrate
 
-    return calibrate(position, depth, reading, load_kind="depth", hyperparameters=DEPTH_HYPERPARAMETERS)
+    return calibrate(position, travel, reading, load_kind="travel", hyperparameters=TRAVEL_HYPERPARAMETERS)
 
 
 def _distilled(teacher: "Calibration", session: _Session, for_intervals: _Session) -> "Calibration":
     """A calibration of a teacher's predictions on a grid, its intervals from presses."""
     grid = _grid(session)
     small = _fitted(grid[:, :2], grid[:, 2], teacher.predict(grid[:, :2], grid[:, 2])[0])
-    mean, std = small.predict(for_intervals.position, for_intervals.depth)
+    mean, std = small.predict(for_intervals.position, for_intervals.travel)
     away = np.quantile(np.abs(for_intervals.reading - mean) / std, RANGE_SHARE, axis=0) / RANGE_STDS
     return replace(small, interval_scaling=np.float32(np.asarray(small.interval_scaling) * away))
 
 
 def _grid(session: _Session) -> np.ndarray:
-    """Places and depths (n, 3) m in random order, as the Gaussian process wants its presses."""
+    """Places and travels (n, 3) m in random order, as the Gaussian process wants its presses."""
     edges = [np.linspace(column.min(), column.max(), GRID_PLACES) for column in session.position.T]
-    depths = np.quantile(session.depth, np.linspace(0, 1, GRID_DEPTHS))
-    grid = np.stack(np.meshgrid(*edges, depths, indexing="ij"), axis=-1).reshape(-1, 3)
+    travels = np.quantile(session.travel, np.linspace(0, 1, GRID_TRAVELS))
+    grid = np.stack(np.meshgrid(*edges, travels, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.random.default_rng(0).permutation(grid)
 
 
 def _judged(calibration: "Calibration", test: _Session) -> dict[str, float]:
-    mean, std = calibration.predict(test.position, test.depth)
+    mean, std = calibration.predict(test.position, test.travel)
     return _scores(test, mean) | {"coverage_90": float(np.mean(np.abs(test.reading - mean) < RANGE_STDS * std))}
 
 
@@ -186,8 +186,8 @@ def _scores(test: _Session, mean: np.ndarray) -> dict[str, float]:
 
 
 def _nearest(known: _Session, test: _Session) -> np.ndarray:
-    """Mean reading of the nearest presses, places and depths in their standard deviations."""
-    features = [np.column_stack([part.position, part.depth]) for part in (known, test)]
+    """Mean reading of the nearest presses, places and travels in their standard deviations."""
+    features = [np.column_stack([part.position, part.travel]) for part in (known, test)]
     away = np.linalg.norm((features[1][:, None] - features[0][None]) / features[0].std(0), axis=2)
     return known.reading[np.argsort(away, axis=1)[:, :BASELINE_NEIGHBOURS]].mean(1)
 

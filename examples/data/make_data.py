@@ -43,17 +43,17 @@ def presses() -> list[list[str]]:
     """Rows of a table of presses of a ball on simulated pad 0, the names of the columns first."""
     random, pad = np.random.default_rng(0), numbered_pad(0)
     x, y = random.uniform(-6, 6, (2, PRESSES)).round(2)
-    depth = random.uniform(0.1, 0.6, PRESSES).round(2)
+    travel = random.uniform(0.1, 0.6, PRESSES).round(2)
 
     def press(at: jax.Array) -> tuple[jax.Array, jax.Array]:
         squared = (GRID.centres[None, :] - at[0]) ** 2 + (GRID.centres[:, None] - at[1]) ** 2
         pressed = i2t.press(pad, squared / (2e-3 * TIP_RADIUS_MM), at[2])
         return pressed.reading, pressed.force
 
-    readings, forces = map(np.asarray, jax.lax.map(press, jnp.asarray(1e-3 * np.column_stack([x, y, depth]))))
+    readings, forces = map(np.asarray, jax.lax.map(press, jnp.asarray(1e-3 * np.column_stack([x, y, travel]))))
     readings = readings + random.normal(0, NOISE_UT, readings.shape)
-    names = ["x_mm", "y_mm", "depth_mm", "force_N", *(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")]
-    numbers = zip(x, y, depth, forces, readings, strict=True)
+    names = ["x_mm", "y_mm", "travel_mm", "force_N", *(f"b{chip}{axis}_uT" for chip in range(5) for axis in "xyz")]
+    numbers = zip(x, y, travel, forces, readings, strict=True)
     return [
         [*names, "pad", "source"],
         *([f"{a:.2f}", f"{b:.2f}", f"{d:.2f}", f"{f:.3f}", *(f"{v:.1f}" for v in r), "pad 0", "simulated"]

@@ -77,7 +77,7 @@ def contacts(small: bool) -> Iterator[Rate]:
     """Solve contacts of the default layer, and count the arithmetic of their convolutions."""
     count, pad = (8, 4096)[not small], i2t.nominal_pad()
     heights, depths = jax.device_put(skin.touches(GRID, list(skin.SHAPES), count))
-    run = jax.jit(jax.vmap(lambda height, depth: solve(pad, height, depth, GRID)))
+    run = jax.jit(jax.vmap(lambda height, indentation: solve(pad, height, indentation, GRID)))
     cost = jax.jit(convolve).lower(compliance(pad, GRID), heights[0]).compile().cost_analysis() or {}
     flops = float(np.mean(run(heights, depths).steps)) * cost.get("flops", 0.0)
     yield f"contacts, {flops / 1e6:.2g} Mflop each, batch of {count}", partial(finish, run, heights, depths), count

@@ -52,19 +52,20 @@ def contests(
     kinds: Sequence[str] = ("contacts", "readings"),
 ) -> Iterator[Contest]:
     """Contacts, and whole readings, against the peer's contacts."""
-    heights, depths = touches(grid, shapes, batch)
+    heights, indentations = touches(grid, shapes, batch)
     run = {
-        "contacts": jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0))),
+        "contacts": jax.jit(jax.vmap(partial(solve, grid=grid), (None, 0, 0))),
         "readings": jax.jit(jax.vmap(partial(_reading, grid=grid, dipoles=None), (None, 0, 0))),
     }
     work = f"{shapes[0] if len(shapes) == 1 else 'all shapes'}, {grid.cells} x {grid.cells} cells"
     systems = [
-        peer_contact(pad, grid, np.asarray(heights[i], float), float(depths[i])) for i in range(min(len(shapes), batch))
+        peer_contact(pad, grid, np.asarray(height, float), float(indentation))
+        for height, indentation in zip(heights[: len(shapes)], indentations, strict=False)
     ]  # one of each shape
-    check(work, run["contacts"](pad, heights, depths), [system() for system in systems], grid)
+    check(work, run["contacts"](pad, heights, indentations), [system() for system in systems], grid)
     for kind in kinds:
         yield Contest(
-            f"{kind}: {work}", partial(finish, run[kind], pad, heights, depths), PEER,
+            f"{kind}: {work}", partial(finish, run[kind], pad, heights, indentations), PEER,
             lambda: [system() for system in systems],
             our_calls=1 / batch, peer_calls=1 / len(systems), unit=UNIT, steady=steady,
         )  # fmt: skip
@@ -73,23 +74,23 @@ def contests(
 def dipoles(pad: Pad, shapes: list[str], batch: int, steady: float, counts: Sequence[int]) -> Iterator[Contest]:
     """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
     grid = _grid(max(CELLS))
-    heights, depths = touches(grid, shapes, batch)
-    contact = jax.jit(jax.vmap(lambda pad, height, depth: solve(pad, height, depth, grid), (None, 0, 0)))
+    heights, indentations = touches(grid, shapes, batch)
+    contact = jax.jit(jax.vmap(lambda pad, height, indentation: solve(pad, height, indentation, grid), (None, 0, 0)))
     for count in counts:
         reading = jax.jit(jax.vmap(partial(_reading, grid=grid, dipoles=_grid(count)), (None, 0, 0)))
         yield Contest(
             f"readings: {grid.cells} x {grid.cells} cells, {count} x {count} x 5 dipoles",
-            partial(finish, reading, pad, heights, depths), "the contact alone",
-            partial(finish, contact, pad, heights, depths),
+            partial(finish, reading, pad, heights, indentations), "the contact alone",
+            partial(finish, contact, pad, heights, indentations),
             our_calls=1 / batch, peer_calls=1 / batch, unit=UNIT, steady=steady,
         )  # fmt: skip
 
 
-def _reading(pad: Pad, height: jax.Array, depth: jax.Array, *, grid: Grid, dipoles: Grid | None) -> jax.Array:
-    return press(pad, height, depth, grid=grid, dipoles=dipoles).reading
+def _reading(pad: Pad, height: jax.Array, indentation: jax.Array, *, grid: Grid, dipoles: Grid | None) -> jax.Array:
+    return press(pad, height, indentation, grid=grid, dipoles=dipoles).reading
 
 
-def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Callable[[], np.ndarray]:
+def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, indentation: float) -> Callable[[], np.ndarray]:
     """A contact that ContactMechanics solves when called, giving the pressure (Pa) on the pad's cells."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it says at import that it runs without MPI
@@ -105,7 +106,7 @@ def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, depth: float) -> Call
     system = NonSmoothContactSystem(elastic, Topography(surface, (period, period)))
 
     def run() -> np.ndarray:
-        if not system.minimize_proxy(offset=depth, pentol=CONTACT_SOLVER.tolerance * depth).success:
+        if not system.minimize_proxy(offset=indentation, pentol=CONTACT_SOLVER.tolerance * indentation).success:
             raise ValueError(f"{PEER} did not converge")
         return np.asarray(system.force)[: grid.cells, : grid.cells] / grid.spacing**2
 
@@ -132,14 +133,14 @@ def touches(grid: Grid, shapes: list[str], batch: int) -> tuple[jax.Array, jax.A
     """Heights (batch, n, n) and indentations (batch,): the shapes in turn, at random places."""
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
     rng = np.random.default_rng(0)
-    heights, depths = [], []
+    heights, indentations = [], []
     for i in range(batch):
-        shape, depth = SHAPES[shapes[i % len(shapes)]]
+        shape, indentation = SHAPES[shapes[i % len(shapes)]]
         dx, dy = rng.uniform(-3e-3, 3e-3, 2)
         height = shape(x - dx, y - dy)
         heights.append(height - height.min())
-        depths.append(depth)
-    return jnp.asarray(np.stack(heights), jnp.float32), jnp.asarray(depths, jnp.float32)
+        indentations.append(indentation)
+    return jnp.asarray(np.stack(heights), jnp.float32), jnp.asarray(indentations, jnp.float32)
 
 
 def _ball(radius: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS
 from i2t.cli.options import Count, Limits, require_with
 
-TARGET_NAMES = ("position", "depth", "force", "shear")  # as `i2t.heads.heads` has them
+TARGET_NAMES = ("position", "travel", "force", "shear")  # as `i2t.heads.heads` has them
 PressCount: TypeAlias = Annotated[int, Limits(2)]
 
 
@@ -44,12 +44,12 @@ class CalibrateArgs(RunOptions):
     recovery: bool = False  # fit pads to presses of simulated pads, and count how often their ranges hold the truth
     prior: bool = False  # make the prior over kernels, prior.npz, from simulated skins
     save_pad: Path | None = None  # do not compare methods: fit a pad to the presses and write it, a file for --pad
-    targets: tuple[str, ...] = ()  # heads of position, depth, force, shear (docs/fidelity.md)
+    targets: tuple[str, ...] = ()  # heads of position, travel, force, shear (docs/fidelity.md)
     tip: str | None = None  # with --save-pad: sphere:RADIUS or cylinder:RADIUS in mm; by default what the data set says
     pad_name: str | None = None  # with --save-pad: of the skin; by default what the data set says
     out: Path = Path("runs/calibrate")  # folder for everything that is made
     preset: Literal["paper", "short", "debug"] = "paper"
-    load: Literal["auto", "depth", "force"] = "auto"  # what says how hard was pressed; auto: depth where measured
+    load: Literal["auto", "travel", "force"] = "auto"  # what says how hard was pressed; auto: travel where measured
     presses: tuple[PressCount, ...] = ()  # how many to calibrate with; by default what the preset says
     draws: Count | None = None  # of the presses to calibrate with, in place of the preset's
 

@@ -1,9 +1,9 @@
 """Generated skins of the kind of eFlesh: four cylinder magnets in a soft lattice over the chips.
 
-No mechanics is solved. A press moves every magnet by smooth functions of its position and depth, down and away from the
-tip, and turns it towards the tip; how far, over which length, and how it grows with depth differs from skin to skin,
-and so do the magnets. The fields are those of `i2t.skin.magnets`. All sizes are assumptions, wide enough to hold a skin
-of 30 mm with magnets of a few mm. Metres, microtesla.
+No mechanics is solved. A press moves every magnet by smooth functions of its position and travel, down and away from
+the tip, and turns it towards the tip; how far, over which length, and how it grows with travel differs from skin to
+skin, and so do the magnets. The fields are those of `i2t.skin.magnets`. All sizes are assumptions, wide enough to hold
+a skin of 30 mm with magnets of a few mm. Metres, microtesla.
 """
 
 from typing import NamedTuple
@@ -32,10 +32,10 @@ class _Lattice(NamedTuple):
     signs: Array  # (4,)
     strengths: Array  # (4,)
     length: Array  # () m, over which a press is felt
-    down: Array  # () share of the depth by which a magnet sinks
+    down: Array  # () share of the travel by which a magnet sinks
     away: Array  # () share by which it moves aside
-    tilt: Array  # () rad per depth and length
-    power: Array  # () of the depth
+    tilt: Array  # () rad per travel and length
+    power: Array  # () of the travel
     offset: Array  # () m
     softness: Array  # (cells, cells)
 
@@ -43,7 +43,7 @@ class _Lattice(NamedTuple):
 def sample_skin(
     key: Key[Array, ""],
     position: Float[Array, "n 2"],
-    depth: Float[Array, " n"],
+    travel: Float[Array, " n"],
     *,
     half_edge: float,
 ) -> Float[Array, "n c"]:
@@ -52,7 +52,7 @@ def sample_skin(
     Args:
         key: Random key.
         position: Positions of the tip (m), in a square about the skin's centre.
-        depth: Depths of the presses (m).
+        travel: Travels of the presses (m).
         half_edge: Half of the square's edge (m).
 
     Returns:
@@ -73,7 +73,7 @@ def sample_skin(
         moved = magnets.move(still, translation, rotation)
         return (magnets.field(chips, moved, 24) - magnets.field(chips, still, 24)).ravel()
 
-    readings = map_batches(lambda one: press(*one), (position, depth), batch_size=LATTICE_BATCH)
+    readings = map_batches(lambda one: press(*one), (position, travel), batch_size=LATTICE_BATCH)
     return readings / jnp.sqrt(jnp.mean(readings**2))
 
 
@@ -96,9 +96,9 @@ def _sample_lattice(key: Key[Array, ""]) -> _Lattice:
     )  # fmt: skip
 
 
-def _magnet_motion(lattice: _Lattice, at: Array, depth: Array, half_edge: float) -> tuple[Array, Array]:
+def _magnet_motion(lattice: _Lattice, at: Array, travel: Array, half_edge: float) -> tuple[Array, Array]:
     """Translation (4, 3) m and rotation (4, 3) rad of the magnets under a press."""
-    grown = DEEP_PRESS_M * ((depth + lattice.offset) / (DEEP_PRESS_M + lattice.offset)) ** lattice.power
+    grown = DEEP_PRESS_M * ((travel + lattice.offset) / (DEEP_PRESS_M + lattice.offset)) ** lattice.power
     cell = (at / half_edge + 1) / 2 * (SOFTNESS_CELLS - 1)
     grown = grown * (
         1 + jax.scipy.ndimage.map_coordinates(lattice.softness, [cell[1], cell[0]], order=1, mode="nearest")

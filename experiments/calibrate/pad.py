@@ -43,7 +43,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         raise ValueError(f"{args.save_pad} exists; choose another --save-pad, or pass --overwrite")
     dataset = data.load_dataset(args.dataset, skin=args.skin_name)
     touches = dataset.touches
-    load = args.load if args.load != "auto" else "force" if np.isfinite(touches.force).any() else "depth"
+    load = args.load if args.load != "auto" else "force" if np.isfinite(touches.force).any() else "travel"
     recording = loaded_presses(dataset, load)
     new = np.flatnonzero(~repeated_rows(recording.readings))
     rows = np.random.default_rng(args.seed).permutation(new)[:MAX_PAD_PRESSES]

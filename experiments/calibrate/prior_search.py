@@ -2,7 +2,7 @@
 
 Candidates are drawn from wide ranges and about two sets of hyperparameters that were known before. Each is tried on
 every skin: conditioned on 10, 30 and 100 presses it predicts others. Candidates of a second generation are drawn about
-the best of each skin. The shares of the population, for loads by depth and by force, are those that make what was
+the best of each skin. The shares of the population, for loads by travel and by force, are those that make what was
 found most likely (the nonparametric maximum likelihood estimate of a mixing distribution; Laird, JASA 73, 1978), its
 iterations stopped early, so that they stay wide.
 """
@@ -39,7 +39,7 @@ RANGES: dict[str, tuple[float, float, bool]] = {
 }  # fmt: skip
 # What the two sets of `tip_gp.structured` are at a typical load of 2.3 mm and of 0.65 N, and a guess by geometry.
 ANCHORS: dict[str, SkinKernels] = {
-    "depth": SkinKernels(*(np.array([v]) for v in (
+    "travel": SkinKernels(*(np.array([v]) for v in (
         1.8, 1.2, 16.5e-3, 0.0145, 2e-3, 3.0, 0.024, 16.5e-3, 1.6e-3, 3.6e-3, 1e-4, 10e-3, UNIFORM_FAR_AMPLITUDE,
     ))),
     "force": SkinKernels(*(np.array(v) for v in (
@@ -78,9 +78,10 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     error = errors_of(first, tasks, cfg)
     second = near(rng, take(first, _best(error)), cfg.second)
     every, error = join(first, second), np.concatenate([error, errors_of(second, tasks, cfg)], axis=2)
-    anchored = {"depth": cfg.wide + np.arange(cfg.anchored), "force": cfg.wide + cfg.anchored + np.arange(cfg.anchored)}
+    first_anchored = cfg.wide + np.arange(cfg.anchored)
+    anchored = {"travel": first_anchored, "force": cfg.anchored + first_anchored}
     by_force = np.array([by for _, by in tasks])
-    share = np.stack([_shares(error, by_force == (kind == "force"), anchored[kind]) for kind in ("depth", "force")])
+    share = np.stack([_shares(error, by_force == (kind == "force"), anchored[kind]) for kind in ("travel", "force")])
     keep = np.argsort(-share.sum(0), kind="stable")[: cfg.kept]
     with np.errstate(divide="ignore"):
         log_share = np.log(share[:, keep] / share[:, keep].sum(1, keepdims=True))
@@ -139,7 +140,7 @@ def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]],
     found = np.empty((len(tasks), len(SEARCH_PRESS_COUNTS), len(kernels.load_power)))
     knows_chips = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     for t, (skin, by_force) in enumerate(progress(tasks, desc="skins", unit="skin")):
-        load = skin.force if by_force else skin.depth
+        load = skin.force if by_force else skin.travel
         test = slice(len(load) - cfg.test_presses, None)
         for i, n in enumerate(SEARCH_PRESS_COUNTS):
             typical = np.sqrt(np.mean(load[:n] ** 2))

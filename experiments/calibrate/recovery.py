@@ -29,11 +29,11 @@ from i2t.types import Pad
 
 PADS_SEED = 505  # other pads than those of any other experiment
 TIP = RoundTip("sphere", 4e-3)
-LOADS = {"force": (0.1, 1.2), "depth": (0.15e-3, 0.6e-3)}  # N and m, of the presses
+LOADS = {"force": (0.1, 1.2), "travel": (0.15e-3, 0.6e-3)}  # N and m, of the presses
 HALF_EDGE_M = 7e-3  # of the square that is pressed
 NOISE_UT = 1.0
 MOUNT_ERRORS = ("contact_offset", "tip_offset", "tip_scale", "board_offset", "board_rotation")
-UNUSED = {"force": "contact_offset", "depth": "young"}  # the parameter that such presses do not depend on
+UNUSED = {"force": "contact_offset", "travel": "young"}  # the parameter that such presses do not depend on
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class KnownLayer(NamedTuple):
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
-    """Fit each pad to presses by force and to presses by depth; count how often the ranges hold the truth."""
+    """Fit each pad to presses by force and to presses by travel; count how often the ranges hold the truth."""
     started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
     begin(args, cfg)
     cases = [(number, load) for load in LOADS for number in range(cfg.pads)]

@@ -33,8 +33,8 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case("bonded", "depth"), Case("bonded", "force"), Case("loose", "force"), Case("weak", "force"),
-    Case("lattice", "depth"), Case("displaced", "force"),
+    Case("bonded", "travel"), Case("bonded", "force"), Case("loose", "force"), Case("weak", "force"),
+    Case("lattice", "travel"), Case("displaced", "force"),
 )  # fmt: skip
 
 
@@ -51,7 +51,7 @@ class SimulatedPreset:
 PRESETS: dict[str, SimulatedPreset] = {
     "paper": SimulatedPreset(),
     "short": SimulatedPreset(4),
-    "debug": SimulatedPreset(1, (5, 10), 12, (Case("lattice", "depth"),)),
+    "debug": SimulatedPreset(1, (5, 10), 12, (Case("lattice", "travel"),)),
 }
 
 
@@ -90,10 +90,10 @@ def _score(case: Case, cfg: SimulatedPreset) -> dict[str, Any]:
 
 def _recording(skin: PressedSkinOfKind, load: str) -> LoadedPresses:
     """A skin's presses, on the board whose chips lie where the skin's do."""
-    kind: LoadName = "force" if load == "force" else "depth"
+    kind: LoadName = "force" if load == "force" else "travel"
     board = eflesh_board() if skin.kind == "lattice" else reskin_board()
     return LoadedPresses(
-        skin.position, skin.force if kind == "force" else skin.depth, skin.readings, kind, own_board=board
+        skin.position, skin.force if kind == "force" else skin.travel, skin.readings, kind, own_board=board
     )
 
 

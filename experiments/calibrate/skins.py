@@ -5,11 +5,11 @@
   uniform    one direction of magnetization nearly everywhere
   weak       bonded pads three tenths as strong: the signal is a few times the noise
   lattice    four moving magnets in a soft lattice (`experiments.calibrate.lattice`), with local heights and a period
-  displaced  what facts about real boards add: force at one depth jumps threefold within a session, one chip keeps a
-             part of the press before and slips by up to 35 uT, skins stay displaced (a field that does not depend on
+  displaced  what facts about real boards add: force at the same travel jumps threefold within a session, one chip keeps
+             a part of the press before and slips by up to 35 uT, skins stay displaced (a field that does not depend on
              the load) and a fifth of the signal is not explained by anything known
 
-Every skin has depth and force of each press with errors of a lab.
+Every skin has travel and force of each press with errors of a lab.
 """
 
 from functools import partial
@@ -31,15 +31,15 @@ BALL_TIP = RoundTip("sphere", 4e-3)
 FORCE_ERROR_N, POSITION_ERROR_M, PRESS_NOISE_UT = 0.02, 0.05e-3, 1.5
 SKIN_KINDS = ("bonded", "loose", "uniform", "weak", "lattice", "displaced")
 LAYER_HALF_EDGE_M, LATTICE_HALF_EDGE_M = 8e-3, 15e-3
-LAYER_DEPTHS_M, LATTICE_DEPTHS_M = (0.15e-3, 1.1e-3), (0.3e-3, 4e-3)
-DEPTH_ERROR_M = 0.02e-3
-HEIGHT_ZERO_ERROR = 0.1  # of the largest depth, standard deviation of the believed first contact of a skin
+LAYER_TRAVELS_M, LATTICE_TRAVELS_M = (0.15e-3, 1.1e-3), (0.3e-3, 4e-3)
+TRAVEL_ERROR_M = 0.02e-3
+HEIGHT_ZERO_ERROR = 0.1  # of the largest travel, standard deviation of the believed first contact of a skin
 WEAK = 0.3
 PATCHES_OF_UNIFORM = 0.15
 LATTICE_RMS_UT = (60.0, 300.0)
 LATTICE_NEWTON_PER_M = 1.5e3
 PRESS_BATCH = 8
-JUMP = 3.0  # of the force at one depth
+JUMP = 3.0  # of the force at the same travel
 
 
 class PressedSkinOfKind(NamedTuple):
@@ -47,11 +47,11 @@ class PressedSkinOfKind(NamedTuple):
 
     kind: str
     position: np.ndarray  # (n, 2) m
-    depth: np.ndarray  # (n,) m
+    travel: np.ndarray  # (n,) m
     force: np.ndarray  # (n,) N
     readings: np.ndarray  # (n, c) uT
     chip_positions: np.ndarray  # (chips, 2) m
-    zero: float = 0.0  # m, by which the depths are believed too large: what nobody knows of a real skin
+    zero: float = 0.0  # m, by which the travels are believed too large: what nobody knows of a real skin
 
 
 def simulate_skins(kind: str, seed: int, skins: int, presses: int) -> list[PressedSkinOfKind]:
@@ -73,18 +73,18 @@ def simulate_skins(kind: str, seed: int, skins: int, presses: int) -> list[Press
 
 
 def _layers(kind: str, key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[PressedSkinOfKind]:
-    """Pads of an elastic layer, pressed to depths."""
+    """Pads of an elastic layer, pressed by random travels."""
     board = boards.reskin_board()
     key_pads, key_kind = jax.random.split(key)
     pads = _of_kind(kind, _sample_pads(key_pads, skins), key_kind)
     position = rng.uniform(-LAYER_HALF_EDGE_M, LAYER_HALF_EDGE_M, (skins, n, 2))
-    depth = rng.uniform(*LAYER_DEPTHS_M, (skins, n))
+    travel = rng.uniform(*LAYER_TRAVELS_M, (skins, n))
     shifted = jnp.float32(position + POSITION_ERROR_M * rng.normal(size=position.shape))
-    found = _press_pads(pads, shifted, jnp.float32(depth))
+    found = _press_pads(pads, shifted, jnp.float32(travel))
     readings, force = (np.asarray(part, np.float64) for part in found)
     finish = _displaced if kind == "displaced" else _measured
     chips = np.asarray(board.chips[:, :2], np.float64)
-    pressed = zip(position, depth, force, readings, strict=True)
+    pressed = zip(position, travel, force, readings, strict=True)
     return [finish(rng, PressedSkinOfKind(kind, *one, chips)) for one in pressed]
 
 
@@ -113,7 +113,7 @@ def _of_kind(kind: str, pads: Pad, key: Key[Array, ""]) -> Pad:
 
 @jax.jit
 def _press_pads(
-    pads: Pad, position: Float[Array, "s n 2"], depth: Float[Array, "s n"]
+    pads: Pad, position: Float[Array, "s n 2"], travel: Float[Array, "s n"]
 ) -> tuple[Float[Array, "s n c"], Float[Array, "s n"]]:
     """Readings (uT) and forces (N) of presses with a ball."""
 
@@ -124,16 +124,16 @@ def _press_pads(
 
         return map_batches(single, one[1:], batch_size=PRESS_BATCH)
 
-    return jax.lax.map(skin, (pads, position, depth))
+    return jax.lax.map(skin, (pads, position, travel))
 
 
 def _measured(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkinOfKind:
     """Exact presses with a lab's errors."""
-    zero = HEIGHT_ZERO_ERROR * skin.depth.max() * rng.normal()
-    depth = np.maximum(skin.depth + zero + DEPTH_ERROR_M * rng.normal(size=skin.depth.shape), 0)
+    zero = HEIGHT_ZERO_ERROR * skin.travel.max() * rng.normal()
+    travel = np.maximum(skin.travel + zero + TRAVEL_ERROR_M * rng.normal(size=skin.travel.shape), 0)
     force = np.maximum(skin.force + FORCE_ERROR_N * rng.normal(size=skin.force.shape), 0)
     readings = skin.readings + PRESS_NOISE_UT * rng.normal(size=skin.readings.shape)
-    return skin._replace(depth=depth, force=force, readings=readings, zero=zero)
+    return skin._replace(travel=travel, force=force, readings=readings, zero=zero)
 
 
 def _displaced(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkinOfKind:
@@ -141,10 +141,10 @@ def _displaced(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkin
     n, c = skin.readings.shape
     rms = np.sqrt(np.mean(skin.readings**2))
     measured = _measured(rng, skin)
-    # Friction and a skin that lifts: what is pressed at one depth jumps within the session, and the reading follows
-    # the force.
+    # Friction and a skin that lifts: what is pressed at the same travel jumps within the session, and the reading
+    # follows the force.
     state = np.cumsum(rng.random(n) < 0.05) % 2
-    depth = measured.depth * np.where(state, JUMP ** (-2 / 3), 1.0)
+    travel = measured.travel * np.where(state, JUMP ** (-2 / 3), 1.0)
     amount, length = rng.uniform(0.2, 0.7) * rms, rng.uniform(2.5e-3, 7e-3)
     still = amount * _smooth_field(rng, skin.position, length, c)
     constant = rng.uniform(0.05, 0.4) * rms * rng.normal(size=c)
@@ -156,7 +156,7 @@ def _displaced(rng: np.random.Generator, skin: PressedSkinOfKind) -> PressedSkin
     for i in range(1, n):
         felt[i, own] += rng.uniform(0.2, 0.4) * felt[i - 1, own]
     felt[:, own] += slipped
-    return measured._replace(depth=depth, readings=felt)
+    return measured._replace(travel=travel, readings=felt)
 
 
 def _lattices(key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int) -> list[PressedSkinOfKind]:
@@ -164,9 +164,9 @@ def _lattices(key: Key[Array, ""], rng: np.random.Generator, skins: int, n: int)
     half = LATTICE_HALF_EDGE_M
     chips = np.asarray(boards.eflesh_board(depth=0.0).chips[:, :2], np.float64)
     position = rng.uniform(-half, half, (skins, n, 2))
-    depth = rng.uniform(*LATTICE_DEPTHS_M, (skins, n))
+    travel = rng.uniform(*LATTICE_TRAVELS_M, (skins, n))
     found = []
-    for one, at, d in zip(jax.random.split(key, skins), position, depth, strict=True):
+    for one, at, d in zip(jax.random.split(key, skins), position, travel, strict=True):
         pitch, rough = rng.uniform(6e-3, 10e-3), rng.uniform(0.0, 0.25e-3)
         phase = np.cos(2 * np.pi * at / pitch + rng.uniform(0, 2 * np.pi, 2)).sum(1)
         height = rough * (phase + _smooth_field(rng, at, 2.5e-3, 1)[:, 0])

@@ -10,7 +10,7 @@ from experiments.common.options import RunOptions
 
 @dataclass(frozen=True)
 class FidelityArgs(RunOptions):
-    """Judge recordings of a skin: checks, noise, calibration curves, heads and ceilings in one report."""
+    """Judge recordings of a skin: checks, noise, calibration curves, heads and repeatability in one report."""
 
     dataset: tuple[Path, ...]  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
     out: Path = Path("runs/fidelity")  # folder for report.txt, figures, metrics.json and config.json

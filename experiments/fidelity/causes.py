@@ -1,6 +1,6 @@
 """Causes of a poor predictor trained on a recording: each likely one is tested on its training touches.
 
-The recording is changed as if it had a fault the other way round (another tip, depths from another height, forces of
+The recording is changed as if it had a fault the other way round (another tip, travels from another height, forces of
 the other sign, the view upside down, units, a softer skin), contact pressures are predicted anew, and a Gaussian
 process on them is scored on held-out groups of touches. A cause is found where the change explains clearly more than
 the recording as it is. For labels of another row it is a smooth model on what was seen.
@@ -38,7 +38,7 @@ LAG_TOUCHES = 1500  # in the order of their rows
 LAG_FEATURES = 4  # of the views, that vary most
 TIP_FACTORS = (0.5, 2.0)
 SCALES = (0.1, 10.0)
-HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to depths
+HEIGHTS_M = (-0.5e-3, 0.5e-3, 1e-3, 2e-3)  # added to travels
 SOFTNESSES = (4.0, 16.0)  # of a skin, in units of the nominal one's
 
 
@@ -78,7 +78,7 @@ def late_rows(dataset: Dataset) -> Iterator[Finding]:
     """
     touches, which = dataset.touches, slice(LAG_TOUCHES)
     patches = touches.patch[which]
-    columns = [getattr(touches, name)[which] for name in ("force", "depth")]
+    columns = [getattr(touches, name)[which] for name in ("force", "travel")]
     measured = np.column_stack([column for column in columns if np.isfinite(column).all()] or [np.zeros(len(patches))])
     points = np.asarray(features_of(touch_features(image_components(patches), measured), patches, measured))
     points = points[:, np.argsort(-points.std(0))[:LAG_FEATURES]]
@@ -132,8 +132,8 @@ def _changes(
             yield SOFTNESS, said, seen._replace(force=np.float32(softness) * seen.force)
     else:
         for height in HEIGHTS_M:
-            lifted = seen._replace(depth=seen.depth + np.float32(height))
-            yield FindingName.HEIGHT_ZERO, f"depths {1e3 * height:+g} mm", lifted
+            lifted = seen._replace(travel=seen.travel + np.float32(height))
+            yield FindingName.HEIGHT_ZERO, f"travels {1e3 * height:+g} mm", lifted
     for scale in SCALES:
         changed = seen._replace(**{cfg.control: np.float32(scale) * load})
         yield FindingName.UNITS, f"{cfg.control}s {scale:g} times as large", changed

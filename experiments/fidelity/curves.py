@@ -25,7 +25,7 @@ from experiments.fidelity.forward import (
 )
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.dataset import square_blocks
-from i2t.recordings.loads import ASSUMED_DEPTH_M
+from i2t.recordings.loads import ASSUMED_TRAVEL_M
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import SkinRecording
 from i2t.types import Board
@@ -91,14 +91,14 @@ def hold_out_presses(presses: LoadedPresses, preset: FidelityPreset, seed: int) 
 
 
 def pushing_presses(presses: LoadedPresses, board: Board | None) -> LoadedPresses:
-    """Presses as methods of calibration take them: loads that push, or one depth where none is known, and positions
-    about the middle where the board is not known. Signs were judged by the checks.
+    """Presses as methods of calibration take them: loads that push, or the same travel where none is known, and
+    positions about the middle where the board is not known. Signs were judged by the checks.
     """
     own = board if board is not None and board.num_readings == presses.readings.shape[1] else None
     at = presses.position - ((presses.position.min(0) + presses.position.max(0)) / 2 if own is None else 0)
     load, kind = np.maximum(presses.load, 0), presses.load_kind
     if kind == "none":
-        load, kind = np.full(len(load), ASSUMED_DEPTH_M), "depth"
+        load, kind = np.full(len(load), ASSUMED_TRAVEL_M), "travel"
     return presses._replace(position=at, load=load, load_kind=kind, own_board=own)
 
 
@@ -133,7 +133,7 @@ def _across(
     known: SkinRecording, other: SkinRecording, preset: FidelityPreset, seed: int, section: Section,
     rows: list[list[str]],
 ) -> None:  # fmt: skip
-    """A plain Gaussian process of one session on another, and one of some presses of that session."""
+    """A leave-one-out GP of one session on another, and one of some presses of that session."""
     before, now = _alike(known, other)
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]

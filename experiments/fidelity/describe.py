@@ -136,7 +136,7 @@ def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -
 
 
 def _check_targets(recording: SkinRecording, found: list[str], numbers: dict) -> None:
-    for name in ("depth", "force", "position"):
+    for name in ("travel", "force", "position"):
         if recording.known(name).any() and not recording.varies(name):
             found.append(f"All rows have one {name}, so that it does not show how readings change with it.")
     back = (np.diff(recording.time) < 0) & (np.diff(recording.session) == 0)

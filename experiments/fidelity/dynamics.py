@@ -34,7 +34,7 @@ REPEAT_ROWS, MOST_PAIRS = 3000, 20000  # that are looked at
 MIN_REPEATS = 30
 MIN_STROKE_ROWS = 12
 MIN_TURNS = 2  # strokes that go in and come out
-HELD_M, HELD_S = 0.02e-3, 0.5  # a held depth changes by less, for longer
+HELD_M, HELD_S = 0.02e-3, 0.5  # a held travel changes by less, for longer
 SMALLEST_UT = 1e-9
 SIGNIFICANT_STD_ERRORS = 3.0
 
@@ -56,23 +56,23 @@ def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Sectio
     _close(section, "hysteresis and creep", rows)
 
 
-def ceilings(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
+def repeatability(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
     """Limits that repeated presses set to the best model."""
     presses = press_set(recording)
     rows, predicted = predicted_from_others(presses, preset.forward_rows)
     reached = explained_share(presses.readings[rows], predicted)
-    section.numbers["r2_plain_gp_leave_one_out"] = reached
+    section.numbers["r2_leave_one_out_gp"] = reached
     section.sentences.append(
-        f"A plain Gaussian process of {len(rows)} presses explains R2 {reached:.4f} of each from the others."
+        f"A GP on position and load of {len(rows)} presses explains R2 {reached:.4f} of each from the others."
     )
     size = _repeat_noise(presses)
     total = np.mean(np.sum((presses.readings - presses.readings.mean(0)) ** 2, axis=1))
-    ceiling = 1 - float(np.sum(size**2) / total)
-    section.numbers |= {"repeat_std_uT": size.tolist(), "r2_ceiling": ceiling}
+    limit = 1 - float(np.sum(size**2) / total)
+    section.numbers |= {"repeat_std_uT": size.tolist(), "r2_repeatability_limit": limit}
     said = (
-        f"so that no model can explain more than R2 {ceiling:.4f}"
-        if reached <= ceiling
-        else f"more than noise, as R2 {reached:.4f} is explained where that would leave {ceiling:.4f} to explain"
+        f"so that no model can explain more than R2 {limit:.4f}"
+        if reached <= limit
+        else f"more than noise, as R2 {reached:.4f} is explained where that would leave {limit:.4f} to explain"
     )
     section.sentences.append(
         f"Presses repeated at one place and load differ by {np.sqrt(np.mean(size**2)):.2f} uT (standard deviation of a "
@@ -223,10 +223,10 @@ def _stroke_hysteresis(recording: SkinRecording, section: Section, rows: list[li
 
 
 def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
-    """Growth of a reading while a depth is held, per tenfold time."""
+    """Growth of a reading while a travel is held, per tenfold time."""
     name, strokes = _strokes(recording)
-    if name not in ("depth", "slide") or not np.isfinite(recording.time).any():
-        raise CannotTellError("Creep is measured where a depth is held and times are known.")
+    if name not in ("travel", "slide") or not np.isfinite(recording.time).any():
+        raise CannotTellError("Creep is measured where a travel is held and times are known.")
     growth = []
     for stroke in strokes:
         deep = stroke.load > 0.5 * stroke.load.max()
@@ -239,7 +239,7 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
                 signal = np.linalg.norm(stroke.readings[held], axis=1) + SMALLEST_UT
                 growth.append(np.polyfit(np.log10(seconds + 0.1), signal / signal[0], 1)[0])
     if not growth:
-        raise CannotTellError(f"No depth is held for {HELD_S:g} s, so that creep is unknown.")
+        raise CannotTellError(f"No travel is held for {HELD_S:g} s, so that creep is unknown.")
     own = Faults.typical().relaxation * FAULT_MODEL.layer_share / 3
     rows.append(["creep of a held press, per tenfold time", cell(float(np.mean(growth)), 4), cell(own, 4)])
     section.numbers["creep"] = {"holds": len(growth), "share_per_decade": growth, "simulator": own}

@@ -12,7 +12,7 @@ from i2t.recordings.diagnose.smooth import left_out
 from i2t.recordings.presses import LoadedPresses, LoadName
 from i2t.recordings.read import SkinRecording
 
-SIMPLE_GP = "plain Gaussian process"
+SIMPLE_GP = "leave-one-out GP"
 # Lengths (m), widths in standard deviations of the load, and noises as a share of a channel's variance.
 GP_SETTINGS = ((8e-3, 4e-3, 2e-3, 16e-3, 32e-3), (1.0, 0.5, 2.0, 4.0), (1e-2, 1e-3, 1e-4, 1e-1))
 GP_SELECTION_ROWS = 300
@@ -30,10 +30,10 @@ def one_tip(recording: SkinRecording) -> None:
 
 
 def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
-    """Name and values (n,) of the load: depth where it is known and varies, else force, else nothing (one load for
+    """Name and values (n,) of the load: travel where it is known and varies, else force, else nothing (one load for
     all).
     """
-    names: tuple[LoadName, ...] = ("depth", "force")
+    names: tuple[LoadName, ...] = ("travel", "force")
     for name in names:
         if recording.varies(name) and recording.known(name).mean() > 0.5:
             return name, recording.targets[name][:, 0]

@@ -25,7 +25,7 @@ from i2t.recordings.read import TARGETS, SkinRecording
 
 PUBLISHED_FIGURES = {
     "position": "eFlesh 0.5 mm, eflesh-touch 1.22 mm",
-    "depth": "eflesh-touch 0.39 mm",
+    "travel": "eflesh-touch 0.39 mm",
     "force": "eFlesh 0.27 N, eflesh-touch 0.080 N",
     "shear": "eFlesh 0.12 N, eflesh-touch 0.055 N",
 }

@@ -116,7 +116,7 @@ def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> 
     parts: dict[str, Callable[[Section], None]] = {
         "Noise and drift": partial(dynamics.noise, recording),
         "Hysteresis and creep": partial(dynamics.hysteresis, recording, preset),
-        "Ceilings": partial(dynamics.ceilings, recording, preset),
+        "Repeatability": partial(dynamics.repeatability, recording, preset),
         "Calibration curves": partial(curves.calibration_curves, recording, preset, seed),
         "Heads": partial(heads.head_sections, recording, preset.heads, preset.held_out_share, seed),
     }

@@ -12,7 +12,7 @@ from i2t.errors import require_extra
 
 @dataclass(frozen=True)
 class ShapesArgs(ResumableOptions):
-    """Tell stamps apart by touch, on new positions, depths, rotations and skins."""
+    """Tell stamps apart by touch, on new positions, travels, rotations and skins."""
 
     out: Path = Path("runs/shapes")  # folder for everything that is made
     preset: Literal["paper", "debug"] = "paper"

@@ -38,7 +38,7 @@ from i2t.types import Board, ReturnCode
 PAPER, POSED, IMAGINED = "paper's classifier", "classifier with pose", "imagined touch"
 METHODS = (PAPER, POSED, IMAGINED)
 CAPACITY_ROWS = 2048  # of a training set; capacities are multiples of it
-SPLITS = ("random", "location", "depth", "angle")
+SPLITS = ("random", "location", "travel", "angle")
 FOLDS = 5
 BLOCK_EDGE_M = 2e-3  # of the squares of positions that are never torn apart
 
@@ -67,7 +67,7 @@ class StampPresses(NamedTuple):
     position: np.ndarray  # (n, 2) m
     rotation: np.ndarray  # (n,) rad, about the skin's normal
     force: np.ndarray  # (n,) N
-    depth: np.ndarray  # (n,) m
+    travel: np.ndarray  # (n,) m
     session: np.ndarray  # (n,)
 
     @property
@@ -103,7 +103,7 @@ def presses_on(dataset: Dataset, pad: int) -> StampPresses:
     T_t_o = T_t_w @ touches.T_w_o[rows].astype(np.float64)
     return StampPresses(
         y, before, touches.object[rows], T_t_o[:, :2, 3], np.arctan2(T_t_o[:, 1, 0], T_t_o[:, 0, 0]),
-        touches.force[rows].astype(np.float64), touches.depth[rows].astype(np.float64), session,
+        touches.force[rows].astype(np.float64), touches.travel[rows].astype(np.float64), session,
     )  # fmt: skip
 
 
@@ -117,7 +117,7 @@ def shapes_of(dataset: Dataset) -> tuple[str, ...]:
 def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | None:
     """The one of `FOLDS` parts that each press is tested in; None where the arm did not say what the split needs.
 
-    random: any presses. location: squares of 2 mm. depth: fifths of each shape's depth (or force). angle: sectors of
+    random: any presses. location: squares of 2 mm. travel: fifths of each shape's travel (or force). angle: sectors of
     72 degrees.
     """
     rng = np.random.default_rng(seed)
@@ -129,8 +129,8 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
             return None
         sector = np.floor((presses.rotation % (2 * np.pi)) / (2 * np.pi) * FOLDS).astype(int)
         return np.minimum(sector, FOLDS - 1)
-    if split == "depth":
-        load = presses.depth if np.isfinite(presses.depth).all() else presses.force
+    if split == "travel":
+        load = presses.travel if np.isfinite(presses.travel).all() else presses.force
         if not np.isfinite(load).all():
             return None
         part = np.zeros(n, int)

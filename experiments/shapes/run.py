@@ -1,4 +1,4 @@
-"""Question: which of five stamps pressed the skin, also at new positions, depths and rotations and on new skins?
+"""Question: which of five stamps pressed the skin, also at new positions, travels and rotations and on new skins?
 
     python -m experiments.shapes                     three skins, simulated, 1280 presses each: some 15 minutes
     python -m experiments.shapes --preset debug      a few presses, too few to mean anything
@@ -7,7 +7,7 @@
                                                      any table of readings with labels (docs/shapes.md)
 
 The skin is held still; a stamp comes down at any position and rotation until it bears 1 to 3 N. Every split is
-five-fold: a fifth of the presses is held out, drawn at random or as squares of positions, fifths of the depth or
+five-fold: a fifth of the presses is held out, drawn at random or as squares of positions, fifths of the travel or
 sectors of the rotation, and every press is tested once. Leave-pad-out tests on a skin that only 0, 5 or 20 presses of
 each shape are known of. The paper's classifier reached 0.92 on a random fifth. Results go to --out: metrics.json,
 config.json, figures, and the presses (data.h5).

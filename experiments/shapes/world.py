@@ -27,7 +27,7 @@ from jaxtyping import Array, Float, Int, Key
 from i2t import geometry
 from i2t.dataset import Dataset
 from i2t.objects import catalogue, solids
-from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW, REACH, VIEW_PIXELS, VIEW_WINDOW
 from i2t.patches.views import view_of_heights
 from i2t.runtime.batching import map_batches
 from i2t.simulation import touches as simulation
@@ -144,17 +144,17 @@ def press_stamp(
 
     travel = pressed.indentation + force / ARM_STIFFNESS_N_PER_M
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)
-    seen, z = (_wide_heights(stamp, deep @ T) for T in (believed, T_t_o))
+    seen, z = (_view_heights(stamp, deep @ T) for T in (believed, T_t_o))
     view = view_of_heights(seen)
     true_nearest = jnp.min(z)
     zero = jnp.int32(0)
     return Touches(
         patch=view.patch.depth,
-        wide=view.wide,
+        view=view.depth,
         nearest=view.patch.nearest,
         reading=reading,
         force=force + ERRORS.force * force_error,
-        depth=travel + ERRORS.repeatability * travel_error,
+        travel=travel + ERRORS.repeatability * travel_error,
         T_w_t=jnp.eye(4),
         T_w_o=deep @ believed,
         object=zero,
@@ -165,9 +165,9 @@ def press_stamp(
     )
 
 
-def _wide_heights(stamp: Stamp, T_t_o: Array) -> Array:
-    """Tool z (m) of what a wide view shows."""
-    return jnp.minimum(*heights(stamp, T_t_o, WIDE_WINDOW, WIDE_PIXELS))
+def _view_heights(stamp: Stamp, T_t_o: Array) -> Array:
+    """Tool z (m) of what a view shows."""
+    return jnp.minimum(*heights(stamp, T_t_o, VIEW_WINDOW, VIEW_PIXELS))
 
 
 @partial(jax.jit, static_argnames=("cfg",))

@@ -20,9 +20,9 @@ from i2t.skin_models import calibrate
 from i2t.skin_models.tip_gp.left_out import limit_blas_threads
 from i2t.skin_models.tip_gp.plain import PlainScales, fit_scales, predict_plain
 
-PLAIN, CALIBRATED = "plain GP on position and load", "i2t.calibrate"
+TUNED, CALIBRATED = "tuned GP on position and load", "i2t.calibrate"
 CALIBRATION_PRESSES = 1000  # the most that `i2t.calibrate` is made for
-TUNED_PRESSES = 1000  # on which the scales of the plain process are chosen: the cost grows with the cube
+TUNED_PRESSES = 1000  # on which the scales of the tuned process are chosen: the cost grows with the cube
 # Candidates for the scales, as multiples of the most likely ones.
 LENGTHS, WIDTHS, NOISES = (1 / 4, 1 / 3, 1 / 2, 1, 2), (1 / 2, 1, 2), (0.1, 0.3, 1, 3)
 
@@ -36,7 +36,7 @@ class _Known(NamedTuple):
 
 
 def position_readings(dataset: Dataset, split: Split, seed: int) -> dict[str, Reading]:
-    """Readings by a plain Gaussian process and by `i2t.calibrate`, for recordings of one tip.
+    """Readings by a tuned Gaussian process and by `i2t.calibrate`, for recordings of one tip.
 
     Args:
         dataset: The touches, with the corrections of `corrected_dataset`.
@@ -63,10 +63,10 @@ def position_readings(dataset: Dataset, split: Split, seed: int) -> dict[str, Re
     x = np.column_stack([presses.position, presses.load])
     train, at = _Known(x[known], presses.readings[known], split.groups[rows]), x[number[held_out]]
     title = f"{CALIBRATED}, {min(len(rows), CALIBRATION_PRESSES)} of the presses"
-    return {PLAIN: _plain(train, at), title: _calibrated(presses, train, at)}
+    return {TUNED: _tuned(train, at), title: _calibrated(presses, train, at)}
 
 
-def _plain(train: _Known, at: Float[np.ndarray, "m 3"]) -> Reading:
+def _tuned(train: _Known, at: Float[np.ndarray, "m 3"]) -> Reading:
     """The process whose scales have the least error on held-out groups of the training presses, and that error."""
     likely = fit_scales(train.x[:, :2], train.x[:, 2], train.y)
     options = [

@@ -1,4 +1,4 @@
-"""Load of each touch, chosen before anything is computed: the force, the depth, or nothing."""
+"""Load of each touch, chosen before anything is computed: the force, the travel, or nothing."""
 
 from typing import Literal, NamedTuple
 
@@ -8,11 +8,11 @@ import numpy as np
 from i2t.contact.pressure import PressureModelConfig, predict_pressures
 from i2t.dataset import Dataset
 from i2t.prediction.methods import ASSUMED_FORCE_N, views_of
-from i2t.recordings.sets import MIN_DEPTH_M
+from i2t.recordings.sets import MIN_TRAVEL_M
 from i2t.skin_models import pressure_gp as gp
 from i2t.types import Touches
 
-MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor depth is known of them
+MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor travel is known of them
 NIL_SHARE = 0.5  # of touches without a load, from which on it says nothing
 MIN_GAIN = 0.05  # of R2, from which on a change is taken for right
 TRIED_TOUCHES = 200  # on which changes are tried
@@ -22,13 +22,13 @@ TRIED_STEPS = 20  # of the choice of hyperparameters
 class PressLoad(NamedTuple):
     """Quantity that contact pressure can be predicted from."""
 
-    control: Literal["force", "depth"] | None  # None: nothing says how hard a touch was pressed
+    control: Literal["force", "travel"] | None  # None: nothing says how hard a touch was pressed
     notes: tuple[str, ...]  # what a person is told, a sentence each
     constant: bool = False  # nothing is known, and all touches are taken to be pressed alike
 
 
 def press_load(touches: Touches) -> PressLoad:
-    """Choose the load of a recording: its force where it was measured, else its depth.
+    """Choose the load of a recording: its force where it was measured, else its travel.
 
     Args:
         touches: That methods are to learn from, of a set that `corrected_dataset` gave.
@@ -36,19 +36,19 @@ def press_load(touches: Touches) -> PressLoad:
     Returns:
         The load, and what is odd about it.
     """
-    force, depth = (np.asarray(getattr(touches, name), np.float64) for name in ("force", "depth"))
+    force, travel = (np.asarray(getattr(touches, name), np.float64) for name in ("force", "travel"))
     if len(force) and np.isfinite(force).all():
         found = _forced(force)
-        if found.control or not np.isfinite(depth).all():
+        if found.control or not np.isfinite(travel).all():
             return found
-        other = _deep(depth)
+        other = _deep(travel)
         return other._replace(notes=(*found.notes, *other.notes))
-    if len(depth) and np.isfinite(depth).all():
-        return _deep(depth)
-    if not np.isfinite(force).any() and not np.isfinite(depth).any():
-        said = "neither force nor depth is known: contact pressure is predicted as if all touches were pressed with"
+    if len(travel) and np.isfinite(travel).all():
+        return _deep(travel)
+    if not np.isfinite(force).any() and not np.isfinite(travel).any():
+        said = "neither force nor travel is known: contact pressure is predicted as if all touches were pressed with"
         return PressLoad("force", (f"{said} {ASSUMED_FORCE_N:g} N",), constant=True)
-    missing = f"force is missing at {np.sum(~np.isfinite(force))} and depth at {np.sum(~np.isfinite(depth))}"
+    missing = f"force is missing at {np.sum(~np.isfinite(force))} and travel at {np.sum(~np.isfinite(travel))}"
     return PressLoad(None, (f"{missing} of {len(force)} touches: methods on predicted contact pressure are left out",))
 
 
@@ -63,20 +63,20 @@ def _forced(force: np.ndarray) -> PressLoad:
     return PressLoad("force", notes)
 
 
-def _deep(depth: np.ndarray) -> PressLoad:
-    """Judge depths as a load."""
-    nil = float(np.mean(depth < MIN_DEPTH_M))
+def _deep(travel: np.ndarray) -> PressLoad:
+    """Judge travels as a load."""
+    nil = float(np.mean(travel < MIN_TRAVEL_M))
     if nil > NIL_SHARE:
         said = (
-            f"{100 * nil:.0f} % of the depths are zero: the height of first contact that they count from is too low; "
+            f"{100 * nil:.0f} % of the travels are zero: the height of first contact that they count from is too low; "
             "give its height (--z0-mm of the converter)"
         )
-        return PressLoad("depth", (said,))
-    return PressLoad("depth", ())
+        return PressLoad("travel", (said,))
+    return PressLoad("travel", ())
 
 
 def with_known_load(dataset: Dataset) -> tuple[Dataset, str | None]:
-    """Leave out touches of which neither force nor depth is known, where they are few.
+    """Leave out touches of which neither force nor travel is known, where they are few.
 
     Args:
         dataset: Of touches.
@@ -85,7 +85,7 @@ def with_known_load(dataset: Dataset) -> tuple[Dataset, str | None]:
         The data set, and a sentence where touches were left out.
     """
     touches = dataset.touches
-    known = {name: np.isfinite(getattr(touches, name)) for name in ("force", "depth")}
+    known = {name: np.isfinite(getattr(touches, name)) for name in ("force", "travel")}
     name = max(known, key=lambda one: int(known[one].sum()))  # the force where both are known as often
     lost = int(np.sum(~known[name]))
     if not 0 < lost <= MAX_UNKNOWN_SHARE * len(dataset):
@@ -110,7 +110,7 @@ class Tried(NamedTuple):
 
     views: np.ndarray  # (n, w, w) m
     force: np.ndarray  # (n,) N
-    depth: np.ndarray  # (n,) m
+    travel: np.ndarray  # (n,) m
     readings: np.ndarray  # (n, 3 chips) uT
     groups: np.ndarray  # (n,)
 
@@ -118,12 +118,12 @@ class Tried(NamedTuple):
 def tried_touches(dataset: Dataset, which: np.ndarray, groups: np.ndarray) -> Tried:
     """Inputs of some touches for a method on predicted pressure."""
     touches, views = dataset.touches, np.asarray(views_of(dataset)[which])
-    return Tried(views, touches.force[which], touches.depth[which], touches.reading[which], groups[which])
+    return Tried(views, touches.force[which], touches.travel[which], touches.reading[which], groups[which])
 
 
 def explained(seen: Tried, cfg: PressureModelConfig) -> float:
     """R2 of the Gaussian process on held-out groups; minus infinity where it cannot be fitted."""
-    pressure = predict_pressures(cfg, seen.views, seen.force, seen.depth)
+    pressure = predict_pressures(cfg, seen.views, seen.force, seen.travel)
     try:
         _, r2 = gp.choose_hyperparameters(
             pressure, jnp.asarray(seen.readings), seen.groups, steps=TRIED_STEPS, limit=TRIED_TOUCHES

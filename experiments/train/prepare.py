@@ -93,7 +93,7 @@ def with_pressure(prepared: Prepared, model: PressureModelConfig, load: PressLoa
     split, dataset, notes = prepared.split, prepared.touches.dataset, prepared.notes
     print("predicting contact pressures")
     force = np.full(len(dataset), ASSUMED_FORCE_N, np.float32) if load.constant else dataset.touches.force
-    pressure = predict_pressures(model, views_of(dataset), force, dataset.touches.depth)
+    pressure = predict_pressures(model, views_of(dataset), force, dataset.touches.travel)
     total = np.asarray(pressure.pressure)[split.train].sum((1, 2))
     pressed = float(np.mean(total > model.floor / 10))
     if np.isfinite(total).all() and pressed >= LEAST_PRESSED_SHARE:

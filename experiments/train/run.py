@@ -19,7 +19,7 @@ contact masks or depths (paper-mask, paper-depth), in a study also with the meas
 paper-depth-force), and two models on predicted contact pressure (pressure-network, gp). The best of all of them on the
 validation touches is kept as the predictor, a baseline too. A study chooses by touches of four more objects, and says
 which method is best there over its pads. Where a model on predicted contact pressure loses to a baseline,
-`experiments.fidelity` tests likely causes. On a recording of one tip, a plain Gaussian process and `i2t.calibrate`,
+`experiments.fidelity` tests likely causes. On a recording of one tip, a tuned Gaussian process and `i2t.calibrate`,
 which are given the tip's position, stand next to the methods. A ceiling shows what the same model would reach if the
 camera and the arm made no error. A pad model is fitted to the touches of the training objects, for
 `experiments.recognize`; of --dataset it needs the objects' meshes, and --rig tells how far they may be off. Results go

@@ -62,7 +62,7 @@ def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split,
     truth = dataset.touches.truth
     assert truth is not None
     exact = replace(pressure_model, smooth=False, tilt=0.0, pitch=dataset.window / dataset.touches.patch.shape[1])
-    pressure = predict_pressures(exact, truth.wide, truth.force, truth.indentation)
+    pressure = predict_pressures(exact, truth.view, truth.force, truth.indentation)
     return predicted_by_gp(pressure, dataset.touches.reading, split, seed)
 
 

@@ -100,6 +100,6 @@ def _split_of_one_object(dataset: Dataset, edge: float) -> str:
 
 
 def conditions_of(touches: Touches, split: Split) -> tuple[str, ...]:
-    """Conditions among force, nearest and depth that were measured at every touch."""
+    """Conditions among force, nearest and travel that were measured at every touch."""
     used = split.train | split.validation | split.test
-    return tuple(name for name in ("force", "nearest", "depth") if np.isfinite(getattr(touches, name)[used]).all())
+    return tuple(name for name in ("force", "nearest", "travel") if np.isfinite(getattr(touches, name)[used]).all())

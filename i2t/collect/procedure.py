@@ -297,15 +297,15 @@ class Procedure:
         T_b_s = press.states[-1].T_b_t @ on_tool.T_tool_skin
         T_w_s = self.rig.T_world_base @ T_b_s
         code = RETURN_CODES[press.result.reason] if name in press.felt_by else ReturnCode.AIR
-        force = depth = np.nan
+        force = travel = np.nan
         if press.felt_by == [name]:
             along = on_tool.T_tool_skin[:3, 2]
             force = -float(np.mean([state.wrench[:3] @ along for state in press.states]))
         if code != ReturnCode.AIR:
-            depth = onset_distance(*press_samples(press.log, on_tool, press.period, T_b_s), ambient, change)
+            travel = onset_distance(*press_samples(press.log, on_tool, press.period, T_b_s), ambient, change)
         seen = self.extract_patch(view, self.camera.camera, T_w_c, T_w_s)
         counters = _counter_differences(on_tool.skin.counters, before)
-        return SkinTouch(T_w_s, code, ambient, change, force, depth, seen, counters)
+        return SkinTouch(T_w_s, code, ambient, change, force, travel, seen, counters)
 
     def _means(self, count: int, log: EventLog) -> dict[str, Array]:
         """Average the next samples of each skin: (c,) readings (uT) by the names of the skins."""
@@ -447,7 +447,9 @@ class Procedure:
 
 def _without_images(touch: TouchResult) -> TouchResult:
     """Copy a touch without its images, which would fill the memory of a history."""
-    return touch._replace(view=None, skins={name: skin._replace(seen=None) for name, skin in touch.skins.items()})
+    return touch._replace(
+        camera_view=None, skins={name: skin._replace(seen=None) for name, skin in touch.skins.items()}
+    )
 
 
 def _counter_differences(now: SkinCounters, before: SkinCounters) -> SkinCounters:

@@ -344,7 +344,7 @@ def _lock_file(file: IO[str]) -> None:
 
 def _record(touch: TouchResult, log: EventLog, info: SessionInfo, to_wall: float) -> Record:
     """Assemble the record of a touch; `to_wall` (s) converts the devices' time to Unix time."""
-    view = touch.view
+    view = touch.camera_view
     assert view is not None
     counters = {"site": touch.site.number, "attempt": touch.attempt + 1}
     sets: dict[str, Dataset] = {}
@@ -413,11 +413,11 @@ def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: S
     assert seen is not None
     touches = Touches(
         patch=seen.patch[None],
-        wide=seen.wide[None],
+        view=seen.view[None],
         nearest=np.array([seen.nearest]),
         reading=touch.reading[None],
         force=np.array([touch.force]),
-        depth=np.array([touch.depth]),
+        travel=np.array([touch.travel]),
         T_w_t=touch.T_w_s[None],
         T_w_o=info.T_w_o[None],
         object=np.zeros(1),

@@ -229,7 +229,7 @@ class _Session:
         )
         print(
             f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {touch.force:.2f} N  "
-            f"{1e3 * touch.depth:.2f} mm  {took:.1f} s, {left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
+            f"{1e3 * touch.travel:.2f} mm  {took:.1f} s, {left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
             flush=True,
         )
 

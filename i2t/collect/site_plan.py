@@ -19,7 +19,7 @@ from i2t.geometry import full_precision, nearest_rigid
 from i2t.hardware.protocols import View
 from i2t.objects.solids import Object, highest_point, transform_mesh
 from i2t.patches.dimensions import PATCH_PIXELS
-from i2t.patches.views import centre
+from i2t.patches.views import PatchView, centre
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.sites import SiteLimits, collect_sites
 from i2t.types import Array
@@ -96,20 +96,20 @@ def extract_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> See
         T_w_t: `(4, 4)` pose of the tool in front of which the patch lies.
 
     Returns:
-        The patch, its surroundings, and the fraction of its pixels that were measured.
+        The patch, its view, and the fraction of its pixels that were measured.
     """
     depth, *poses = (jnp.asarray(part, jnp.float32) for part in (view.depth, T_w_c, T_w_t))
-    wide, patch, nearest, visible_share = jax.device_get(_extract(depth, camera, *poses))
-    return SeenPatch(patch, wide, float(nearest), float(visible_share))
+    seen, visible_share = jax.device_get(_extract(depth, camera, *poses))
+    return SeenPatch(seen.patch.depth, seen.depth, float(seen.patch.nearest), float(visible_share))
 
 
 @full_precision
 def _extract(
     depth: Float[Array, "h w"], camera: Camera, T_w_c: Float[Array, "4 4"], T_w_t: Float[Array, "4 4"]
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[PatchView, Array]:
     seen = view_from_depth(depth, camera, T_w_c, T_w_t)
     share = jnp.mean(centre(seen.known_mask, PATCH_PIXELS))
-    return seen.view.wide, seen.view.patch.depth, seen.view.patch.nearest, share
+    return seen.view, share
 
 
 _extract = jax.jit(_extract, static_argnums=1)

@@ -41,7 +41,7 @@ class SeenPatch(NamedTuple):
     """Patch in front of a skin, as seen by the camera."""
 
     patch: Float[Array, "48 48"]  # m
-    wide: Float[Array, "72 72"]  # m
+    view: Float[Array, "72 72"]  # m, the patch with its surroundings
     nearest: float  # m
     visible_share: float  # fraction of the patch's pixels that were measured
 
@@ -54,7 +54,7 @@ class SkinTouch(NamedTuple):
     ambient: Float[Array, " c"]  # uT
     reading: Float[Array, " c"]  # uT, mean in contact minus ambient
     force: float  # N along the skin's z; NaN unless this skin alone felt the press
-    depth: float  # m past first contact; NaN if this skin felt nothing, or if it cannot be estimated
+    travel: float  # m past first contact; NaN if this skin felt nothing, or if it cannot be estimated
     seen: SeenPatch | None  # in front of this skin; None in a history, where images would fill the memory
     counters: SkinCounters  # counts of this touch alone
 
@@ -66,8 +66,8 @@ class TouchResult(NamedTuple):
     attempt: int
     reason: StopReason
     skins: Mapping[str, SkinTouch]  # results by the names of the skins
-    view: View | None  # None in a history
-    T_w_c: Float[Array, "4 4"]  # pose of the camera when the view was taken
+    camera_view: View | None  # None in a history
+    T_w_c: Float[Array, "4 4"]  # pose of the camera when it took the view
 
     @property
     def code(self) -> ReturnCode:
@@ -90,9 +90,9 @@ class TouchResult(NamedTuple):
         return self.skins[TOOL].force
 
     @property
-    def depth(self) -> float:
+    def travel(self) -> float:
         """Travel (m) past first contact."""
-        return self.skins[TOOL].depth
+        return self.skins[TOOL].travel
 
 
 class SiteOutcome(NamedTuple):

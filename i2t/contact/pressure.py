@@ -11,8 +11,8 @@ pressure map says where and how hard the skin is touched. The reading that follo
 of the pad and is learned from its touches (`i2t.skin_models.pressure_gp`).
 
 Views include the surroundings of the patch if they were recorded; the outermost pixels of a cropped view are repeated.
-Forces are positive in compression, and depths count from first contact. Recordings with other conventions are corrected
-when they are read (`i2t.recordings.sets`).
+Forces are positive in compression, and travel counts from first contact. Recordings with other conventions are
+corrected when they are read (`i2t.recordings.sets`).
 """
 
 from dataclasses import dataclass, field
@@ -62,7 +62,7 @@ class PressureModelConfig:
     window: float = field(default=PAD_WINDOW, metadata={"static": True})  # m, edge of the square that can carry load
     smooth: bool = True  # whether views are smoothed; views without noise need not be
     tilt: float = 0.6 * np.pi / 180  # rad, standard deviation about each axis of the tilt that the view does not show
-    control: Literal["force", "depth"] = "force"  # measurement that determines how hard the skin is pressed
+    control: Literal["force", "travel"] = "force"  # measurement that determines how hard the skin is pressed
     # m, edge of a cell of the contact grid; it must divide 1 mm
     cell: float = field(default=0.5e-3, metadata={"static": True})
     iterations: int = MAX_STEPS  # steps of the contact solver
@@ -185,19 +185,19 @@ def predict_pressure(
     pad: Pad,
     view: Float[Array, "n n"],
     force: Float[Array, ""],
-    depth: Float[Array, ""],
+    travel: Float[Array, ""],
 ) -> ContactPressure:
     """Predict the contact pressure of a press onto the surface in a view.
 
-    Only the force or the depth is used, as `cfg.control` says. If it is the depth, the load is that of the pad's layer
-    at this depth.
+    Only the force or the travel is used, as `cfg.control` says. The travel is taken for the indentation of the pad's
+    layer, whose load follows from it.
 
     Args:
         cfg: Options of the pressure model.
         pad: Pad whose layer is pressed.
         view: Depth view (m), NaN where it is unknown.
         force: Force (N) along tool z, positive in compression.
-        depth: Travel (m) past first contact.
+        travel: Travel (m) past first contact.
 
     Returns:
         Contact pressure with its load.
@@ -213,7 +213,7 @@ def predict_pressure(
         if cfg.control == "force":
             load = jnp.maximum(force, cfg.floor)
             return press_heights(pad, tilted, load, grid, max_steps=cfg.iterations)[0]
-        indentation = jnp.maximum(depth, 0.0)
+        indentation = jnp.maximum(travel, 0.0)
         return solve(pad, tilted, indentation, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations).pressure
 
     # Without a tilt, only the central node is pressed.
@@ -229,7 +229,7 @@ def predict_pressure(
 
 
 def predict_pressures(
-    cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, depth: np.ndarray, pad: Pad | None = None
+    cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, travel: np.ndarray, pad: Pad | None = None
 ) -> ContactPressure:
     """Predict the contact pressures of many touches, in batches of a few sizes so that any number reuses compiled code.
 
@@ -237,13 +237,13 @@ def predict_pressures(
         cfg: Options of the pressure model.
         views: `(n, w, w)` depth views (m), NaN where the recording was cropped.
         force: `(n,)` forces (N) along tool z.
-        depth: `(n,)` travels (m) past first contact.
+        travel: `(n,)` travels (m) past first contact.
         pad: Pad whose layer is pressed; the nominal pad if not given.
 
     Returns:
         Contact pressures of the n touches along axis 0.
     """
-    columns, pressed = [np.asarray(x, np.float32) for x in (views, force, depth)], pad or _nominal_pad()
+    columns, pressed = [np.asarray(x, np.float32) for x in (views, force, travel)], pad or _nominal_pad()
     parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows in size_classes(len(views))]
     # Only the last batch is padded.
     return jax.tree.map(lambda *batches: jnp.asarray(np.concatenate(batches)[: len(views)]), *parts)
@@ -253,5 +253,5 @@ _nominal_pad = cache(nominal_pad)  # making it takes a fifth of the time of a pr
 
 
 @jax.jit
-def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, depth: Array) -> ContactPressure:
-    return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, depth)
+def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, travel: Array) -> ContactPressure:
+    return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, travel)

@@ -215,7 +215,7 @@ class _FromTable(Recording):
 
 @dataclass(kw_only=True)
 class FromPresses(_FromTable):
-    """Convert a table of presses of one indenter: comma-separated, with the columns x_mm, y_mm, depth_mm, b0x_uT,
+    """Convert a table of presses of one indenter: comma-separated, with the columns x_mm, y_mm, travel_mm, b0x_uT,
     b0y_uT, b0z_uT, b1x_uT ... and more, as docs/data.md describes it.
     """
 
@@ -231,7 +231,7 @@ class FromPresses(_FromTable):
 @dataclass(kw_only=True)
 class FromStream(_FromTable):
     """Find the presses in a log of any length, a row for every sample with the columns time_s, b0x_uT, b0y_uT ... and,
-    for a data set, x_mm, y_mm and depth_mm or z_mm; convert them, or write them as a table where DST ends in .csv.
+    for a data set, x_mm, y_mm and travel_mm or z_mm; convert them, or write them as a table where DST ends in .csv.
     """
 
     # rate (Hz) of the rows, for a log without time stamps or with stamps that do not show it
@@ -354,7 +354,7 @@ def _page(source: Path, summary: dict[str, Any]) -> str:
     lines += ["", f"{'measured':<22} {'mean':>9} {'std':>9} {'min':>9} {'median':>9} {'max':>9}"]
     measured = [(f"reading {axis} (uT)", 1.0, summary["reading_uT"][axis]) for axis in "xyz"]
     measured += [("reading norm (uT)", 1.0, summary["reading_norm_uT"]), ("force (N)", 1.0, summary["force_N"])]
-    measured += [("depth (mm)", 1e3, summary["depth_m"]), ("nearest (mm)", 1e3, summary["nearest_m"])]
+    measured += [("travel (mm)", 1e3, summary["travel_m"]), ("nearest (mm)", 1e3, summary["nearest_m"])]
     for label, scale, numbers in measured:
         cells = [" " * 8 + "-" if value is None else f"{scale * value:9.3f}" for value in numbers.values()]
         lines.append(f"  {label:<20} {' '.join(cells)}")

@@ -9,8 +9,8 @@ Frames: the skin is fixed, and its tool frame T is the world's: x and y are the 
 range, z is up, zero where the press begins. The object O is the probe: origin at the lowest point of its tip, axes as
 T. The source states neither the shape of the tip (a sphere is assumed), nor the height of first contact, the
 orientation of the board, or the centre of the skin. They are estimated from the readings as far as possible
-(`i2t.recordings.diagnose`): if presses lie on both sides of first contact, depth counts from where readings begin; if
-all go to one height, depth is unknown.
+(`i2t.recordings.diagnose`): if presses lie on both sides of first contact, travel counts from where readings begin; if
+all go to one height, travel is unknown.
 """
 
 import json
@@ -67,11 +67,11 @@ def convert(
         window: Edge (m) of the square that a patch shows; presses outside it are left out.
         reach: Depth (m) behind the tip's lowest point to which patches are clipped.
         zero: The robot's z (m) at first contact. By default it is where readings begin. If no press is above that, it
-            is the session's highest z, so that no depth is negative; if all presses go to one height, depths are
+            is the session's highest z, so that no travel is negative; if all presses go to one height, travels are
             unknown.
         pad: One name for all pads; by default, each board of each session is a pad of its own.
         stated_source: "real" (by default) or "simulated".
-        as_stated: Whether to skip the search for mistakes; depth then counts from the session's highest z.
+        as_stated: Whether to skip the search for mistakes; travel then counts from the session's highest z.
         skip_bad: Whether to leave out damaged rows and sessions, with notes.
 
     Returns:
@@ -182,13 +182,13 @@ def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog
         return stated
     zero = first_contact(heights, check.zero)
     if check.zero is not None and check.zero.identifiable:
-        notes.info(f"depth in {name} counts from z = {1e3 * zero:.3f} mm, where readings begin")
+        notes.info(f"travel in {name} counts from z = {1e3 * zero:.3f} mm, where readings begin")
     elif np.isnan(zero):
-        notes.info(f"left out of {name}: depth, as all presses go to one height; give --z0-mm if it is known")
+        notes.info(f"left out of {name}: travel, as all presses go to one height; give --z0-mm if it is known")
     else:
         notes.info(
-            f"assumed in {name}: first contact at the highest z = {1e3 * zero:.3f} mm; depth counts from there, so "
-            "that all depths may be too small by one number"
+            f"assumed in {name}: first contact at the highest z = {1e3 * zero:.3f} mm; travel counts from there, so "
+            "that all travels may be too small by one number"
         )
     return zero
 
@@ -196,7 +196,7 @@ def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog
 def _sheared(name: str, table: Presses, notes: ReadingLog, *, as_stated: bool) -> tuple[Presses, SessionCheck]:
     """Correct a session in which the probe moves along two skins.
 
-    The robot's z is the direction of shear, and the depth of the press is not recorded. Only the units are checked.
+    The robot's z is the direction of shear, and the travel of the press is not recorded. Only the units are checked.
     """
     check = SessionCheck(_board())
     if not as_stated:
@@ -208,7 +208,7 @@ def _sheared(name: str, table: Presses, notes: ReadingLog, *, as_stated: bool) -
     assert table.height is not None
     x, y = (table.position - _middle(table.position)).T
     notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
-    notes.info(f"left out of {name}: the load, which is the shear force; press depth and normal force are unknown")
+    notes.info(f"left out of {name}: the load, which is the shear force; travel and normal force are unknown")
     unknown = np.full(len(x), np.nan)
     along = np.column_stack([x + table.height - _middle(table.height), y])
     return table._replace(position=along, height=unknown, force=unknown), check

@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.convert import CAMERA_OFFSET_M, npy, samples
 from i2t.convert.common import Converted, converted
-from i2t.dataset import Dataset, concatenate, missing_context
+from i2t.dataset import Dataset, concatenate, missing_views
 from i2t.dataset.sets import NOT_STATED
 from i2t.depth.camera import read_image, stored_mask
 from i2t.errors import DataError
@@ -145,11 +145,11 @@ def _convert_run(folder: Path, run: str, options: _Options, notes: ReadingLog) -
     force, code = _forces(folder / f"{folder.name}_forces" / f"experiment_{run}", axis, damaged, notes)
     touches = Touches(
         patch=patch,
-        wide=missing_context(n),
+        view=missing_views(n),
         nearest=nearest,
         reading=reading,
         force=force,
-        depth=np.full(n, np.nan),
+        travel=np.full(n, np.nan),
         T_w_t=T_w_t,
         T_w_o=np.full((n, 4, 4), np.nan),
         object=np.zeros(n),

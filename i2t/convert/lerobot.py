@@ -28,7 +28,7 @@ from i2t.skin.boards import name_of_board
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 FRAME_RATE_HZ = 1
-NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "wide": "observation.wide"}
+NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "view": "observation.view"}
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # m, and a unit quaternion
 
 
@@ -96,7 +96,7 @@ def _fill(folder: Path, dataset: Dataset) -> None:
 def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
     """Make the columns of the touches under the names of this format, without counters.
 
-    `wide` is left out if no surroundings were recorded.
+    `view` is left out if no surroundings were recorded.
     """
     fields = {name: values for name, values in dataset.touches._asdict().items() if name != "truth"}
     if dataset.touches.truth is not None:
@@ -104,7 +104,7 @@ def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
     columns = {
         NAMED_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDEX_FIELDS else values
         for name, values in fields.items()
-        if values is not None and not (name == "wide" and np.isnan(values).all())
+        if values is not None and not (name == "view" and np.isnan(values).all())
     }
     return {
         **columns,

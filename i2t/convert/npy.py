@@ -102,7 +102,7 @@ def _unpickled(path: Path, payload: bytes) -> Any:
             if "PUT" in opcode.name and int(argument or 0) > len(payload):
                 raise _Refused("a memo of absurd size")
         value = _Unpickler(io.BytesIO(payload), encoding="latin1").load()
-        return _plain(value, itertools.count(-len(payload)), depth=16)  # real files have five levels of lists
+        return _plain(value, itertools.count(-len(payload)), levels=16)  # real files have five levels of lists
     except _Refused as error:
         problem = f"refused, for it asks for {error}, which no recording needs"
         raise DataError(f"{path}: {problem}; do not open it with other programs") from error
@@ -179,12 +179,12 @@ class _Scalar(NamedTuple):
     parts: _Parts
 
 
-def _plain(value: Any, budget: "itertools.count[int]", depth: int) -> Any:
+def _plain(value: Any, budget: "itertools.count[int]", levels: int) -> Any:
     """Convert the result of a pickle to nested lists.
 
     The budget of one value for each byte of the file stops shared lists that multiply.
     """
-    if next(budget) > 0 or depth < 0:
+    if next(budget) > 0 or levels < 0:
         raise _Refused("more values or deeper lists than its size allows")
     if isinstance(value, int) and abs(value) >= 2**63:
         raise _Refused("an integer of absurd size")
@@ -193,14 +193,14 @@ def _plain(value: Any, budget: "itertools.count[int]", depth: int) -> Any:
     if isinstance(value, _Scalar):
         return _numbers(value.parts)[0]
     if isinstance(value, list | tuple):
-        return [_plain(item, budget, depth - 1) for item in value]
+        return [_plain(item, budget, levels - 1) for item in value]
     parts = getattr(value, "parts", None)
     if not isinstance(parts, _Parts):
         raise _Refused(f"a {type(value).__name__}")
     if parts.code.lstrip("<>|=") in ("O", "O8"):
-        items = [_plain(item, budget, depth - 1) for item in parts.data]
+        items = [_plain(item, budget, levels - 1) for item in parts.data]
         return _nested(items, parts.shape)
-    return _nested([_plain(number, budget, depth - 1) for number in _numbers(parts)], parts.shape)
+    return _nested([_plain(number, budget, levels - 1) for number in _numbers(parts)], parts.shape)
 
 
 def _numbers(parts: _Parts) -> list[Any]:
@@ -219,10 +219,10 @@ def _nested(items: list[Any], shape: tuple[int, ...]) -> Any:
     return items if shape else items[0]
 
 
-def _shape(values: Any, depth: int) -> tuple[int, ...]:
-    """Measure the lengths of the first `depth` levels of nested lists."""
+def _shape(values: Any, levels: int) -> tuple[int, ...]:
+    """Measure the lengths of the first `levels` levels of nested lists."""
     shape: list[int] = []
-    while len(shape) < depth and isinstance(values, list):
+    while len(shape) < levels and isinstance(values, list):
         shape.append(len(values))
         values = values[0] if values else None
     return tuple(shape)

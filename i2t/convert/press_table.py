@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from i2t.dataset import Dataset, missing_context
+from i2t.dataset import Dataset, missing_views
 from i2t.errors import DataError
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.recordings.diagnose import (
@@ -155,11 +155,11 @@ def presses_dataset(
     T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(height) - tip.lowest])
     touches = Touches(
         patch=tip.patches(x, y, window, reach),
-        wide=missing_context(n),
+        view=missing_views(n),
         nearest=height,
         reading=readings,
         force=force,
-        depth=np.maximum(-height, 0),
+        travel=np.maximum(-height, 0),
         T_w_t=np.tile(np.eye(4), (n, 1, 1)),
         T_w_o=T_w_o,
         object=np.zeros(n),

@@ -1,11 +1,11 @@
 """A general table of presses that any lab can write: one row for each press of a known indenter, upright on the skin
 (docs/data.md describes it).
 
-Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), depth_mm (travel past
-first contact) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (to b4z_uT
-for five chips); optionally force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and session
-(names; a session may be called run), and source (real, as by default, or simulated). Depth may be missing if there are
-forces.
+Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), travel_mm (past first
+contact; also depth_mm) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
+(to b4z_uT for five chips); optionally force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and
+session (names; a session may be called run), and source (real, as by default, or simulated). Travel may be missing if
+there are forces.
 """
 
 import math
@@ -38,7 +38,7 @@ from i2t.recordings.columns import (
     ambient_columns,
     field_columns,
 )
-from i2t.recordings.diagnose import corrected_presses, find_depth_sign, first_contact
+from i2t.recordings.diagnose import corrected_presses, find_travel_sign, first_contact
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.recordings.presses import Presses, join_presses
 from i2t.recordings.tables import TextTable, names_in, read_text_table, sound_rows
@@ -127,8 +127,8 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     """Read the presses of a table and whether they are real, simulated or mixed. Refuse or count damaged rows."""
     for note in table.notes:
         notes.info(note)
-    height = next((name for name in HEIGHT_COLUMNS if name in table.header and "depth_mm" not in table.header), None)
-    header = ["depth_mm" if name == height else name for name in table.header]
+    height = next((name for name in HEIGHT_COLUMNS if name in table.header and "travel_mm" not in table.header), None)
+    header = ["travel_mm" if name == height else name for name in table.header]
     values, ambient = _value_columns(source, header, chips, notes)
     places = [name for name in PLACES if name in header]
     columns = [*places, *values, *ambient, *([FORCE] if FORCE in header else [])]
@@ -153,18 +153,18 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     rows, numbers = [row for row, kept in zip(rows, answered, strict=True) if kept], numbers[answered]
     column = dict(zip(columns, numbers.T, strict=True))
     unknown = np.full(len(rows), np.nan)
-    depth = column.get("depth_mm", unknown)
-    if height is not None and len(depth):
-        highest = float(depth.max())
-        notes.info(f"assumed: {height} grows out of the skin, and depth counts from its highest value, {highest:g} mm")
-        depth = highest - depth
-    depth, kept = _positive(source, depth, [line for line, _ in rows], notes)
+    travel = column.get("travel_mm", unknown)
+    if height is not None and len(travel):
+        highest = float(travel.max())
+        notes.info(f"assumed: {height} grows out of the skin, and travel counts from its highest value, {highest:g} mm")
+        travel = highest - travel
+    travel, kept = _positive(source, travel, [line for line, _ in rows], notes)
     readings = np.column_stack([column[name] for name in values])
     if ambient:
         readings = readings - np.column_stack([column[name] for name in ambient])
     presses = Presses(
         M_PER_MM * np.column_stack([column["x_mm"], column["y_mm"]]), readings,
-        height=-M_PER_MM * depth, force=column.get(FORCE, unknown),
+        height=-M_PER_MM * travel, force=column.get(FORCE, unknown),
         time=np.array([_time(header, cells) for _, cells in rows]),
         **{kind: np.array([names_in(header, cells, kind) for _, cells in rows]) for kind in NAME_COLUMNS},
     ).rows(kept)  # fmt: skip
@@ -223,10 +223,10 @@ def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]])
 
 def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLog) -> tuple[list[str], list[str]]:
     """List the columns of a board's values and of its ambient field; refuse a table that lacks some."""
-    by_force = "depth_mm" not in header and FORCE in header
+    by_force = "travel_mm" not in header and FORCE in header
     values = field_columns(source, header, chips, PLACES[:2] if by_force else PLACES)
     if by_force:
-        notes.info("no depth was recorded: presses are known by their force")
+        notes.info("no travel was recorded: presses are known by their force")
     ambient = ambient_columns(values)
     has_ambient = set(ambient) <= set(header)
     if not has_ambient and set(ambient) & set(header):
@@ -239,19 +239,19 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLo
     return values, ambient if has_ambient else []
 
 
-def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """Make depths positive into the skin, and return a mask of rows to keep.
+def _positive(source: Path, travel: np.ndarray, lines: list[int], notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
+    """Make travels positive into the skin, and return a mask of rows to keep.
 
-    If nearly all depths are negative, all are reversed; a single negative one counts as damage.
+    If nearly all travels are negative, all are reversed; a single negative one counts as damage.
     """
-    sign = find_depth_sign(M_PER_MM * depth)
+    sign = find_travel_sign(M_PER_MM * travel)
     if sign.wrong:
         notes.info(f"corrected: {sign.sentence}")
-        depth = -depth
-    for k in np.flatnonzero(depth < 0):
-        counts = "depth_mm counts from first contact into the skin"
-        notes.skip_row(DataError(f"{source}: line {lines[k]} has the negative depth {depth[k]:g}; {counts}"))
-    return depth, ~(depth < 0)
+        travel = -travel
+    for k in np.flatnonzero(travel < 0):
+        counts = "travel_mm counts from first contact into the skin"
+        notes.skip_row(DataError(f"{source}: line {lines[k]} has the negative travel {travel[k]:g}; {counts}"))
+    return travel, ~(travel < 0)
 
 
 def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Tip:

@@ -1,12 +1,12 @@
 """Logs of a skin: a row for every sample, at any rate and of any length. The presses in them become a table.
 
 A log is a table with the columns time_s and the board's values (b0x_uT ...) and, if a stage or an arm was recorded with
-them, x_mm, y_mm, depth_mm or z_mm, force_N, pad and session (`i2t.convert.presses` defines them). It is read row by
+them, x_mm, y_mm, travel_mm or z_mm, force_N, pad and session (`i2t.convert.presses` defines them). It is read row by
 row, and `i2t.recordings.segmentation` finds the presses meanwhile. At most the rows of the longest press are kept, so
 that memory does not grow with the log.
 
 A press becomes one row: its steady reading minus the rest before it, and the medians of the other columns over the same
-rows; its time is that of its beginning. A height becomes a depth, which counts from the height at which the reading
+rows; its time is that of its beginning. A height becomes travel, which counts from the height at which the reading
 left its rest. The search begins anew if the pad changes, after a pause and if the clock begins again, unless the skin
 is pressed there and continues to read the same. A press belongs to the session of its steady rows. Rows in which a chip
 did not answer are not part of a press, and end a press only if they hide it for longer than a pause. Rows that repeat
@@ -60,7 +60,7 @@ class PartRules:
     max_label_change: float = 0.2  # mm or N, up to which a press that continues has the same place and strength
     max_gap_rows: float = 3.0  # steps of rows, beyond which the beginning of a press was not recorded
     min_steady_fraction: float = 1 / 6  # of the rows of a press at the end of a part; a ramp has fewer steady rows
-    max_unseen_travel: float = 0.05  # fraction of the depth by which the tip may move in such a gap
+    max_unseen_travel: float = 0.05  # fraction of the travel by which the tip may move in such a gap
 
 
 _RULES = PartRules()
@@ -283,8 +283,8 @@ class _LogPresses:
 
     @property
     def labels(self) -> list[str]:
-        """Names of a press's labels, in which a height has become a depth."""
-        return ["depth_mm" if i == self.height else name for i, name in enumerate(self.columns.labels)]
+        """Names of a press's labels, in which a height has become travel."""
+        return ["travel_mm" if i == self.height else name for i, name in enumerate(self.columns.labels)]
 
     def add(self, search: _Search) -> None:
         """Add a finished search."""
@@ -310,8 +310,8 @@ class _LogPresses:
         if self.height is None:
             return False
         heights = press.across[:, LabelColumn.FIRST_VALUE + self.height]
-        depth = abs(heights[0] - press.steady[LabelColumn.FIRST_VALUE + self.height])
-        return bool(abs(np.diff(heights)).max(initial=0.0) > _RULES.max_unseen_travel * depth)
+        travel = abs(heights[0] - press.steady[LabelColumn.FIRST_VALUE + self.height])
+        return bool(abs(np.diff(heights)).max(initial=0.0) > _RULES.max_unseen_travel * travel)
 
     def note(self, notes: ReadingLog) -> None:
         """Note findings, assumptions and omissions."""
@@ -320,12 +320,12 @@ class _LogPresses:
         notes.info(f"found: {len(self.presses)} presses in {self.rows} rows{parts}")
         if self.height is not None:
             notes.info(
-                f"assumed: {self.columns.labels[self.height]} grows out of the skin, and depth counts from the height "
+                f"assumed: {self.columns.labels[self.height]} grows out of the skin, and travel counts from the height "
                 "at which a press's reading left its rest"
             )
         if self.hidden:
             notes.info(
-                f"{self.hidden} presses begin where rows are missing: their depth is left empty, and their time is "
+                f"{self.hidden} presses begin where rows are missing: their travel is left empty, and their time is "
                 "that of the first row afterwards"
             )
         if self.moved:
@@ -359,7 +359,7 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
         remedy = "name the column of time by its unit (time_s, time_ms, time_us), or give --rate-hz where there is none"
     values = field_columns(source, header, chips, [TIME] if timed else [], remedy)
     labels = [name for name in (*PLACES, FORCE) if name in header]
-    if "depth_mm" not in header:
+    if "travel_mm" not in header:
         labels += [name for name in HEIGHT_COLUMNS if name in header][:1]
     names = [name for name in TEXT_COLUMNS if name in header]
     unread = [name for name in header if name not in {TIME, *values, *labels, *names}]

@@ -5,7 +5,7 @@ defines a data set, `files` makes files atomic and verifiable, `store` reads and
 out. docs/data.md describes the schema.
 """
 
-from i2t.dataset.sets import Dataset, concatenate, holds_simulated, missing_context, source_words, validate
+from i2t.dataset.sets import Dataset, concatenate, holds_simulated, missing_views, source_words, validate
 from i2t.dataset.splits import (
     Split,
     by_group,
@@ -45,7 +45,7 @@ __all__ = [
     "holdout_names",
     "holds_simulated",
     "load_dataset",
-    "missing_context",
+    "missing_views",
     "read_touch",
     "same_places",
     "save_dataset",

@@ -34,7 +34,7 @@ from i2t.files.reading import open_regular
 from i2t.files.writing import replacing, unwritable
 
 SCHEMA = "i2t-touches"
-SCHEMA_VERSION = 2  # version 1, which is still read, called sessions runs
+SCHEMA_VERSION = 3  # earlier versions, which are still read, had other names for some fields
 ENDING = ".h5"
 HEADER_BYTES = 512
 

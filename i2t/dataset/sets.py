@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from i2t.errors import DataError
-from i2t.patches.dimensions import PATCH_WINDOW, REACH, WIDE_PIXELS
+from i2t.patches.dimensions import PATCH_WINDOW, REACH, VIEW_PIXELS
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 
 NOT_STATED = "not stated"  # source of recordings whose format does not tell whether they are real
@@ -110,7 +110,7 @@ class Dataset:
         """
         touches = self.touches
         by_axis = touches.reading.reshape(-1, self.board.num_chips, 3).astype(np.float64)
-        finite = {name: np.isfinite(getattr(touches, name)) for name in ("nearest", "force", "depth")}
+        finite = {name: np.isfinite(getattr(touches, name)) for name in ("nearest", "force", "travel")}
         return {
             "touches": len(self),
             "source": self.source,
@@ -124,12 +124,12 @@ class Dataset:
             },
             "reading_norm_uT": _statistics(np.sqrt(np.nansum(by_axis**2, axis=(1, 2)))),
             "force_N": _statistics(touches.force[finite["force"]].astype(np.float64)),
-            "depth_m": _statistics(touches.depth[finite["depth"]].astype(np.float64)),
+            "travel_m": _statistics(touches.travel[finite["travel"]].astype(np.float64)),
             "nearest_m": _statistics(touches.nearest[finite["nearest"]].astype(np.float64)),
             "missing": {
                 **{name: int(np.sum(~mask)) for name, mask in finite.items()},
                 "chips": int(np.isnan(touches.reading).any(1).sum()),
-                "wide": int(sum(np.isnan(view).any() for view in touches.wide)),
+                "view": int(sum(np.isnan(view).any() for view in touches.view)),
                 "T_w_t": int(np.isnan(touches.T_w_t).any((1, 2)).sum()),
                 "T_w_o": int(np.isnan(touches.T_w_o).any((1, 2)).sum()),
                 "time": len(self) if touches.time is None else int(np.isnan(touches.time).sum()),
@@ -173,8 +173,8 @@ def _common_source(sources: set[str]) -> str:
     return "mixed" if any(map(holds_simulated, sources)) else NOT_STATED
 
 
-def missing_context(touches: int, pixels: int = WIDE_PIXELS) -> np.ndarray:
-    """Make the `wide` patches of touches whose surroundings were not recorded.
+def missing_views(touches: int, pixels: int = VIEW_PIXELS) -> np.ndarray:
+    """Make the views of touches whose surroundings were not recorded.
 
     Args:
         touches: Number of touches.
@@ -245,7 +245,7 @@ def times_of(dataset: Dataset) -> np.ndarray:
 def _require_joinable(first: Dataset, other: Dataset) -> None:
     """Refuse patches of different sizes and readings of different boards."""
     alike = np.isclose((other.window, other.reach), (first.window, first.reach), rtol=1e-6, atol=0).all()
-    shapes = [(d.touches.patch.shape[1:], d.touches.wide.shape[1:]) for d in (first, other)]
+    shapes = [(d.touches.patch.shape[1:], d.touches.view.shape[1:]) for d in (first, other)]
     if not alike or shapes[0] != shapes[1]:
         both = f"{_geometry(first)} and of {_geometry(other)}"
         raise DataError(f"patches of {both} cannot be joined; convert them with one window and one reach")
@@ -283,11 +283,11 @@ def validate(dataset: Dataset) -> None:
 
 def _check_shapes(dataset: Dataset) -> None:
     touches, n = dataset.touches, len(dataset.touches.reading)
-    pixels, wide = touches.patch.shape[-1], touches.wide.shape[-1]
+    pixels, view = touches.patch.shape[-1], touches.view.shape[-1]
     chips = len(dataset.board.rotations)
     shapes: dict[str, tuple[int, ...]] = {
         "patch": (n, pixels, pixels),
-        "wide": (n, wide, wide),
+        "view": (n, view, view),
         "reading": (n, 3 * chips),
         "T_w_t": (n, 4, 4),
         "T_w_o": (n, 4, 4),
@@ -298,7 +298,7 @@ def _check_shapes(dataset: Dataset) -> None:
         _require_shape(name, getattr(touches, name), shapes.get(name, (n,)))
     if touches.truth is not None:
         for name, value in touches.truth._asdict().items():
-            shape = (n, *value.shape[1:2] * 2) if name == "wide" else shapes.get(name, (n,))
+            shape = (n, *value.shape[1:2] * 2) if name == "view" else shapes.get(name, (n,))
             _require_shape(f"truth/{name}", value, shape)
     _require_shape("time", times_of(dataset), (n,))
 
@@ -321,7 +321,7 @@ def _check_values(dataset: Dataset) -> None:
     whole = np.isfinite(fields).all(2) | np.isnan(fields).all(2)  # a chip has all its axes or none
     _require_rows("reading", whole.all(1), "is infinite, or has only some of the axes of a chip")
     _require_rows("reading", np.isfinite(touches.reading).any(1) | (n == 0), "has no values")
-    for name in ("force", "depth"):
+    for name in ("force", "travel"):
         _require_rows(name, ~np.isinf(getattr(touches, name)), "is infinite; write NaN if it is unknown")
     _require_rows("time", ~np.isinf(times_of(dataset)), "is infinite; write NaN if it is unknown")
     _require_rows("nearest", touches.nearest != -np.inf, "is minus infinity; write NaN if it is unknown")
@@ -384,12 +384,12 @@ def _rows(values: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def _joined(parts: list[np.ndarray]) -> np.ndarray:
     if all(_takes_no_memory(part) for part in parts):
-        return missing_context(sum(map(len, parts)), parts[0].shape[-1])
+        return missing_views(sum(map(len, parts)), parts[0].shape[-1])
     return np.concatenate(parts)
 
 
 def _takes_no_memory(values: np.ndarray) -> bool:
-    """Test whether an array was made by `missing_context`."""
+    """Test whether an array was made by `missing_views`."""
     return values.ndim == 3 and values.size > 0 and not any(values.strides)
 
 

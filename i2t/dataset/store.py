@@ -23,20 +23,24 @@ import numpy as np
 from i2t._version import __version__
 from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, verified, write
-from i2t.dataset.sets import Dataset, concatenate, missing_context, validate
+from i2t.dataset.sets import Dataset, concatenate, missing_views, validate
 from i2t.errors import DataError
 from i2t.files.reading import why_no_touches
 from i2t.files.writing import as_path
 from i2t.types import Board, Touches, Truth
 
 UNITS = {
-    **dict.fromkeys(("patch", "wide", "nearest", "depth", "indentation"), "m"),
+    **dict.fromkeys(("patch", "view", "nearest", "travel", "indentation"), "m"),
     "reading": "uT",
     "force": "N",
     **dict.fromkeys(("T_w_t", "T_w_o"), "1 (rotation), m (translation)"),
     **dict.fromkeys(("object", "pad", "session", "code"), "1"),
     "time": "s",
 }
+EARLIER_NAMES = {
+    "session": "run", "sessions": "runs",  # schema version 1
+    "travel": "depth", "view": "wide", "view_pixels": "wide_pixels",  # schema versions 1 and 2
+}  # fmt: skip
 
 # Series of the skin at the tool. The series of a further skin have its name appended.
 SKIN_SERIES = ("tactile", "temperature", "ambient", "ambient_predicted")
@@ -354,11 +358,11 @@ def _put_dataset(file: h5py.Group, dataset: Dataset) -> None:
     _put(file, "board/chips", dataset.board.chips, "m")
     _put(file, "board/rotations", dataset.board.rotations, "1")
     for name, values in touches._asdict().items():
-        if name != "truth" and values is not None and not (name == "wide" and np.isnan(values).all()):
+        if name != "truth" and values is not None and not (name == "view" and np.isnan(values).all()):
             _put(file, f"touches/{name}", values, UNITS[name])
     for name, values in touches.truth._asdict().items() if touches.truth is not None else ():
         _put(file, f"truth/{name}", values, UNITS[name])
-    file["touches"].attrs["wide_pixels"] = touches.wide.shape[-1]
+    file["touches"].attrs["view_pixels"] = touches.view.shape[-1]
 
 
 def _get_skin(file: h5py.File, skin: str | None) -> Dataset:
@@ -388,10 +392,12 @@ def _selected_skin(names: tuple[str, ...], requested: str | None) -> str:
 def _get_dataset(file: h5py.Group) -> Dataset:
     group = file["touches"]
     columns = {name: group[_stored(group, name)][()] for name in Touches._fields if _stored(group, name) in group}
-    if "wide" not in columns:
-        columns["wide"] = missing_context(len(columns["reading"]), int(group.attrs["wide_pixels"]))
+    if "view" not in columns:
+        pixels = group.attrs[_stored(group.attrs, "view_pixels")]
+        columns["view"] = missing_views(len(columns["reading"]), int(pixels))
     if "truth" in file:
-        columns["truth"] = Truth(**{name: file["truth"][name][()] for name in Truth._fields})
+        truth = file["truth"]
+        columns["truth"] = Truth(**{name: truth[_stored(truth, name)][()] for name in Truth._fields})
     return Dataset(
         touches=Touches(**columns),
         **{
@@ -406,9 +412,9 @@ def _get_dataset(file: h5py.Group) -> Dataset:
     )
 
 
-def _stored(group: h5py.Group, name: str) -> str:
-    """Find the name that a file has for a field or a list of names. Schema version 1 called sessions runs."""
-    return name if name in group else {"session": "run", "sessions": "runs"}.get(name, name)
+def _stored(group: Mapping[str, Any], name: str) -> str:
+    """Find the name that a file has for a field, a list of names or an attribute, which may be `EARLIER_NAMES`'s."""
+    return name if name in group else EARLIER_NAMES.get(name, name)
 
 
 def _put(file: h5py.Group, name: str, values: Any, unit: str) -> h5py.Dataset:

@@ -32,8 +32,8 @@ from i2t import validation
 from i2t.depth.camera import Camera, check_image, check_view, measured_mask
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
-from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, WIDE_PIXELS, WIDE_WINDOW
-from i2t.patches.views import WideView, camera_view
+from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, VIEW_PIXELS, VIEW_WINDOW
+from i2t.patches.views import PatchView, camera_view
 from i2t.types import Patch, in_one_line
 
 
@@ -73,7 +73,7 @@ class DepthPatch(_DepthPatch):
 class DepthView(NamedTuple):
     """A patch and its surroundings from a depth image."""
 
-    view: WideView
+    view: PatchView
     known_mask: Bool[Array, "w w"]  # measured or interpolated
 
 
@@ -169,7 +169,7 @@ def view_from_depth(
         seen = view_from_depth(image, camera, T_w_c, T_w_t)
         reading, std = predictor.predict(seen, force=1.0)
     """
-    seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=WIDE_WINDOW, pixels=WIDE_PIXELS, reach=reach)
+    seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=VIEW_WINDOW, pixels=VIEW_PIXELS, reach=reach)
     known_mask = seen.valid_mask | seen.inpainted_mask
     z = jnp.where(known_mask & (seen.patch.depth < reach), seen.patch.nearest + seen.patch.depth, jnp.inf)
     return DepthView(camera_view(z), known_mask)

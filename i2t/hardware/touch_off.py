@@ -123,18 +123,18 @@ def contact_onset(
     return float(least_squares(residuals, guess, bounds=bounds, x_scale=[1e-4, 1.0, 1.0]).x[0])
 
 
-def corner_force(indentation: Float[Array, " n"], soft: float, stiffness: float) -> Float[Array, " n"]:
-    """Calculate the force F of a pressed corner: indentation = soft F^(1/3) + F / stiffness, by Cardano's formula.
+def corner_force(travel: Float[Array, " n"], soft: float, stiffness: float) -> Float[Array, " n"]:
+    """Calculate the force F of a pressed corner: travel = soft F^(1/3) + F / stiffness, by Cardano's formula.
 
     Args:
-        indentation: (n,) travel since first contact in m; below zero there is no force.
+        travel: (n,) travel past first contact in m; below zero there is no force.
         soft: Softness of the elastic corner in m/N^(1/3).
         stiffness: Stiffness of arm and mount in N/m.
 
     Returns:
         (n,) force in N.
     """
-    half = stiffness * np.maximum(indentation, 0) / 2
+    half = stiffness * np.maximum(travel, 0) / 2
     root = np.sqrt(half**2 + (soft * stiffness / 3) ** 3)
     return (np.cbrt(half + root) + np.cbrt(half - root)) ** 3
 

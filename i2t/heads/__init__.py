@@ -1,1 +1,1 @@
-"""Heads: position, depth, force and shear of a tip from the readings of one skin."""
+"""Heads: position, travel, force and shear of a tip from the readings of one skin."""

@@ -1,4 +1,4 @@
-"""Heads: estimates of position, depth, normal force and shear from a skin's readings, with their uncertainty.
+"""Heads: estimates of position, travel, normal force and shear from a skin's readings, with their uncertainty.
 
     from i2t.heads.heads import fit_head
     from i2t.recordings.read import read_recordings
@@ -239,9 +239,11 @@ def load_head(path: Path | str) -> Head:
     """
     record, about = serialization.load(path, FILE_KIND_OF_HEAD, HeadRecord)
     with serialization.fitting(path):
-        if about.get("target") not in HEAD_TARGETS:
+        target = about.get("target")
+        target = "travel" if target == "depth" else target  # as earlier files call it
+        if target not in HEAD_TARGETS:
             raise serialization.SerializationError(f"{path}: names no target that this version knows; fit it again")
-        return Head(about["target"], record, about["validation"], about["about"])
+        return Head(target, record, about["validation"], about["about"])
 
 
 def fit_head(
@@ -325,9 +327,9 @@ def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
     usable = recording.known(target)
     if target == "position" and recording.labels is not None and len(np.unique(recording.labels)) > 1:
         raise ValueError(f"several objects touched the skin in {recording.name}: the place of contact is unknown")
-    if target in ("position", "depth") and recording.known("contact").any():
+    if target in ("position", "travel") and recording.known("contact").any():
         usable &= ~(recording.targets["contact"][:, 0] == 0)
-    if target in ("position", "depth") and not recording.known("depth").any() and recording.known("shear").any():
+    if target in ("position", "travel") and not recording.known("travel").any() and recording.known("shear").any():
         usable &= recording.known("shear") & (np.abs(np.nan_to_num(recording.targets["shear"])).max(1) > 0)
     count, min_rows = int(usable.sum()), HEAD_CONFIG.min_rows
     if not count:

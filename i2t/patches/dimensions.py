@@ -2,8 +2,8 @@
 
 PATCH_PIXELS = 48
 PATCH_WINDOW = 17e-3  # m, edge of the square that the paper crops around the tool axis
-WIDE_PIXELS = 72
-WIDE_WINDOW = PATCH_WINDOW * WIDE_PIXELS / PATCH_PIXELS  # 25.5 mm, in pixels of the same size as the patch's
+VIEW_PIXELS = 72
+VIEW_WINDOW = PATCH_WINDOW * VIEW_PIXELS / PATCH_PIXELS  # 25.5 mm, in pixels of the same size as the patch's
 TWIST_LEVER_M = PATCH_WINDOW / 2  # m, lever that turns the rotation of a twist into a length
 REACH = 4e-3  # m, largest depth of a patch behind its nearest surface point
 STANDOFF = 40e-3  # m, distance behind the tool origin at which rays start

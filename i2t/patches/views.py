@@ -5,7 +5,7 @@ A patch shows 17 mm, and the skin is 20 mm wide. The surroundings of the patch a
 meets protruding surroundings first. Depths of the whole view are measured from the nearest point of the *patch*, and
 are negative where the surroundings stand out before that point:
 
-    wide = min(z - nearest, reach),   patch = its central pixels
+    view = min(z - nearest, reach),   patch = its central pixels
 
 Heights z are metres along tool z. They are clipped after the shift, so the centre of a view is always its patch,
 whatever stands next to it. Negative depths are not clipped, so that protruding surroundings keep their shape.
@@ -28,7 +28,7 @@ SAME_SURFACE_M = 1.5e-3
 
 
 @in_one_line
-class WideView(NamedTuple):
+class PatchView(NamedTuple):
     """A depth patch in front of the skin, with its surroundings.
 
     Example:
@@ -37,7 +37,7 @@ class WideView(NamedTuple):
     """
 
     patch: Patch  # the central pixels
-    wide: Float[Array, "*batch w w"]  # m behind the patch's nearest point, at most the reach; negative before it
+    depth: Float[Array, "*batch w w"]  # m behind the patch's nearest point, at most the reach; negative before it
 
 
 def view_of_heights(
@@ -47,7 +47,7 @@ def view_of_heights(
     reach: float = REACH,
     noise: float = 0.0,
     lowest: Float[Array, ""] | float = -jnp.inf,
-) -> WideView:
+) -> PatchView:
     """Compute a patch and its surroundings from heights.
 
     Args:
@@ -65,13 +65,13 @@ def view_of_heights(
     nearest = jnp.min(centre(z, PATCH_PIXELS)) if nearest is None else nearest
     start = jnp.where(jnp.isfinite(nearest), nearest, 0)
     behind = jnp.minimum(jnp.maximum(z, lowest) - start, reach)
-    wide = jnp.where(behind < -noise, behind, jnp.maximum(behind, 0))
-    patch = jnp.maximum(centre(wide, PATCH_PIXELS), 0)
+    depth = jnp.where(behind < -noise, behind, jnp.maximum(behind, 0))
+    patch = jnp.maximum(centre(depth, PATCH_PIXELS), 0)
     margin = (z.shape[-1] - PATCH_PIXELS) // 2
-    return WideView(Patch(patch, nearest), jax.lax.dynamic_update_slice(wide, patch, (margin, margin)))
+    return PatchView(Patch(patch, nearest), jax.lax.dynamic_update_slice(depth, patch, (margin, margin)))
 
 
-def camera_view(z: Float[Array, "w w"], *, filter_pixels: int = 5, min_surface_pixels: int = 10) -> WideView:
+def camera_view(z: Float[Array, "w w"], *, filter_pixels: int = 5, min_surface_pixels: int = 10) -> PatchView:
     """Compute a view of the default size from the heights of a noisy camera.
 
     The nearest pixel of a noisy image is not its nearest surface. That surface is the lowest mean over small squares of
@@ -120,17 +120,17 @@ def pixels_on_skin(pitch: float) -> int:
     return 2 * int(PAD_WINDOW / pitch / 2)
 
 
-def complete_views(wide: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
+def complete_views(view: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
     """Fill the missing central pixels of cropped views with their patches.
 
     Args:
-        wide: Depths (m) of views, NaN where they were cropped.
+        view: Depths (m) of views, NaN where they were cropped.
         patch: Depths (m) of the patches in the middle of the views.
 
     Returns:
         `(n, w, w)` copy of the views; the surroundings of cropped views stay NaN.
     """
-    views = np.array(wide)
+    views = np.array(view)
     middle = centre(views, patch.shape[-1])
     middle[...] = np.where(np.isnan(middle), patch, middle)
     return views

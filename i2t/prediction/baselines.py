@@ -84,7 +84,7 @@ class OnFeatures(TouchModel):
 
     features: TouchFeatures
     spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups, at the smallest variance
-    conditions: tuple[str, ...]  # those of force, nearest and depth that it uses
+    conditions: tuple[str, ...]  # those of force, nearest and travel that it uses
     pressure: PressureModelConfig | None = field(default=None, kw_only=True)  # type: ignore[misc]  # None for patches
 
     @property

@@ -58,8 +58,8 @@ class TrainingTouches:
 
     Attributes:
         dataset: All touches, including those for validation and test; `Split` tells them apart.
-        measured: Those of force, nearest and depth that were measured at every touch.
-        pressure_model: Configuration of the predicted contact pressure; None if neither force nor depth is recorded.
+        measured: Those of force, nearest and travel that were measured at every touch.
+        pressure_model: Configuration of the predicted contact pressure; None if neither force nor travel is recorded.
         pressure: Contact pressures of all touches; None without a pressure model.
         paper: Sizes and loss of the paper's network.
         training: Configuration of the training of networks.
@@ -107,7 +107,7 @@ class TrainingTouches:
             self.dataset.window / touches.patch.shape[1],
             force=touches.force,
             nearest=touches.nearest,
-            depth=touches.depth,
+            travel=touches.travel,
             pressure=self.pressure,
             pressure_model=self.pressure_model,
         ).rows(np.flatnonzero(rows))
@@ -117,7 +117,7 @@ class TrainingTouches:
 
         Args:
             model: The fitted model.
-            split: Split whose training touches give the default force and depth.
+            split: Split whose training touches give the default force and travel.
 
         Returns:
             Predictor of readings for this data set's patches and board.
@@ -131,13 +131,13 @@ class TrainingTouches:
         except (LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"a {type(model).__name__} could not be loaded again: {error}") from error
         pressed = self.dataset.touches
-        force, depth = _usual_force(pressed.force[split.train]), _median(pressed.depth[split.train], 0.3e-3)
+        force, travel = _usual_force(pressed.force[split.train]), _median(pressed.travel[split.train], 0.3e-3)
         forces = pressed.force[split.train]
         forces = forces[np.isfinite(forces)]
         metadata: dict[str, Any] = {"board": board_as_lists(self.dataset.board)}
         if len(forces):
             metadata["force_range"] = [float(forces.min()), float(forces.max())]
-        return Predictor(model, self.dataset.window, self.dataset.reach, force, depth, metadata=metadata)
+        return Predictor(model, self.dataset.window, self.dataset.reach, force, travel, metadata=metadata)
 
 
 class Method(ABC):
@@ -213,7 +213,7 @@ def find_methods(names: Sequence[str]) -> tuple[Method, ...]:
 
 
 def views_of(dataset: Dataset) -> np.ndarray:
-    """Return wide views if they were recorded, otherwise patches.
+    """Return views if they were recorded, otherwise patches.
 
     Args:
         dataset: Data set of n touches.
@@ -221,9 +221,9 @@ def views_of(dataset: Dataset) -> np.ndarray:
     Returns:
         `(n, w, w)` views (m).
     """
-    wide = dataset.touches.wide
-    centre = wide.shape[-1] // 2
-    return dataset.touches.patch if np.isnan(wide[:, centre, centre]).any() else wide
+    view = dataset.touches.view
+    centre = view.shape[-1] // 2
+    return dataset.touches.patch if np.isnan(view[:, centre, centre]).any() else view
 
 
 def _usual_force(force: np.ndarray) -> float:

@@ -1,7 +1,7 @@
 """Networks beyond the paper's, built from its parts (`i2t.paper.network`), and functions that all networks share.
 
 The configuration allows any square image as input, such as a predicted contact pressure.
-Conditions measured at contact (force, nearest, depth) join the image's features at the encoder's input and, for the
+Conditions measured at contact (force, nearest, travel) join the image's features at the encoder's input and, for the
 reading, again next to the bottleneck, because the camera's view does not show how hard the skin is pressed.
 A second output predicts the log variance of each value, and the loss of a reading becomes the Gaussian one,
 
@@ -33,7 +33,7 @@ from i2t.paper.network import Params, decode, decode_image, dense, encode
 from i2t.training import Batch, Learner, Losses, Standard, standard, standardise
 from i2t.types import in_one_line
 
-Condition: TypeAlias = Literal["force", "nearest", "depth"]
+Condition: TypeAlias = Literal["force", "nearest", "travel"]
 
 
 class Inputs(NamedTuple):

@@ -181,7 +181,12 @@ class OnPressure(NetworkMethod):
 
     title = "network on predicted contact pressure"
     cfg = ModelConfig(
-        input="pressure", bottleneck=30, auxiliary=False, heteroscedastic=True, members=5, conditions=("force", "depth")
+        input="pressure",
+        bottleneck=30,
+        auxiliary=False,
+        heteroscedastic=True,
+        members=5,
+        conditions=("force", "travel"),
     )
 
     def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, ModelFactory] | None:

@@ -32,7 +32,7 @@ from i2t.files.reading import read_json
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.models import ready_hint, ready_path
 from i2t.patches.dimensions import PATCH_PIXELS
-from i2t.patches.views import WideView
+from i2t.patches.views import PatchView
 from i2t.prediction import user_input
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, to_disk
 from i2t.rendering.render import prepare_surface, render_view
@@ -41,7 +41,8 @@ from i2t.skin.boards import board_from_lists
 from i2t.types import Board, Surface
 
 PREDICTOR_FORMAT = "i2t predictor"
-PREDICTOR_VERSION = 4
+PREDICTOR_VERSION = 5
+READ_VERSIONS = (4, PREDICTOR_VERSION)  # version 4 called travel depth
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
@@ -55,7 +56,7 @@ class Predictor:
         window: Edge (m) of the square that a patch shows.
         reach: Depth (m) of a patch behind its nearest point.
         default_force: Force (N) if a user gives none: the median of the training touches.
-        default_depth: Travel (m) past first contact if a user gives none: the median of the training touches.
+        default_travel: Travel (m) past first contact if a user gives none: the median of the training touches.
         std_scale: Factor on the model's standard deviations that gives the errors on validation touches unit variance.
         metadata: Provenance: method, data and seed of the training.
 
@@ -68,7 +69,7 @@ class Predictor:
     window: float
     reach: float
     default_force: float
-    default_depth: float
+    default_travel: float
     std_scale: float = 1.0
     metadata: dict[str, Any] | None = None
 
@@ -117,25 +118,25 @@ class Predictor:
         patch: Any,
         force: Values | None = None,
         nearest: Values | None = None,
-        depth: Values | None = None,
-        wide: Float[Array, "*batch w w"] | np.ndarray | None = None,
+        travel: Values | None = None,
+        view: Float[Array, "*batch w w"] | np.ndarray | None = None,
         *,
         valid: Bool[Array, "*batch n n"] | np.ndarray | None = None,
     ) -> Reading:
         """Predict the reading of one touch, or of many on axis 0.
 
-        Give the whole result of `i2t.patch_from_depth`, `i2t.render_patch` or a wide view of either. It contains the
+        Give the whole result of `i2t.patch_from_depth`, `i2t.render_patch` or a view of either. It contains the
         distance of the surface from the skin, so that a patch of a distant surface is refused, and the mask of seen
         pixels. An array of depths contains neither: it is taken for a fully seen surface in contact with the skin.
 
         Args:
-            patch: A `Patch`, `DepthPatch`, `WideView` or `DepthView`, of one touch or of n on axis 0, or a list of
+            patch: A `Patch`, `DepthPatch`, `PatchView` or `DepthView`, of one touch or of n on axis 0, or a list of
                 them; or depths (48, 48) or (n, 48, 48) in m behind the nearest point.
             force: Force (N) along tool z. The default is the median of the training touches.
             nearest: Signed distance (m) of the nearest point from the tool origin, in place of the patch's own. Beyond
                 10 mm the skin touches nothing, which is refused; beyond 1 mm in front there is a warning.
-            depth: Travel (m) past first contact. The default is the median of the training touches.
-            wide: The same view with its surroundings and pixels of the same size, as from `i2t.patches.views`: m
+            travel: Travel (m) past first contact. The default is the median of the training touches.
+            view: The patch with its surroundings and pixels of the same size, as from `i2t.patches.views`: m
                 behind the patch's nearest point, negative where something stands out in front of it. It improves the
                 prediction at the rim of the skin and shows what the skin meets first. A model on patches ignores it.
             valid: Mask (48, 48) or (n, 48, 48) of seen pixels, in place of the patch's own. The others are predicted as
@@ -153,30 +154,30 @@ class Predictor:
             seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
             reading, std = predictor.predict(seen, force=1.0)
         """
-        seen = user_input.seen_touches(patch, nearest=nearest, wide=wide, valid=valid)
+        seen = user_input.seen_touches(patch, nearest=nearest, view=view, valid=valid)
         user_input.check_size_of_patches(seen, self.window, self.reach)
         mask = None if seen.valid is None else user_input.checked_valid(seen.valid, np.shape(seen.depth))
         patches = user_input.checked_patches(seen.depth, self.reach)
         n, pitch = len(patches), self.window / patches.shape[1]
         touches = TouchBatch(
             patches,
-            patches if seen.wide is None else user_input.checked_wide(seen.wide, patches, self.reach),
+            patches if seen.view is None else user_input.checked_views(seen.view, patches, self.reach),
             pitch,
             force=user_input.checked_column("force", force, n, self.default_force),
             nearest=user_input.checked_column("nearest", seen.nearest, n, None, unknown=nearest is None),
-            depth=user_input.checked_column("depth", depth, n, self.default_depth),
+            travel=user_input.checked_column("travel", travel, n, self.default_travel),
         )
         user_input.check_press(
-            touches.force, touches.depth, usual_force=self.default_force, largest_force=self.largest_force
+            touches.force, touches.travel, usual_force=self.default_force, largest_force=self.largest_force
         )
         if np.isfinite(touches.nearest).any():
-            wide = None if seen.wide is None else touches.view
+            views = None if seen.view is None else touches.view
             rendered = isinstance(patch, TouchBatch)  # `render_touches` has warned already
             remedy = (
                 "move the tool onto it (i2t.pose_at_pixel), or correct the unit of the depth image: give metres, by "
                 "its camera's scale, such as 1e-4 where it stores tenths of a millimetre"
             )
-            user_input.check_met(touches.nearest, wide, pitch, remedy=remedy, warn=not rendered)
+            user_input.check_met(touches.nearest, views, pitch, remedy=remedy, warn=not rendered)
         seen_whole = mask is None or mask.all()
         reading = self._predict_classes(touches) if seen_whole else self._predict_unseen(touches, mask)
         return _first(reading) if np.ndim(seen.depth) == 2 else reading
@@ -228,7 +229,7 @@ class Predictor:
             unit: Unit of a file's coordinates, such as "mm".
 
         Returns:
-            Patches, wide views and signed distances, n on axis 0, with unknown force and depth.
+            Patches, views and signed distances, n on axis 0, with unknown force and travel.
 
         Raises:
             ValueError: A pose is not a rigid transform, or the skin does not lie on the surface there.
@@ -240,8 +241,8 @@ class Predictor:
         views = jax.tree.map(lambda *leaves: np.stack(leaves), *seen)
         unknown = np.full(len(poses), np.nan, np.float32)
         return TouchBatch(
-            views.patch.depth, views.wide, self.window / PATCH_PIXELS,
-            force=unknown, nearest=views.patch.nearest, depth=unknown,
+            views.patch.depth, views.depth, self.window / PATCH_PIXELS,
+            force=unknown, nearest=views.patch.nearest, travel=unknown,
         )  # fmt: skip
 
     def _predict_classes(self, touches: TouchBatch) -> Reading:
@@ -323,6 +324,8 @@ def load_predictor(directory: Path | str) -> Predictor:
     directory = nested if nested.is_dir() else directory
     about = _description(directory, hint)
     try:
+        if about["version"] == 4:
+            about["model"]["settings"] = _with_travel(about["model"]["settings"])
         _drop_conventions(directory, about)
         arrays = _load_arrays(directory, about)
         return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _FIELDS})
@@ -362,7 +365,7 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
 
 
 # Numbers and texts of a predictor's file.
-_FIELDS = ("window", "reach", "default_force", "default_depth", "std_scale", "metadata")
+_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
 
 
 def _description(directory: Path, hint: str) -> dict[str, Any]:
@@ -377,20 +380,36 @@ def _description(directory: Path, hint: str) -> dict[str, Any]:
             f"{directory} holds no predictor of this i2t; name the folder that `python -m experiments.train` wrote"
             + hint
         ) from error
-    if version != PREDICTOR_VERSION:
+    if version not in READ_VERSIONS:
         raise CheckpointError(
             f"{directory} holds a predictor of version {version}, but this i2t reads version {PREDICTOR_VERSION}; use "
             "the i2t that wrote it, or train again: python -m experiments.train"
         )
+    if version == 4 and "default_depth" in about:
+        about["default_travel"] = about.pop("default_depth")
     missing = [name for name in ("model", "shapes", *_FIELDS) if name not in about]
     if missing:
         raise CheckpointError(f"the predictor in {directory} lacks {', '.join(missing)}; train again")
     return about
 
 
+def _with_travel(settings: dict[str, Any]) -> dict[str, Any]:
+    """Rename the travel of a press in the settings of a model, which version 4 called depth."""
+    renamed = {}
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            value = _with_travel(value)
+        elif name == "conditions":
+            value = ["travel" if condition == "depth" else condition for condition in value]
+        elif name == "control" and value == "depth":
+            value = "travel"
+        renamed[name] = value
+    return renamed
+
+
 def _drop_conventions(directory: Path, about: dict[str, Any]) -> None:
     """Drop the conventions of a recording with which predictors were once saved. Refuse any but the usual ones: forces
-    press, and depths count from first contact.
+    press, and travel counts from first contact.
     """
     odd = about["default_force"] < 0
     for setting in about["model"]["settings"].values():
@@ -398,8 +417,8 @@ def _drop_conventions(directory: Path, about: dict[str, Any]) -> None:
             odd |= setting["values"].pop("force_sign") != 1 or setting["values"].pop("depth_offset", 0.0) != 0
     if odd:
         raise CheckpointError(
-            f"the predictor in {directory} was trained on forces or depths as its recording counted them (a pressing "
-            "force negative, or a depth from another height than first contact), which this i2t corrects before "
+            f"the predictor in {directory} was trained on forces or travels as its recording counted them (a pressing "
+            "force negative, or a travel from another height than first contact), which this i2t corrects before "
             "training; train again: python -m experiments.train --dataset DATA"
         )
 
@@ -450,7 +469,7 @@ def _first(reading: Reading) -> Reading:
 
 
 @partial(jax.jit, static_argnums=(2, 3))
-def _render(surface: Surface, T_o_t: Array, window: float, reach: float) -> WideView:
+def _render(surface: Surface, T_o_t: Array, window: float, reach: float) -> PatchView:
     return render_view(surface, T_o_t, window=window, reach=reach)
 
 

@@ -55,11 +55,11 @@ class TouchBatch(NamedTuple):
     """Views and conditions of n touches, without their readings; NaN for unknown values."""
 
     patch: np.ndarray  # (n, p, p) m, behind the nearest surface point
-    view: np.ndarray  # (n, w, w) m, the patch, or a wide view around it
+    view: np.ndarray  # (n, w, w) m, the view, or the patch if there is none
     pitch: float  # m, edge of a pixel of both
     force: np.ndarray  # (n,) N, along tool z
     nearest: np.ndarray  # (n,) m, signed distance of the nearest surface point from the tool origin
-    depth: np.ndarray  # (n,) m, travel past first contact
+    travel: np.ndarray  # (n,) m, of the tool past first contact
     pressure: ContactPressure | None = None  # if it was predicted before
     pressure_model: PressureModelConfig | None = None  # configuration of that prediction
 
@@ -72,7 +72,7 @@ class TouchBatch(NamedTuple):
         Returns:
             Batch of the selected touches.
         """
-        names = ("patch", "view", "force", "nearest", "depth", "pressure")
+        names = ("patch", "view", "force", "nearest", "travel", "pressure")
         return self._replace(**{name: select_rows(getattr(self, name), which) for name in names})
 
     def pressures(self, cfg: PressureModelConfig) -> ContactPressure:
@@ -86,13 +86,13 @@ class TouchBatch(NamedTuple):
         """
         if self.pressure is not None and self.pressure_model == cfg:
             return self.pressure
-        return predict_pressures(replace(cfg, pitch=self.pitch), self.view, self.force, self.depth)
+        return predict_pressures(replace(cfg, pitch=self.pitch), self.view, self.force, self.travel)
 
     def conditions(self, names: Sequence[str]) -> np.ndarray:
         """Stack values measured at contact, which every touch must have.
 
         Args:
-            names: Those of force, nearest and depth that are needed.
+            names: Those of force, nearest and travel that are needed.
 
         Returns:
             `(n, k)` values in that order (N, m, m).
@@ -111,7 +111,7 @@ def stacked(touches: Touches | TouchBatch, names: Sequence[str]) -> np.ndarray:
 
     Args:
         touches: n touches.
-        names: Those of force, nearest and depth that are needed.
+        names: Those of force, nearest and travel that are needed.
 
     Returns:
         `(n, k)` values in that order (N, m, m).

@@ -19,7 +19,7 @@ from i2t import validation
 from i2t.depth.patches import DepthPatch, DepthView
 from i2t.objects.mesh_files import MAX_SIZE_M
 from i2t.patches.dimensions import STANDOFF
-from i2t.patches.views import WideView, centre, pixels_on_skin
+from i2t.patches.views import PatchView, centre, pixels_on_skin
 from i2t.types import Patch, Surface
 
 
@@ -33,7 +33,7 @@ class InputLimits:
     max_gap: float = 10e-3  # m between the skin and the surface at a pose of contact
     unnoticed_gap: float = 1e-3  # m, gap without a warning: the errors of cameras and arms
     max_nearest_pixel: float = 1e-3  # m, nearest pixel of a patch, whose depths count from that pixel
-    max_centre_error: float = 0.5e-3  # m between nine in ten pixels of a patch and the middle of its wide view
+    max_centre_error: float = 0.5e-3  # m between nine in ten pixels of a patch and the middle of its view
     warned_seen_fraction: float = 0.5  # of a patch's pixels; below it there is a warning
     min_seen_fraction: float = 0.1  # of a patch's pixels; below it there is no prediction
     size_tolerance: float = 1e-3  # relative rounding error of a patch's size
@@ -48,20 +48,20 @@ class SeenTouches(NamedTuple):
 
     depth: Any  # (p, p) or (n, p, p) m behind the nearest point
     nearest: Any = None  # scalar or (n,) m, signed distance of that point; NaN where it is unknown
-    wide: Any = None  # (w, w) or (n, w, w) m, the same view with its surroundings
+    view: Any = None  # (w, w) or (n, w, w) m, the patch with its surroundings
     valid: Any = None  # (p, p) or (n, p, p) bool, pixels that were seen
     window: Any = None  # scalar or (n,) m, edge of the patches; NaN where it is unknown
     reach: Any = None  # scalar or (n,) m, depth at which they are clipped; NaN where it is unknown
 
 
-def seen_touches(patch: Any, *, nearest: Any = None, wide: Any = None, valid: Any = None) -> SeenTouches:
+def seen_touches(patch: Any, *, nearest: Any = None, view: Any = None, valid: Any = None) -> SeenTouches:
     """Take the depths and their accompanying data from any object that holds depth patches.
 
     Args:
-        patch: Depths, a `Patch`, a `WideView`, a `DepthPatch`, a `DepthView`, a `TouchBatch`, the view of a collection
+        patch: Depths, a `Patch`, a `PatchView`, a `DepthPatch`, a `DepthView`, a `TouchBatch`, the view of a collection
             (`i2t.collect.touch.SeenPatch`), or a list of them.
         nearest: Replacement for the patch's own value; None keeps that value.
-        wide: Replacement for the patch's own value; None keeps that value.
+        view: Replacement for the patch's own value; None keeps that value.
         valid: Replacement for the patch's own value; None keeps that value.
 
     Returns:
@@ -78,7 +78,7 @@ def seen_touches(patch: Any, *, nearest: Any = None, wide: Any = None, valid: An
             sizes = np.array([(item.window, item.reach) for item in items], float)  # NaN where it is unknown
             patch.window, patch.reach = sizes.T
     seen = _parts(patch)
-    given = {"nearest": nearest, "wide": wide, "valid": valid}
+    given = {"nearest": nearest, "view": view, "valid": valid}
     return seen._replace(**{name: value for name, value in given.items() if value is not None})
 
 
@@ -90,15 +90,15 @@ def _parts(patch: Any) -> SeenTouches:
         return SeenTouches(*patch.patch, valid=np.asarray(patch.valid_mask), window=patch.window, reach=patch.reach)
     if isinstance(patch, DepthView):
         depth, nearest = patch.view.patch
-        return SeenTouches(depth, nearest, patch.view.wide, centre(np.asarray(patch.known_mask), depth.shape[-1]))
-    if isinstance(patch, WideView):
-        return SeenTouches(*patch.patch, wide=patch.wide)
+        return SeenTouches(depth, nearest, patch.view.depth, centre(np.asarray(patch.known_mask), depth.shape[-1]))
+    if isinstance(patch, PatchView):
+        return SeenTouches(*patch.patch, view=patch.depth)
     # These two are recognised by their fields, because their modules import this one.
     names = set(getattr(patch, "_fields", ()))
     if {"patch", "nearest", "view", "pitch"} <= names:  # a `TouchBatch`
         return SeenTouches(patch.patch, patch.nearest, patch.view)
-    if {"patch", "nearest", "wide", "visible_share"} <= names:  # a `SeenPatch`
-        return SeenTouches(patch.patch, patch.nearest, patch.wide)
+    if {"patch", "nearest", "view", "visible_share"} <= names:  # a `SeenPatch`
+        return SeenTouches(patch.patch, patch.nearest, patch.view)
     return SeenTouches(patch)
 
 
@@ -169,40 +169,40 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
     return patches
 
 
-def checked_wide(wide: Any, patches: Float[np.ndarray, "n p p"], reach: float) -> Float[np.ndarray, "n w w"]:
-    """Check the wide views that a user gives with patches.
+def checked_views(view: Any, patches: Float[np.ndarray, "n p p"], reach: float) -> Float[np.ndarray, "n w w"]:
+    """Check the views that a user gives with patches.
 
     Args:
-        wide: Depths (w, w) or (n, w, w) in m, with pixels of the patches' size; negative where the object stands out in
+        view: Depths (w, w) or (n, w, w) in m, with pixels of the patches' size; negative where the object stands out in
             front of the patch's nearest point, NaN where the rim is unknown.
         patches: The patches, each the middle of its view.
         reach: Depth (m) at which the patches are clipped.
 
     Returns:
-        `(n, w, w)` wide views (m).
+        `(n, w, w)` views (m).
 
     Raises:
         ValueError: Shape or values do not fit the patches.
     """
     n, pixels = patches.shape[:2]
-    views = _many("wide", wide, "metres behind the patch's nearest point")
+    views = _many("view", view, "metres behind the patch's nearest point")
     if views.ndim != 3 or len(views) != n or views.shape[1] != views.shape[2] or views.shape[1] < pixels:
         raise ValueError(
-            f"wide has shape {np.shape(wide)}; give ({n}, w, w) with w at least the {pixels} pixels of a patch"
+            f"view has shape {np.shape(view)}; give ({n}, w, w) with w at least the {pixels} pixels of a patch"
         )
     middle = centre(views, pixels)
     if not np.isfinite(middle).all():
-        raise ValueError("wide is NaN or infinite where the patch is; give what the camera saw there, or leave it out")
+        raise ValueError("view is NaN or infinite where the patch is; give what the camera saw there, or leave it out")
     if np.nanmax(views) > reach + max(_LIMITS.pixel_tolerance, 1e-3 * reach) or np.isinf(views).any():
         raise ValueError(
-            f"wide has pixels of {np.nanmax(views):.3g}, and it is metres behind the patch's nearest point, at most "
+            f"view has pixels of {np.nanmax(views):.3g}, and it is metres behind the patch's nearest point, at most "
             f"{reach:g}; clip it there, or divide millimetres by 1000"
         )
     other = np.quantile(np.abs(np.clip(middle, 0, reach) - patches), 0.9, axis=(1, 2)) > _LIMITS.max_centre_error
     if other.any():
         raise ValueError(
-            f"wide is another view than the patch{_which(other)}, or has pixels of another size; its middle must be "
-            "the patch"
+            f"view differs from the patch in its middle{_which(other)}, or has pixels of another size; its middle must "
+            "be the patch"
         )
     return views
 
@@ -238,7 +238,7 @@ def checked_column(
 
 def check_press(
     force: Float[np.ndarray, " n"],
-    depth: Float[np.ndarray, " n"],
+    travel: Float[np.ndarray, " n"],
     *,
     usual_force: float,
     largest_force: float | None = None,
@@ -247,7 +247,7 @@ def check_press(
 
     Args:
         force: Forces (N) along tool z, positive for a press.
-        depth: Travel (m) past first contact; NaN where it is unknown.
+        travel: Travel (m) past first contact; NaN where it is unknown.
         usual_force: Median force (N) of the training touches.
         largest_force: Largest force (N) of the training touches; None if it is unknown.
 
@@ -270,14 +270,14 @@ def check_press(
             "only a guess",
             stacklevel=3,
         )
-    longest = np.max(np.abs(depth), initial=0.0, where=np.isfinite(depth))
+    longest = np.max(np.abs(travel), initial=0.0, where=np.isfinite(travel))
     if longest > _LIMITS.max_travel:
-        raise ValueError(f"depth is {longest:g} m, more than {_LIMITS.max_travel:g}; give metres")
+        raise ValueError(f"travel is {longest:g} m, more than {_LIMITS.max_travel:g}; give metres")
 
 
 def check_met(
     nearest: Float[np.ndarray, " n"],
-    wide: Float[np.ndarray, "n w w"] | None,
+    view: Float[np.ndarray, "n w w"] | None,
     pitch: float,
     *,
     remedy: str,
@@ -289,7 +289,7 @@ def check_met(
 
     Args:
         nearest: Signed distances (m) of the patches' nearest points from the tool origin; NaN where unknown.
-        wide: Wide views (m); None if there are only patches.
+        view: Views (m); None if there are only patches.
         pitch: Edge (m) of a pixel.
         remedy: Advice to the user, for the message.
         warn: Whether to warn as well.
@@ -299,8 +299,8 @@ def check_met(
         ValueError: The surface begins more than 10 mm in front of the skin, or behind it.
     """
     stands_out = np.zeros(len(nearest))
-    if wide is not None:
-        on_skin = centre(np.asarray(wide), min(pixels_on_skin(pitch), wide.shape[-1]))
+    if view is not None:
+        on_skin = centre(np.asarray(view), min(pixels_on_skin(pitch), view.shape[-1]))
         stands_out = np.maximum(-np.nanmin(on_skin, axis=(1, 2)), 0.0)
     gap = np.nan_to_num(nearest - stands_out)
     worst = int(gap.argmax())
@@ -385,10 +385,10 @@ def fill_unseen(
 
 
 def in_middle(views: Float[np.ndarray, "n w w"], patches: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
-    """Put patches into the middles of wide views.
+    """Put patches into the middles of views.
 
     Args:
-        views: Wide views (m).
+        views: Views (m).
         patches: Patches (m), with pixels of the same size.
 
     Returns:
@@ -437,7 +437,7 @@ def check_size(mesh: Any) -> None:
         )
 
 
-def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: WideView, window: float) -> None:
+def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: PatchView, window: float) -> None:
     """Refuse a pose whose skin does not lie on the surface, and warn of a pose whose skin first meets something else.
 
     Args:
@@ -455,7 +455,7 @@ def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: Wide
         raise ValueError("nothing lies in front of the skin's middle at this pose; move T_o_t towards the surface")
     pitch = window / len(view.patch.depth)
     remedy = "move T_o_t onto it (i2t.contact_pose)"
-    check_met(np.array([nearest]), np.asarray(view.wide)[None], pitch, remedy=remedy, stacklevel=5)
+    check_met(np.array([nearest]), np.asarray(view.depth)[None], pitch, remedy=remedy, stacklevel=5)
     depth = np.asarray(view.patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
     # A ray through a pixel's centre would meet edges of symmetric meshes.

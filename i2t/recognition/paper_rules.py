@@ -58,7 +58,7 @@ def constant_predictor(reading: Float[np.ndarray, " c"]) -> Predictor:
     """
     mean = np.asarray(reading, np.float32)
     model = MeanReading(mean, np.ones_like(mean))
-    return Predictor(model, PATCH_WINDOW, REACH, default_force=1.0, default_depth=0.0)
+    return Predictor(model, PATCH_WINDOW, REACH, default_force=1.0, default_travel=0.0)
 
 
 class _AtMedianForce(Predictor):
@@ -131,10 +131,11 @@ def reading_distances(
         rows = np.arange(start, min(start + VIEW_BATCH, n))
         full = np.resize(rows, VIEW_BATCH)
         for i, surface in enumerate(surfaces):
-            wide, seen = jax.device_get(_views(surface, touches.T_w_t[full].astype(np.float32)))
+            view, seen = jax.device_get(_views(surface, touches.T_w_t[full].astype(np.float32)))
             for name, predictor in ready.items():
-                pitch, depth = predictor.window / PATCH_PIXELS, np.full(VIEW_BATCH, predictor.default_depth, np.float32)
-                pressed = TouchBatch(centre(wide, PATCH_PIXELS), wide, pitch, force[full], 0 * depth, depth)
+                pitch = predictor.window / PATCH_PIXELS
+                travel = np.full(VIEW_BATCH, predictor.default_travel, np.float32)
+                pressed = TouchBatch(centre(view, PATCH_PIXELS), view, pitch, force[full], 0 * travel, travel)
                 reading = predictor.predict_batch(pressed).mean
                 predicted[name][rows, i] = np.where(seen[:, None], reading, 0.0)[: len(rows)]
     measured, std = jnp.float32(touches.reading), jnp.float32(reading_std)
@@ -266,6 +267,6 @@ def _nearest_distances(points: Array, surface: Surface) -> Array:
 
 @jax.jit
 def _views(surface: Surface, T_w_t: Array) -> tuple[Array, Array]:
-    """Render wide views, and test whether their patches show a surface."""
+    """Render views, and test whether their patches show a surface."""
     seen = jax.vmap(partial(render_view, surface))(T_w_t)
-    return seen.wide, jnp.isfinite(seen.patch.nearest)
+    return seen.depth, jnp.isfinite(seen.patch.nearest)

@@ -37,8 +37,8 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
         made_from: The run or data set, for messages about the pad model.
 
     Returns:
-        Presses with contact, measured force and depth, on objects with a mesh. Their poses are those of the tool in the
-        object's frame.
+        Presses with contact, measured force and travel, on objects with a mesh. Their poses are those of the tool in
+        the object's frame.
 
     Raises:
         DataError: Too few touches are left, or they are of one session only, or of several skins.
@@ -47,10 +47,10 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
     pressed = rows & np.isin(touches.code, [ReturnCode.SKIN, ReturnCode.WRENCH])
     if not pressed.any():
         raise DataError("no press among the training touches was ended by the skin or the force")
-    measured = pressed & np.isfinite(touches.force) & np.isfinite(touches.depth)
+    measured = pressed & np.isfinite(touches.force) & np.isfinite(touches.travel)
     measured &= np.isfinite(touches.T_w_t).all((1, 2)) & np.isfinite(touches.T_w_o).all((1, 2))
     if not measured.any():
-        raise DataError("no press among the training touches has a measured force, depth and pose")
+        raise DataError("no press among the training touches has a measured force, travel and pose")
     with_mesh = [_is_known(name, meshes) for name in dataset.objects]
     usable = measured & np.asarray(with_mesh)[touches.object]
     if not usable.any():
@@ -164,7 +164,7 @@ def merge_samples(
         max_interval: Time (s) between two samples of one contact.
 
     Returns:
-        Touches of `recorded`, in which merged touches have mean readings, forces and depths.
+        Touches of `recorded`, in which merged touches have mean readings, forces and travels.
     """
     touches, time = recorded.touches, times_of(recorded)
     usable = np.isin(np.arange(len(recorded)), np.concatenate(list(usable_touches(touches).values())))
@@ -182,7 +182,7 @@ def merge_samples(
     merged = recorded.select(starts)
     means: dict[str, Any] = {
         name: mean_samples(np.asarray(getattr(touches, name), np.float64), starts).astype(np.float32)
-        for name in ("reading", "force", "depth")
+        for name in ("reading", "force", "travel")
     }
     return replace(merged, touches=merged.touches._replace(**means))
 

@@ -125,7 +125,7 @@ def infer_patch(
 
     Example:
         infer = jax.jit(infer_patch, static_argnames=("samples",))
-        posterior = infer(touch.reading, touch.force, touch.depth, model=model, library=library)
+        posterior = infer(touch.reading, touch.force, touch.travel, model=model, library=library)
         posterior.mean, posterior.mask_probability, jnp.quantile(posterior.patch, 0.9, axis=0)
     """
     if not validation.is_traced(force):

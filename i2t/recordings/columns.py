@@ -20,14 +20,14 @@ UNITS: dict[str, tuple[str, dict[str, float]]] = {  # our unit of each quantity,
 }
 TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a recording, in their order
     "position": ("x_mm", "y_mm"),
-    "depth": ("depth_mm",),
+    "travel": ("travel_mm",),
     "force": ("force_N",),
     "shear": ("shear_x_N", "shear_y_N", "shear_N"),
     "contact": ("contact",),
     "slip": ("slip",),
 }
-PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["depth"])
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, instead of a depth
+PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, instead of its travel
 FORCE, TIME, SOURCE_COLUMN = "force_N", "time_s", "source"
 NAME_COLUMNS = ("pad", "session")
 TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
@@ -35,8 +35,9 @@ UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
 FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # column of a chip's value under our name
 QUANTITY_OF_STEM = {"time": "time"}
-QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "depth", "height"), "length")
+QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "travel", "height"), "length")
 QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
+OTHER_STEMS = {"depth": "travel"}  # names of the same quantity in tables of users
 STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
 MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # the last is that of cp850, read as cp1252
 
@@ -195,7 +196,7 @@ def our_name(name: str) -> tuple[str, float]:
     if plain in UNITLESS_COLUMNS:
         return plain, 1.0
     stem, _, unit = plain.lstrip("%").rpartition("_")
-    stem = "time" if stem in STAMPS else stem
+    stem = "time" if stem in STAMPS else OTHER_STEMS.get(stem, stem)
     quantity = _quantity_of(stem)
     if quantity is None:
         return name, 1.0

@@ -10,17 +10,17 @@ from i2t.recordings.sets import corrected_dataset
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
-ASSUMED_DEPTH_M = 2e-3  # of every press, if neither depth nor force is known
+ASSUMED_TRAVEL_M = 2e-3  # of every press, if neither travel nor force is known
 
 
-def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) -> LoadedPresses:
+def loaded_presses(dataset: Dataset, load: Literal["auto", "travel", "force"]) -> LoadedPresses:
     """Select the presses of one tip on one skin whose position and load are known.
 
     Presses that failed or did not meet the skin are left out.
 
     Args:
         dataset: Recorded or simulated touches of one object with one skin.
-        load: Column that measures the load. "auto" is the depth if every press has one or none has a force, else the
+        load: Column that measures the load. "auto" is the travel if every press has one or none has a force, else the
             force.
 
     Returns:
@@ -34,16 +34,16 @@ def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) ->
     touches = dataset.touches
     position = dataset_presses(dataset).position
     good = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR, ReturnCode.FREE])
-    prefer_force = np.isfinite(touches.force[good]).any() and not np.isfinite(touches.depth[good]).all()
+    prefer_force = np.isfinite(touches.force[good]).any() and not np.isfinite(touches.travel[good]).all()
     by_force = load == "force" or (load == "auto" and bool(prefer_force))
-    amount = (touches.force if by_force else touches.depth).astype(np.float64)
+    amount = (touches.force if by_force else touches.travel).astype(np.float64)
     unknown = load == "auto" and not np.isfinite(amount[good]).any()
     if unknown:  # such as presses that all go to one height
-        by_force, amount = False, np.full(len(amount), ASSUMED_DEPTH_M)
+        by_force, amount = False, np.full(len(amount), ASSUMED_TRAVEL_M)
     good &= np.isfinite(amount) & np.isfinite(position).all(1)
-    kind: LoadName = "force" if by_force else "depth"
+    kind: LoadName = "force" if by_force else "travel"
     if not good.any():
-        other = "depth" if by_force else "force"
+        other = "travel" if by_force else "force"
         raise ValueError(
             f"no press has a known position and {kind}, and readings cannot be predicted without them; choose --load "
             f"{other} if that was recorded"
@@ -54,7 +54,7 @@ def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) ->
         raise ValueError("the data set holds several objects; calibration needs presses of one tip")
     pushing, notes = _pushing_loads(amount, good, kind)
     if unknown:
-        notes = ("neither depth nor force is known: all presses are assumed to go to one depth",)
+        notes = ("neither travel nor force is known: all presses are assumed to have the same travel",)
     good &= pushing
     readings = touches.reading[good].astype(np.float64)
     own = None if name_of_board(dataset.board) else dataset.board
@@ -73,7 +73,7 @@ def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.
     largest = float(amount[good & pushing].max(initial=0.0))
     if kind == "force" and largest <= 0:
         raise ValueError(
-            "every force is zero, so the load of the presses is unknown; choose --load depth if it is known"
+            "every force is zero, so the load of the presses is unknown; choose --load travel if it is known"
         )
     if float(np.ptp(amount[good & pushing])) <= 1e-6 * max(largest, 1e-9):
         notes.append(f"all presses have the same {kind}, so only the dependence on position is learned")

@@ -10,7 +10,7 @@ from i2t.dataset import Dataset
 from i2t.geometry import inverse
 from i2t.types import Board
 
-LoadName: TypeAlias = Literal["depth", "force", "none"]
+LoadName: TypeAlias = Literal["travel", "force", "none"]
 
 
 class Presses(NamedTuple):
@@ -53,7 +53,7 @@ def join_presses(parts: Sequence[Presses]) -> Presses:
 def dataset_presses(dataset: Dataset) -> Presses:
     """Convert the touches of a data set to presses.
 
-    A height is minus the depth. Without depth it is the distance at which the tip stopped before the skin, if known.
+    A height is minus the travel. Without travel it is the distance at which the tip stopped before the skin, if known.
 
     Args:
         dataset: Touches of one object.
@@ -63,11 +63,11 @@ def dataset_presses(dataset: Dataset) -> Presses:
     """
     touches = dataset.touches
     T_t_o = inverse(touches.T_w_t.astype(np.float64)) @ touches.T_w_o
-    depth, nearest = (np.asarray(column, np.float64) for column in (touches.depth, touches.nearest))
+    travel, nearest = (np.asarray(column, np.float64) for column in (touches.travel, touches.nearest))
     return Presses(
         T_t_o[:, :2, 3],
         touches.reading.astype(np.float64),
-        height=np.where(depth > 0, -depth, np.where(np.isnan(depth), np.nan, np.fmax(nearest, 0))),
+        height=np.where(travel > 0, -travel, np.where(np.isnan(travel), np.nan, np.fmax(nearest, 0))),
         force=touches.force.astype(np.float64),
     )
 
@@ -76,7 +76,7 @@ class LoadedPresses(NamedTuple):
     """n presses by position and one load, as the models that predict readings take them."""
 
     position: Float[np.ndarray, "n 2"]  # m
-    load: Float[np.ndarray, " n"]  # depth in m, or force in N; constant if unknown
+    load: Float[np.ndarray, " n"]  # travel in m, or force in N; constant if unknown
     readings: Float[np.ndarray, "n c"]  # uT
     load_kind: LoadName
     notes: tuple[str, ...] = ()  # irregularities of the loads, a sentence each

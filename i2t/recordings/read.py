@@ -70,7 +70,7 @@ class TargetKind(NamedTuple):
 
 TARGETS: Mapping[str, TargetKind] = {
     "position": TargetKind("mm", 1e3, min_range=0.2e-3),
-    "depth": TargetKind("mm", 1e3, min_range=0.1e-3),
+    "travel": TargetKind("mm", 1e3, min_range=0.1e-3),
     "force": TargetKind("N", 1.0, min_range=0.05),
     "shear": TargetKind("N", 1.0, min_range=0.05),
     "contact": TargetKind("", 1.0, yes_no=True),
@@ -125,13 +125,13 @@ class SkinRecording:
         """Convert the rows to presses.
 
         Returns:
-            A press for each row, whose height is minus its depth.
+            A press for each row, whose height is minus its travel.
         """
-        depth, force = self.targets.get("depth"), self.targets.get("force")
+        travel, force = self.targets.get("travel"), self.targets.get("force")
         return Presses(
             self.targets.get("position", np.full((len(self), 2), np.nan)),
             self.readings,
-            height=None if depth is None else -depth[:, 0],
+            height=None if travel is None else -travel[:, 0],
             force=None if force is None else force[:, 0],
         )
 
@@ -233,7 +233,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
     contact = np.where(free, 0.0, 1.0) if free.any() else np.full(len(dataset), np.nan)
     targets = {
         "position": presses.position,
-        "depth": np.where(free, np.nan, touches.depth.astype(np.float64))[:, None],
+        "travel": np.where(free, np.nan, touches.travel.astype(np.float64))[:, None],
         "force": touches.force.astype(np.float64)[:, None],
         "contact": contact[:, None],
     }
@@ -278,7 +278,7 @@ def is_stream(recording: SkinRecording) -> bool:
 def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -> SkinRecording:
     """Correct the units, signs, lag and board of a recording.
 
-    Height zero is kept. If depths change sign and become negative, they count from the smallest one.
+    Height zero is kept. If travel changes sign and becomes negative, it counts from the smallest one.
 
     Args:
         recording: Recording as it was read.
@@ -290,11 +290,11 @@ def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -
     if not any(finding.correction for finding in findings):
         return recording
     correction = correction_of(findings)
-    factors = {"position": correction.length, "depth": correction.height, "force": correction.force}
+    factors = {"position": correction.length, "travel": correction.height, "force": correction.force}
     factors["shear"] = abs(correction.force)
     targets = {name: factors.get(name, 1.0) * values for name, values in recording.targets.items()}
-    if correction.height < 0 and "depth" in targets:
-        targets["depth"] = targets["depth"] - min(np.nanmin(targets["depth"]), 0.0)
+    if correction.height < 0 and "travel" in targets:
+        targets["travel"] = targets["travel"] - min(np.nanmin(targets["travel"]), 0.0)
     board, baseline, board_from_stage = recording.board, recording.baseline, correction.board_from_stage
     recording = replace(
         recording,
@@ -317,8 +317,8 @@ def read_tables(path: Path) -> list[SkinRecording]:
 
     The columns b0x_uT, b0y_uT, b0z_uT, b1x_uT ... (of any number of chips) are required. Optional are those of
     `TARGET_COLUMNS`, the ambient field a0x_uT ..., which is subtracted, time_s, session, pad, and z_mm or height_mm of
-    the tip instead of a depth. `i2t.recordings.tables` lists other delimiters and units. Empty or unreadable cells are
-    unknown.
+    the tip instead of its travel. `i2t.recordings.tables` lists other delimiters and units. Empty or unreadable cells
+    are unknown.
 
     Args:
         path: Path of the table, plain or gzipped.
@@ -343,10 +343,10 @@ def read_tables(path: Path) -> list[SkinRecording]:
         if (columns := [name for name in required if name in table.columns])
     }
     height = next((name for name in HEIGHT_COLUMNS if name in table.columns), None)
-    if height is not None and "depth" not in targets and np.isfinite(z := table.column(height)).any():
-        targets["depth"] = 1e-3 * (np.nanmax(z) - z)[:, None]
+    if height is not None and "travel" not in targets and np.isfinite(z := table.column(height)).any():
+        targets["travel"] = 1e-3 * (np.nanmax(z) - z)[:, None]
         notes.append(
-            f"assumed: {height} points out of the skin, and depth counts from its highest value, {np.nanmax(z):g} mm"
+            f"assumed: {height} points out of the skin, and travel counts from its highest value, {np.nanmax(z):g} mm"
         )
     session, _ = table.named("session")
     pad, pads = table.named("pad")
@@ -419,7 +419,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
     """Read a session of eFlesh as it was recorded: `states.csv` and `sensor_post_baselines.csv`, plain or gzip-ed.
 
     In a session with two boards the probe shears two skins along z, and the load is the shear force. In any other
-    session it presses one skin along z, and depth counts from the highest z. `i2t.convert.eflesh` assumes the same.
+    session it presses one skin along z, and travel counts from the highest z. `i2t.convert.eflesh` assumes the same.
 
     Args:
         folder: Folder of the session.
@@ -453,8 +453,8 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
         targets["position"] = targets["position"] + np.column_stack([place[:, 2] - middle[2], np.zeros(len(place))])
         targets["shear"] = load[:, None]
     else:
-        notes += [f"assumed: depth counts from the highest z, {1e3 * np.nanmax(place[:, 2]):.3f} mm"]
-        targets |= {"depth": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
+        notes += [f"assumed: travel counts from the highest z, {1e3 * np.nanmax(place[:, 2]):.3f} mm"]
+        targets |= {"travel": (np.nanmax(place[:, 2]) - place[:, 2])[:, None], "force": load[:, None]}
     session = stroke_numbers(states[:, 0], place[:, 2]) if states.shape[1] > 4 else np.zeros(len(states), int)
     recording = SkinRecording(
         folder.name, readings, targets, session, states[:, 0], notes=tuple(notes), baseline=baselines(folder, values)

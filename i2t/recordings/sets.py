@@ -1,7 +1,7 @@
-"""Correction of data sets when they are read: the sign of the loads, and the height that depths count from.
+"""Correction of data sets when they are read: the sign of the loads, and the height from which travel counts.
 
 A data set states its units, axes and board, and its converter has tested them. Code that learns from recorded touches
-takes them from `corrected_dataset`, where a force is positive if it presses and a depth is travel past first contact. A
+takes them from `corrected_dataset`, where a force is positive if it presses and travel counts from first contact. A
 data set that is already correct stays unchanged.
 """
 
@@ -10,15 +10,15 @@ from dataclasses import replace
 import numpy as np
 
 from i2t.dataset import Dataset
-from i2t.recordings.diagnose import Finding, correction_of, find_depth_sign, find_force_sign, find_height_zero
+from i2t.recordings.diagnose import Finding, correction_of, find_force_sign, find_height_zero, find_travel_sign
 from i2t.recordings.presses import dataset_presses
 from i2t.types import ReturnCode
 
-MIN_DEPTH_M = 10e-6  # depth from which a touch counts as a press
+MIN_TRAVEL_M = 10e-6  # travel from which a touch counts as a press
 
 
 def corrected_dataset(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Correct the signs of forces and depths, and the height that depths count from.
+    """Correct the signs of forces and travels, and the height from which travel counts.
 
     Args:
         dataset: Recorded or simulated touches.
@@ -29,11 +29,11 @@ def corrected_dataset(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
     touches = dataset.touches
     signs = [
         find_force_sign(touches.force.astype(np.float64), touches.reading),
-        find_depth_sign(touches.depth.astype(np.float64)),
+        find_travel_sign(touches.travel.astype(np.float64)),
     ]
     correction = correction_of(signs)
     if any(finding.wrong for finding in signs):
-        touches = touches._replace(force=correction.force * touches.force, depth=correction.height * touches.depth)
+        touches = touches._replace(force=correction.force * touches.force, travel=correction.height * touches.travel)
         dataset = replace(dataset, touches=touches)
     zero = _height_zero(dataset)
     if zero is not None and zero.wrong:
@@ -43,10 +43,10 @@ def corrected_dataset(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
 
 
 def _height_zero(dataset: Dataset) -> Finding | None:
-    """Test the height of first contact if over a fifth of the presses of one tip have no depth, and none a force."""
+    """Test the height of first contact if over a fifth of the presses of one tip have no travel, and none a force."""
     touches = dataset.touches
-    depth = touches.depth[np.isfinite(touches.depth)]
-    if np.isfinite(touches.force).any() or not len(depth) or np.mean(depth < MIN_DEPTH_M) <= 0.2:
+    travel = touches.travel[np.isfinite(touches.travel)]
+    if np.isfinite(touches.force).any() or not len(travel) or np.mean(travel < MIN_TRAVEL_M) <= 0.2:
         return None
     presses = dataset_presses(dataset)
     finite = np.isfinite(presses.position).all(1) & np.isfinite(presses.readings).all(1)
@@ -56,7 +56,7 @@ def _height_zero(dataset: Dataset) -> Finding | None:
 
 
 def _with_height_zero(dataset: Dataset, zero: float) -> Dataset:
-    """Count depths from another height of the tip, in m above the height that they count from."""
+    """Count travel from another height of the tip, in m above the height from which it counts."""
     touches = dataset.touches
     height = dataset_presses(dataset).height - np.float64(zero)  # type: ignore[operator]
     T_w_o = touches.T_w_o.copy()
@@ -65,7 +65,7 @@ def _with_height_zero(dataset: Dataset, zero: float) -> Dataset:
     return replace(
         dataset,
         touches=touches._replace(
-            depth=np.maximum(-height, 0).astype(np.float32),
+            travel=np.maximum(-height, 0).astype(np.float32),
             nearest=touches.nearest - np.float32(zero),
             T_w_o=T_w_o,
             code=np.where(in_contact, int(ReturnCode.UNDEFINED), touches.code).astype(touches.code.dtype),

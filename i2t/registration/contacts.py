@@ -52,9 +52,9 @@ def contact_poses(touches: Touches) -> tuple[Float[np.ndarray, "n 4 4"], Bool[np
     Returns:
         `(n, 4, 4)` poses T_w_t of the tool at first contact, and `(n,)` flags of the touches that met the object.
     """
-    T_w_t, depth = np.array(touches.T_w_t), np.asarray(touches.depth)
-    met = np.isfinite(depth) & np.isin(touches.code, (ReturnCode.SKIN, ReturnCode.WRENCH))
-    T_w_t[:, :3, 3] -= np.where(met, depth, 0)[:, None] * T_w_t[:, :3, 2]
+    T_w_t, travel = np.array(touches.T_w_t), np.asarray(touches.travel)
+    met = np.isfinite(travel) & np.isin(touches.code, (ReturnCode.SKIN, ReturnCode.WRENCH))
+    T_w_t[:, :3, 3] -= np.where(met, travel, 0)[:, None] * T_w_t[:, :3, 2]
     return T_w_t, met
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from i2t.dataset import Dataset
 from i2t.geometry import apply, from_twist, full_precision, inverse, to_twist
 from i2t.patches.dimensions import PATCH_PIXELS
-from i2t.patches.views import WideView, camera_view, complete_views
+from i2t.patches.views import PatchView, camera_view, complete_views
 from i2t.registration.session import SessionEstimate, SessionRegistrationConfig
 from i2t.runtime.batching import filled_batches
 from i2t.types import Array as AnyArray
@@ -103,34 +103,34 @@ def with_hand_eye(
     back = np.eye(4)
     back[:3, 3] = looked_from
     offset = jnp.float32(back @ np.asarray(T_t_camera, np.float64) @ inverse(back))
-    patch, wide, nearest = (np.array(part) for part in (touches.patch, touches.wide, touches.nearest))
+    patch, view, nearest = (np.array(part) for part in (touches.patch, touches.view, touches.nearest))
     seen = np.flatnonzero(np.isfinite(nearest))
     pitch = dataset.window / PATCH_PIXELS
     for rows in filled_batches(seen, 36):  # a single size, so that the program is compiled once
-        height = nearest[rows, None, None] + _continued(wide[rows], patch[rows])
-        view = jax.device_get(_moved(jnp.float32(height), offset, pitch))
-        patch[rows], nearest[rows] = np.minimum(view.patch.depth, dataset.reach), view.patch.nearest
-        wide[rows] = np.where(np.isnan(wide[rows]), np.nan, np.minimum(view.wide, dataset.reach))
-    return replace(dataset, touches=touches._replace(patch=patch, wide=wide, nearest=nearest))
+        height = nearest[rows, None, None] + _continued(view[rows], patch[rows])
+        moved = jax.device_get(_moved(jnp.float32(height), offset, pitch))
+        patch[rows], nearest[rows] = np.minimum(moved.patch.depth, dataset.reach), moved.patch.nearest
+        view[rows] = np.where(np.isnan(view[rows]), np.nan, np.minimum(moved.depth, dataset.reach))
+    return replace(dataset, touches=touches._replace(patch=patch, view=view, nearest=nearest))
 
 
-def _continued(wide: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
+def _continued(view: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "n w w"]:
     """Complete views by their patches in the middle, and by the repeated edge of the patch where they were cropped."""
-    margin = (wide.shape[-1] - patch.shape[-1]) // 2
-    view = complete_views(wide, patch)
+    margin = (view.shape[-1] - patch.shape[-1]) // 2
+    view = complete_views(view, patch)
     edges = np.pad(patch, ((0, 0), (margin, margin), (margin, margin)), mode="edge")
     return np.where(np.isnan(view), edges, view)
 
 
 @jax.jit
 @full_precision
-def _moved(height: Float[Array, "n w w"], T_t_camera: Float[Array, "4 4"], pitch: Float[Array, ""]) -> WideView:
+def _moved(height: Float[Array, "n w w"], T_t_camera: Float[Array, "4 4"], pitch: Float[Array, ""]) -> PatchView:
     """Compute views from the tool of heights that were measured from the camera."""
     n = height.shape[-1]
     centres = (jnp.arange(n) - (n - 1) / 2) * pitch
     target = jnp.stack(jnp.meshgrid(centres, centres), -1)  # (w, w, 2): x along columns, y along rows
 
-    def move(seen: Float[Array, "w w"]) -> WideView:
+    def move(seen: Float[Array, "w w"]) -> PatchView:
         def point(source: Float[Array, "w w 2"]) -> Float[Array, "w w 3"]:
             column, row = jnp.moveaxis(source / pitch + (n - 1) / 2, -1, 0)
             z = map_coordinates(seen, [row, column], order=1, mode="nearest")

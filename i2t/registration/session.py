@@ -236,7 +236,7 @@ def _prepare(
 
 def _measured_views(touches: Touches) -> _Views:
     """Collect the heights that the camera measured; a cropped view has those of its patch."""
-    behind = complete_views(np.asarray(touches.wide, np.float32), np.asarray(touches.patch, np.float32))
+    behind = complete_views(np.asarray(touches.view, np.float32), np.asarray(touches.patch, np.float32))
     seen = np.isfinite(touches.nearest)
     nearest = np.where(seen, touches.nearest, 0).astype(np.float32)
     measured = np.isfinite(behind) & seen[:, None, None]

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from i2t.dataset import Dataset
-from i2t.patches.views import WideView
+from i2t.patches.views import PatchView
 from i2t.registration.contacts import contact_poses
 from i2t.registration.session import SessionEstimate, SessionRegistrationConfig, register_session
 from i2t.rendering.render import render_view
@@ -90,7 +90,7 @@ def with_registered_views(
         The data set with registered poses of objects. Sessions without an estimate stay unchanged.
     """
     touches = dataset.touches
-    fields: dict[str, Any] = {name: np.array(getattr(touches, name)) for name in ("patch", "wide", "nearest", "T_w_o")}
+    fields: dict[str, Any] = {name: np.array(getattr(touches, name)) for name in ("patch", "view", "nearest", "T_w_o")}
     for session, estimate in estimates.items():
         rows = np.flatnonzero(touches.session == session)
         surface = surfaces[dataset.objects[int(touches.object[rows[0]])]]
@@ -99,10 +99,10 @@ def with_registered_views(
         for some in filled_batches(np.arange(len(rows)), 36):  # a single size, so that it is compiled once
             view = jax.device_get(_render(surface, jnp.float32(T_o_t[some]), dataset.window, dataset.reach))
             fields["patch"][rows[some]], fields["nearest"][rows[some]] = view.patch.depth, view.patch.nearest
-            fields["wide"][rows[some]] = view.wide
+            fields["view"][rows[some]] = view.depth
     return replace(dataset, touches=touches._replace(**fields))
 
 
 @partial(jax.jit, static_argnames=("window", "reach"))
-def _render(surface: Surface, T_o_t: Float[Array, "n 4 4"], window: float, reach: float) -> WideView:
+def _render(surface: Surface, T_o_t: Float[Array, "n 4 4"], window: float, reach: float) -> PatchView:
     return jax.vmap(partial(render_view, surface, window=window, reach=reach))(T_o_t)

@@ -22,8 +22,8 @@ from jaxtyping import Array, Float
 
 from i2t import validation
 from i2t.geometry import is_rigid
-from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, WIDE_PIXELS
-from i2t.patches.views import WideView, view_of_heights
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_PIXELS, PATCH_WINDOW, REACH, VIEW_PIXELS
+from i2t.patches.views import PatchView, view_of_heights
 from i2t.rendering.bvh import build_bvh, pad_to_same_size
 from i2t.rendering.raycast import first_hit
 from i2t.rendering.tiles import ToolView
@@ -155,7 +155,7 @@ def render_view(
     *,
     window: float = PATCH_WINDOW,
     reach: float = REACH,
-) -> WideView:
+) -> PatchView:
     """Render the exact view in front of a tool, with its surroundings.
 
     Args:
@@ -168,7 +168,7 @@ def render_view(
         The view, whose patch equals that of `i2t.render_patch` at the same pose.
     """
     # Without a limit, because protruding surroundings must not hide deeper surfaces of the patch.
-    seen = render_patch(surface, T_o_t, window=window * WIDE_PIXELS / PATCH_PIXELS, pixels=WIDE_PIXELS, reach=math.inf)
+    seen = render_patch(surface, T_o_t, window=window * VIEW_PIXELS / PATCH_PIXELS, pixels=VIEW_PIXELS, reach=math.inf)
     z = jnp.where(jnp.isfinite(seen.nearest), seen.nearest, 0) + seen.depth
     return view_of_heights(z, reach=reach)
 

@@ -32,8 +32,8 @@ from jaxtyping import Array, Float, Int, Key
 from i2t import geometry, validation
 from i2t.contact.approach import FirstContact, facing_surface, meet
 from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
-from i2t.patches.dimensions import REACH, WIDE_PIXELS, WIDE_WINDOW
-from i2t.patches.views import WideView, camera_view, centre, pixels_on_skin
+from i2t.patches.dimensions import REACH, VIEW_PIXELS, VIEW_WINDOW
+from i2t.patches.views import PatchView, camera_view, centre, pixels_on_skin
 from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.runtime.batching import select_rows, spread
 from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
@@ -119,21 +119,21 @@ def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> Sess
     )
 
 
-def apply_camera_model(key: Key[Array, ""], z: Float[Array, "wide wide"], errors: SimulationErrors) -> WideView:
+def apply_camera_model(key: Key[Array, ""], z: Float[Array, "w w"], errors: SimulationErrors) -> PatchView:
     """Compute the view of the depth camera from heights.
 
     Args:
         key: Random key.
-        z: `(wide, wide)` heights (m) along tool z.
+        z: `(w, w)` heights (m) along tool z.
         errors: Sizes of the camera's errors.
 
     Returns:
         The patch and its surroundings, as from `camera_view`.
     """
-    row, column = jnp.meshgrid(jnp.arange(WIDE_PIXELS), jnp.arange(WIDE_PIXELS), indexing="ij")
+    row, column = jnp.meshgrid(jnp.arange(VIEW_PIXELS), jnp.arange(VIEW_PIXELS), indexing="ij")
     drawn = jax.random.normal(key, (3, *z.shape))  # a single draw, because XLA takes a second to compile each
     shift = jnp.round(errors.depth_bleed * drawn[:2]).astype(jnp.int32)
-    z = z[jnp.clip(row + shift[0], 0, WIDE_PIXELS - 1), jnp.clip(column + shift[1], 0, WIDE_PIXELS - 1)]
+    z = z[jnp.clip(row + shift[0], 0, VIEW_PIXELS - 1), jnp.clip(column + shift[1], 0, VIEW_PIXELS - 1)]
     z = z + errors.depth_noise * drawn[2]
     step = jnp.where(errors.depth_quantum > 0, errors.depth_quantum, 1.0)
     # A product, because compilers may replace a quotient by one, and pixels between two quanta would then differ.
@@ -206,17 +206,17 @@ def simulate_touch(
     end = _along_z(contact.distance + press.travel)
     # The camera's view and the skin's are rendered together, so that the renderer is compiled once.
     poses = jnp.stack([T_o_w @ T_w_arm @ end @ session.T_t_camera, contact.T_w_t @ _along_z(press.sinking)])
-    seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))(poses)
+    seen, z = jax.vmap(lambda T: render_heights(surface, geometry.inverse(T), VIEW_WINDOW, VIEW_PIXELS))(poses)
     camera = apply_camera_model(key_camera, seen, errors)
-    nearest = jnp.min(centre(z, pixels_on_skin(WIDE_WINDOW / WIDE_PIXELS)))
+    nearest = jnp.min(centre(z, pixels_on_skin(VIEW_WINDOW / VIEW_PIXELS)))
     met = jnp.clip(z - jnp.where(jnp.isfinite(nearest), nearest, 0), 0, REACH)
     return Touches(
         patch=camera.patch.depth,
-        wide=camera.wide,
+        view=camera.depth,
         nearest=camera.patch.nearest,
         reading=press.reading,
         force=press.force + errors.force * force_error,
-        depth=jnp.where(contact.hit, press.travel + errors.repeatability * travel_error, jnp.nan),
+        travel=jnp.where(contact.hit, press.travel + errors.repeatability * travel_error, jnp.nan),
         T_w_t=T_w_site @ end,
         T_w_o=T_w_o,
         object=jnp.int32(0),
@@ -260,7 +260,7 @@ def _press(
         finer = facing_surface(surface, contact.T_w_t, limits.final)
         deeper = stop.indentation + facing.nearest - finer.nearest  # the finer grid may see a nearer point
         stop = press_finally(pad, finer.depth, deeper, stop, final=limits.final, law=law, response=response)
-    # The grid of the pad meets a point between its cells late. This distance is included, so that nearest and depth
+    # The grid of the pad meets a point between its cells late. This distance is included, so that nearest and travel
     # agree.
     hit = contact.hit
     sinking = jnp.where(hit, facing.nearest + stop.indentation, 0.0)

@@ -84,7 +84,7 @@ def solve(
     Args:
         pad: The skin.
         height: `(n, n)` distance (m, >= 0, may be infinite) of the surface behind its nearest point along tool z.
-        indentation: Depth (m) of that nearest point below the resting skin; nothing touches if it is not positive.
+        indentation: Distance (m) of that nearest point below the resting skin; nothing touches if it is not positive.
         grid: Cells of the pad.
         start: `(n, n)` pressure (Pa) to start from, such as that of a neighbouring indentation.
         tolerance: Largest violation of the conditions, relative to the deepest deflection.

@@ -208,11 +208,11 @@ def creep(
 ) -> Float[Array, " c"]:
     """Compute the growth of a reading while the touch is held and the stress in the layer relaxes.
 
-    A held depth keeps the layer's shape, and so its field. The arm yields, however: with s = layer / (layer + arm), the
-    share of the press that the arm takes up, the indentation grows by 1 / (1 - s (1 - g)) when the share g of the
-    stress is left, and the reading is assumed to grow with it. s = 0.2 is a tip of 2.5 N/mm on an arm of 10 N/mm; 0 is
-    a held depth, 1 a held force. The relaxation of 5 % is an assumption: silicone relaxes considerably when new and
-    hardly after earlier strain (Liao et al., Polymer Testing 86, 2020), and skins are in use.
+    A held indentation keeps the layer's shape, and so its field. The arm yields, however: with s = layer / (layer +
+    arm), the share of the press that the arm takes up, the indentation grows by 1 / (1 - s (1 - g)) when the share g of
+    the stress is left, and the reading is assumed to grow with it. s = 0.2 is a tip of 2.5 N/mm on an arm of 10 N/mm; 0
+    is a held indentation, 1 a held force. The relaxation of 5 % is an assumption: silicone relaxes considerably when
+    new and hardly after earlier strain (Liao et al., Polymer Testing 86, 2020), and skins are in use.
 
     Args:
         reading: `(c,)` reading (uT) at the start of the hold.

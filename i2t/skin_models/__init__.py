@@ -16,14 +16,24 @@ from i2t.recordings.diagnose import check_presses
 from i2t.skin_models.base import FittedSkinModel, SkinModel
 from i2t.skin_models.calibration import Calibration, LoadKind, TipModel, TipPresses, calibrate, load_calibration
 from i2t.skin_models.tip_gp.structured import (
-    DEPTH_HYPERPARAMETERS,
     FORCE_HYPERPARAMETERS,
+    TRAVEL_HYPERPARAMETERS,
     StructuredGPHyperparameters,
 )
 
 __all__ = [
-    "DEPTH_HYPERPARAMETERS", "FORCE_HYPERPARAMETERS", "Calibration", "FittedSkinModel", "LoadKind",
-    "SkinModel", "StructuredGPHyperparameters", "TipModel", "TipPresses", "calibrate", "check_presses", "load",
+    "FORCE_HYPERPARAMETERS",
+    "TRAVEL_HYPERPARAMETERS",
+    "Calibration",
+    "FittedSkinModel",
+    "LoadKind",
+    "SkinModel",
+    "StructuredGPHyperparameters",
+    "TipModel",
+    "TipPresses",
+    "calibrate",
+    "check_presses",
+    "load",
     "load_calibration",
 ]  # fmt: skip
 

@@ -2,12 +2,12 @@
 
     import i2t
 
-    calibration = i2t.calibrate(positions, depths, readings, load_kind="depth")  # (n, 2) m, (n,) m, (n, c) uT
+    calibration = i2t.calibrate(positions, travels, readings, load_kind="travel")  # (n, 2) m, (n,) m, (n, c) uT
     mean, std = calibration.predict(other_positions, other_depths)  # (m, c) uT each
     calibration.save("skin.npz")
     calibration = i2t.load_calibration("skin.npz")
 
-The load of a press is its depth (m), its normal force (N), both, or unknown, the same throughout a calibration. The
+The load of a press is its travel (m), its normal force (N), both, or unknown, the same throughout a calibration. The
 model is the Gaussian process of `i2t.skin_models.tip_gp.population`, whose hyperparameters are marginalised over a
 population of skins. With `hyperparameters` given, it is a single kernel (`i2t.skin_models.tip_gp.structured`).
 """
@@ -35,11 +35,11 @@ from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibrated skin"
 GIVEN_BOARD = "the given board"
-LOADS = {"depth": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind
+LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind
 
-LoadKind: TypeAlias = Literal["depth", "force", "both", "none"]
+LoadKind: TypeAlias = Literal["travel", "force", "both", "none"]
 LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
-    "depth": ("depth",), "force": ("force",), "both": ("depth", "force"), "none": (),
+    "travel": ("travel",), "force": ("force",), "both": ("travel", "force"), "none": (),
 }  # fmt: skip
 
 
@@ -58,7 +58,7 @@ class Calibration:
     Attributes:
         gp: The Gaussian process, conditioned on the presses.
         interval_scaling: (c,) factors on its standard deviations, so that nine in ten readings lie in the 90 % range.
-        load_kind: Whether loads are depths (m), forces (N), both or unknown.
+        load_kind: Whether loads are travels (m), forces (N), both or unknown.
         metadata: The caller's own data, in types that JSON can hold.
         previous: Calibration of an earlier session of the same skin; part of the mixture uses its predictions as mean.
         boards: Name of the board that takes part, if any.
@@ -109,7 +109,7 @@ class Calibration:
 
         Args:
             positions: `(n, 2)` or `(2,)` positions of the tip in the tool frame (m); None if the calibration has none.
-            loads: `(n,)` or `()` depths (m) or forces (N), `(n, 2)` or `(2,)` of both, None if loads are unknown.
+            loads: `(n,)` or `()` travels (m) or forces (N), `(n, 2)` or `(2,)` of both, None if loads are unknown.
 
         Returns:
             Means and standard deviations (uT), noise included, `(n, c)` or `(c,)` each.
@@ -165,7 +165,7 @@ class TipModel:
     """Options of the Gaussian process of one tip.
 
     Attributes:
-        load_kind: Whether loads are depths (m), forces (N), both (first column the depth), or unknown.
+        load_kind: Whether loads are travels (m), forces (N), both (first column the travel), or unknown.
         hyperparameters: Hyperparameters of a single kernel, in place of a population's.
     """
 
@@ -193,7 +193,7 @@ class TipModel:
     def _fit_kernel(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
         """Condition the single kernel."""
         if self.load_kind not in LOADS or data.previous_session is not None:
-            raise ValueError("with given hyperparameters, loads must be depths or forces, without an earlier session")
+            raise ValueError("with given hyperparameters, loads must be travels or forces, without an earlier session")
         assert self.hyperparameters is not None
         chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD,))
         gp = fit_structured(self.hyperparameters, table, readings, chips)
@@ -238,9 +238,9 @@ def calibrate(
 
     Args:
         positions: `(n, 2)` positions of the tip in the tool frame (m); None if they are unknown.
-        loads: `(n,)` depths past first contact (m) or normal forces (N), `(n, 2)` of both, or None.
+        loads: `(n,)` travels past first contact (m) or normal forces (N), `(n, 2)` of both, or None.
         readings: `(n, c)` readings (uT), ambient subtracted.
-        load_kind: Whether `loads` are depths, forces, both (first column the depth), or unknown.
+        load_kind: Whether `loads` are travels, forces, both (first column the travel), or unknown.
         board: The sensor board with c / 3 chips. Each channel's amplitude may then fall with the distance from its
             chip, as far as the presses support it. By default named boards are tried.
         previous_session: An earlier session of the same skin in the same frame. The presses determine how much of its
@@ -274,7 +274,7 @@ def load_calibration(path: Path | str) -> Calibration:
     Raises:
         SerializationError: The file is missing, damaged or something else.
     Example:
-        mean, std = i2t.load_calibration("skin.npz").predict(positions, depths)
+        mean, std = i2t.load_calibration("skin.npz").predict(positions, travels)
     """
     return load_fitted(path, FILE_KIND, CalibrationRecord, _calibration, ready="calibration.npz")
 
@@ -282,6 +282,8 @@ def load_calibration(path: Path | str) -> Calibration:
 def _calibration(path: Path | str, record: CalibrationRecord, about: dict[str, Any]) -> Calibration:
     """Build a calibration from its record on disk."""
     load_kind, gp, boards = about.get("load", ""), record.gp, tuple(about.get("boards") or ())
+    if load_kind == "depth":  # as earlier files call it
+        load_kind = "travel"
     fits = load_kind in LOAD_COLUMNS and all(
         len(part.readings) == len(part.presses.position) == len(part.extra_noise)
         and part.weights.shape == (len(part.components.log_share), part.readings.shape[1])
@@ -313,7 +315,7 @@ def _checked(data: TipPresses, load_kind: str) -> tuple[PressTable, np.ndarray]:
     if positions is None and load_kind == "none":
         raise ValueError(
             "readings alone can be segmented into presses and checked, but say nothing about another press; give "
-            "positions, depths or forces"
+            "positions, travels or forces"
         )
     readings = validation.numbers("readings", readings, "(n, channels) uT").astype(np.float64)
     n = len(readings) if readings.ndim == 2 else 0

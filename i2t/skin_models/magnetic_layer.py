@@ -37,7 +37,7 @@ class LayerParameters(NamedTuple):
 
     thickness: Float[Array, ""]  # m
     gap: Float[Array, ""]  # m, from the layer's base to the chips
-    young: Float[Array, ""]  # Pa; stays at the prior's median if presses are controlled by depth
+    young: Float[Array, ""]  # Pa; stays at the prior's median if presses are controlled by travel
     poisson: Float[Array, ""]
     contact_offset: Float[Array, ""]  # m by which first contact is later than assumed; zero if controlled by force
     mount_compliance: Float[Array, ""]  # m/N, of an edge-clamped skin
@@ -280,7 +280,7 @@ def design_matrix(
         board: The sensor board.
         tip: The pressing tip.
         position: `(2,)` assumed position of the tip (m).
-        load: Force (N) or depth (m).
+        load: Force (N) or travel (m).
         by_force: Whether the load is a force.
         grid: Cells of the pad.
 
@@ -351,7 +351,7 @@ def design_matrices(
         board: The sensor board.
         tip: The pressing tip; hashable.
         position: `(n, 2)` assumed positions (m).
-        load: `(n,)` forces (N) or depths (m).
+        load: `(n,)` forces (N) or travels (m).
         by_force: Whether the loads are forces.
         grid: Cells of the pad.
 

@@ -181,7 +181,7 @@ class TipReadings(NamedTuple):
     """n presses of one tip with their readings, in random order."""
 
     position: Float[Array, "n 2"]  # m, tool frame
-    load: Float[Array, " n"]  # depth in m, or normal force in N
+    load: Float[Array, " n"]  # travel in m, or normal force in N
     reading: Float[Array, "n c"]  # uT
     board: Board
 

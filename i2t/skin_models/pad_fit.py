@@ -28,7 +28,7 @@ from i2t.contact.press import PressLimits
 from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures, surface_pressure
 from i2t.dataset import Dataset
 from i2t.geometry import full_precision, inverse
-from i2t.patches.dimensions import WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.dimensions import VIEW_PIXELS, VIEW_WINDOW
 from i2t.registration.contacts import contact_poses
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.touch import register_by_touch
@@ -132,13 +132,13 @@ class ContactModel:
         layer = _choose_layer(sessions, touches, data.dataset.board, self.prior, limits.overtravel)
         used, nominal, pressed = _pressed_touches(sessions, touches, layer, limits.overtravel)
         load = np.asarray(pressed.pressure.load)
-        depth = touches.depth[used] - load / limits.stiffness
-        if not (np.isfinite(nominal * depth).all() and nominal.any()):
+        travel = touches.travel[used] - load / limits.stiffness
+        if not (np.isfinite(nominal * travel).all() and nominal.any()):
             raise ValueError(
-                "the softness of the pad cannot be determined from these touches; leave out those whose depth or "
+                "the softness of the pad cannot be determined from these touches; leave out those whose travel or "
                 "force is not finite, and add some that press a known object"
             )
-        softness = float(np.sum(nominal * depth) / np.sum(nominal**2))
+        softness = float(np.sum(nominal * travel) / np.sum(nominal**2))
         left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits, often=often)
         folds = map_in_threads(left_out, product(sessions, range(_REGISTRATION.position_folds)))
         positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
@@ -189,8 +189,8 @@ def press_at_truth(truth: Truth, layer: Layer) -> PressedTouches:
     Returns:
         The contact pressures, with the noise-free readings.
     """
-    exact = PressureModelConfig(pitch=WIDE_WINDOW / WIDE_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
-    pressed = predict_pressures(exact, truth.wide, truth.force, truth.indentation, layer_pad(layer))
+    exact = PressureModelConfig(pitch=VIEW_WINDOW / VIEW_PIXELS, smooth=False, tilt=0.0, cell=CELL_GRID.spacing)
+    pressed = predict_pressures(exact, truth.view, truth.force, truth.indentation, layer_pad(layer))
     return PressedTouches(pressed, np.asarray(truth.reading))
 
 

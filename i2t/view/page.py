@@ -89,12 +89,12 @@ def _time_course(record: Record, simulated: bool, row: int) -> Figure:
 def _rows(contents: Contents, max_rows: int) -> list[tuple[str, ...]]:
     dataset = contents.dataset
     touches = dataset.touches
-    head = ("file", "object", "session", "end", "norm (µT)", "force (N)", "depth (mm)", "nearest (mm)")
+    head = ("file", "object", "session", "end", "norm (µT)", "force (N)", "travel (mm)", "nearest (mm)")
     rows: list[tuple[str, ...]] = [head]
     for row in range(min(len(dataset), max_rows)):
         numbers = (
             float(np.sqrt(np.nansum(touches.reading[row].astype(float) ** 2))), float(touches.force[row]),
-            1e3 * float(touches.depth[row]), 1e3 * float(touches.nearest[row]),
+            1e3 * float(touches.travel[row]), 1e3 * float(touches.nearest[row]),
         )  # fmt: skip
         rows.append(
             (

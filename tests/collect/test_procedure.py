@@ -70,7 +70,7 @@ def test_a_press_stops_by_the_skin_and_measures_the_spring_along_its_normal():
         enough = settings.skin_change / np.linalg.norm(GAIN)  # N
         assert enough < touched.force < enough + overshoot(settings, 10e3)
         np.testing.assert_allclose(touched.reading, touched.force * GAIN, rtol=1e-3)
-        np.testing.assert_allclose(touched.depth, touched.force / 10e3, atol=5e-6)  # a line is exact on a spring
+        np.testing.assert_allclose(touched.travel, touched.force / 10e3, atol=5e-6)  # a line is exact on a spring
         along = (touched.T_w_t[:3, 3] - [0, 0, HEIGHT]) @ turned[:, 2]
         np.testing.assert_allclose(along, touched.force / 10e3, atol=1e-9)
         np.testing.assert_allclose(touched.T_w_t[:3, :3], turned, atol=1e-9)
@@ -84,7 +84,7 @@ def test_a_press_without_an_object_meets_air():
     procedure, (outcome,), memory = pressed(site(0, height=HEIGHT + 0.02))
     touched = memory.saved[0]
     assert outcome.code == ReturnCode.AIR
-    assert np.isnan(touched.depth)
+    assert np.isnan(touched.travel)
     np.testing.assert_allclose(touched.T_w_t[2, 3], HEIGHT + 0.02 - procedure.settings.overtravel, atol=1e-9)
     assert abs(touched.force) < 1e-9
 
@@ -135,7 +135,7 @@ def test_every_pose_stays_in_the_box_above_the_object_and_histories_hold_no_imag
     np.testing.assert_allclose(heights[1:][across], procedure.top + procedure.settings.clearance)
     assert [len(history) for history in histories] == [0, 1, 2, 3]
     last = histories[-1][0].touch
-    assert last.view is None
+    assert last.camera_view is None
     np.testing.assert_array_equal(last.reading, memory.saved[0].reading)
 
 
@@ -327,9 +327,9 @@ def test_onset_is_exact_for_a_line_and_a_fifth_short_for_a_ball():
 
 @pytest.mark.full
 def test_noise_of_real_size_leaves_depth_within_a_twentieth_of_a_millimetre():
-    depths = []
+    travels = []
     for seed in range(5):
         _, _, memory = pressed(errors=NOISY, seed=seed)
         touched = memory.saved[0]
-        depths.append(touched.depth - (HEIGHT - touched.T_w_t[2, 3]))
-    assert np.sqrt(np.mean(np.square(depths))) < 0.05e-3
+        travels.append(touched.travel - (HEIGHT - touched.T_w_t[2, 3]))
+    assert np.sqrt(np.mean(np.square(travels))) < 0.05e-3

@@ -91,8 +91,8 @@ def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
     assert np.isin(touches.code, [ReturnCode.SKIN, ReturnCode.WRENCH]).all()
     assert (np.linalg.norm(touches.reading, axis=1) > 15).all()
     assert ((touches.force > 0.05) & (touches.force < 10)).all()
-    assert ((touches.depth > 0) & (touches.depth < 1.5e-3)).all()
-    assert (np.abs(touches.nearest + touches.depth) < 4e-3).all()  # placement and camera 1 mm each, and 0.3 mm noise
+    assert ((touches.travel > 0) & (touches.travel < 1.5e-3)).all()
+    assert (np.abs(touches.nearest + touches.travel) < 4e-3).all()  # placement and camera 1 mm each, and 0.3 mm noise
     assert (touches.T_w_t[:, 2, 2] < -0.2).all()
     assert run(touches=2)[0] == 0
     data = dataset.load_dataset(tmp_path / "set")

@@ -74,9 +74,9 @@ def test_the_skin_that_protrudes_stops_the_press_and_has_its_force(tmp_path, out
     (felt, gain), (silent, _) = pair if out_by < 0 else pair[::-1]
     assert (felt.code, silent.code) == (ReturnCode.SKIN, ReturnCode.AIR)
     np.testing.assert_allclose(felt.reading, felt.force * gain, rtol=1e-3)
-    np.testing.assert_allclose(felt.depth, felt.force / STIFFNESS, atol=5e-6)
+    np.testing.assert_allclose(felt.travel, felt.force / STIFFNESS, atol=5e-6)
     np.testing.assert_allclose(silent.reading, 0, atol=1e-6)
-    assert np.isnan(silent.depth)
+    assert np.isnan(silent.travel)
     assert np.isnan(silent.force) or silent.force == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(right.T_w_s, touch.T_w_t @ beside(out_by), atol=1e-12)
     np.testing.assert_allclose(right.seen.nearest, right.T_w_s[2, 3] - HEIGHT, atol=1e-9)

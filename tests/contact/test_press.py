@@ -36,9 +36,9 @@ def pad() -> Pad:
 
 
 @jax.jit
-def excess(pad: Pad, height: jax.Array, depths: jax.Array) -> jax.Array:
-    """Of presses to `depths` (m): skin change or force over its limit, whichever is more."""
-    pressed = jax.lax.map(lambda depth: press(pad, height, depth), depths)
+def excess(pad: Pad, height: jax.Array, indentations: jax.Array) -> jax.Array:
+    """Of presses to `indentations` (m): skin change or force over its limit, whichever is more."""
+    pressed = jax.lax.map(lambda indentation: press(pad, height, indentation), indentations)
     return jnp.maximum(jnp.linalg.norm(pressed.reading, axis=1) / LIMITS.skin_change, pressed.force / LIMITS.force)
 
 

@@ -38,8 +38,8 @@ smoothed = jax.jit(partial(heights, replace(CFG, smooth=True)))
 AT = np.meshgrid(CFG.grid.centres, CFG.grid.centres)
 
 
-def press(cfg: PressureModelConfig, view: np.ndarray, force: float = 1.0, depth: float = 0.2e-3) -> np.ndarray:
-    return np.asarray(run(cfg, PAD, jnp.float32(view), jnp.float32(force), jnp.float32(depth)).pressure)
+def press(cfg: PressureModelConfig, view: np.ndarray, force: float = 1.0, travel: float = 0.2e-3) -> np.ndarray:
+    return np.asarray(run(cfg, PAD, jnp.float32(view), jnp.float32(force), jnp.float32(travel)).pressure)
 
 
 def tilted(right: float, down: float, x: np.ndarray = X, y: np.ndarray = Y) -> np.ndarray:
@@ -64,14 +64,14 @@ def test_the_load_is_the_measured_force_and_a_symmetric_view_gives_a_symmetric_p
 
 
 def test_other_numbers_of_the_model_compile_nothing_and_without_a_tilt_one_press_is_the_mean():
-    views, force, depth = np.float32(BOWL)[None], np.float32([2.0]), np.float32([0.2e-3])
-    predict_pressures(CFG, views, force, depth)
+    views, force, travel = np.float32(BOWL)[None], np.float32([2.0]), np.float32([0.2e-3])
+    predict_pressures(CFG, views, force, travel)
     with compilations() as compiled:
         changes = {"tilt": 0.01, "pitch": 0.9 * PITCH, "floor": 0.1, "softness": 2.0}
-        predict_pressures(replace(CFG, **changes), views, force, depth)
-        slightly = predict_pressures(replace(CFG, tilt=1e-9), views, force, depth)
+        predict_pressures(replace(CFG, **changes), views, force, travel)
+        slightly = predict_pressures(replace(CFG, tilt=1e-9), views, force, travel)
     assert compiled == []
-    close(np.asarray(slightly.pressure), np.asarray(predict_pressures(CFG, views, force, depth).pressure))
+    close(np.asarray(slightly.pressure), np.asarray(predict_pressures(CFG, views, force, travel).pressure))
 
 
 @pytest.mark.full
@@ -86,9 +86,9 @@ def test_force_control_is_the_contact_solver():
 def test_depth_control_is_the_contact_solver():
     height = tilted(0.004, 0.0, *AT)
     direct = solve(PAD, jnp.float32(height - height.min()), jnp.float32(50e-6), CFG.grid)
-    by_depth = replace(CFG, control="depth")
-    close(press(by_depth, tilted(0.004, 0.0), force=np.nan, depth=50e-6), np.asarray(direct.pressure) * 1e-6)
-    nothing = run(by_depth, PAD, jnp.float32(X * 0), jnp.float32(jnp.nan), jnp.float32(-1e-3))
+    by_travel = replace(CFG, control="travel")
+    close(press(by_travel, tilted(0.004, 0.0), force=np.nan, travel=50e-6), np.asarray(direct.pressure) * 1e-6)
+    nothing = run(by_travel, PAD, jnp.float32(X * 0), jnp.float32(jnp.nan), jnp.float32(-1e-3))
     assert not nothing.pressure.any()
     assert nothing.load == np.float32(CFG.floor)
 

@@ -60,7 +60,7 @@ def test_the_authors_layout_is_converted_unchanged(tmp_path, n, order, ambient, 
     np.testing.assert_allclose(touches.T_w_t[:, :3, 3], truth.final, atol=1e-7)
     np.testing.assert_allclose(touches.T_w_t[:, :3, :3], truth.rotation, atol=1e-6)
     np.testing.assert_allclose(touches.force, truth.force, atol=1e-6)
-    for unknown in (touches.T_w_o, touches.depth, touches.wide):
+    for unknown in (touches.T_w_o, touches.travel, touches.view):
         assert np.isnan(unknown).all()
     assert dataset.meta["remarks on star 1"] == "skin 3, warm day"
 
@@ -346,7 +346,7 @@ DAMAGE = [
     ("eflesh", STATES, swap_lines, "time does not increase at row 2"),
     ("eflesh", STATES, lambda path: path.write_text(path.read_text().rstrip().rpartition("\n")[0]), "no partner"),
     ("eflesh", "b/states.csv.gz", cut, "states.csv.gz: "),
-    ("presses", TABLE, edit(b"depth_mm", b"depth"), "column depth_mm is missing"),
+    ("presses", TABLE, edit(b"travel_mm", b"travel"), "column travel_mm is missing"),
     ("presses", TABLE, edit(b"x_mm,y_mm", b"x_mm,y_mm,x_mm"), "appears twice"),
     ("presses", TABLE, edit(b"b4z_uT", b"b4z_uT,a0x_uT"), "give all or none"),
     ("presses", TABLE, edit(b"b4z_uT", b"b4z_uT,b5x_uT,b5y_uT,b5z_uT"), "belongs to no chip of the board, which has 5"),
@@ -369,7 +369,7 @@ def presses_table(path, n=6, ambient=False, chips=5, **more):
     """The columns of a table of presses."""
     names = [f"b{chip}{axis}_uT" for chip in range(chips) for axis in "xyz"]
     rng = np.random.default_rng(5)
-    columns = {"x_mm": rng.uniform(-8, 8, n), "y_mm": rng.uniform(-8, 8, n), "depth_mm": rng.uniform(0, 2, n)}
+    columns = {"x_mm": rng.uniform(-8, 8, n), "y_mm": rng.uniform(-8, 8, n), "travel_mm": rng.uniform(0, 2, n)}
     columns |= {name: rng.normal(0, 50, n) for name in names}
     columns |= {"a" + name[1:]: rng.normal(0, 50, n) for name in names if ambient}
     return write_columns(path, columns | more)
@@ -476,9 +476,9 @@ def test_real_spatial_presses_are_converted_unchanged(shared_data, tmp_path):
     place = 1e-3 * (states[:, 1:] - [289, -100, states[:, 3].max()])
     np.testing.assert_allclose(touches.T_w_o[:, :3, 3], place, atol=1e-8)
     np.testing.assert_array_equal(touches.T_w_t, np.tile(np.eye(4), (4805, 1, 1)))
-    np.testing.assert_allclose(touches.depth, -place[:, 2], atol=1e-9)
+    np.testing.assert_allclose(touches.travel, -place[:, 2], atol=1e-9)
     np.testing.assert_allclose(touches.nearest, place[:, 2], atol=1e-9)
-    assert touches.depth.min() == 0
+    assert touches.travel.min() == 0
     assert np.isnan(touches.force).all()
     # A ray up tool z through a pixel first meets the sphere |p - c| = R, c = (x, y, R), where its quadratic says so.
     rng = np.random.default_rng(0)
@@ -507,7 +507,7 @@ def test_real_normal_presses_carry_their_load_and_strokes(shared_data, tmp_path)
     height = states[:, 3].reshape(20, 360)
     assert (height[:, [0, -1]] > 287.9).all()  # each begins and ends at the top
     np.testing.assert_array_equal(dataset.touches.code == ReturnCode.FREE, states[:, 3] > 286.5)
-    np.testing.assert_allclose(dataset.touches.depth, np.maximum(0, 286.5 - states[:, 3]) * 1e-3, atol=1e-8)
+    np.testing.assert_allclose(dataset.touches.travel, np.maximum(0, 286.5 - states[:, 3]) * 1e-3, atol=1e-8)
 
 
 @pytest.mark.full
@@ -520,7 +520,7 @@ def test_real_shear_recordings_are_two_pads(shared_data, tmp_path, capsys):
         mine = dataset.select(dataset.touches.pad == i)
         np.testing.assert_array_equal(mine.touches.reading, values[:, 1 + 15 * i : 16 + 15 * i].astype(np.float32))
     assert np.isnan(dataset.touches.force).all()
-    assert np.isnan(dataset.touches.depth).all()
+    assert np.isnan(dataset.touches.travel).all()
     assert "shear force" in capsys.readouterr().out
 
 
@@ -552,9 +552,9 @@ def test_a_table_of_presses_is_converted_unchanged(tmp_path):
     reading = np.column_stack([columns[name] - columns["a" + name[1:]] for name in READING_NAMES])
     np.testing.assert_allclose(touches.reading, reading, atol=UT)
     np.testing.assert_allclose(touches.force, [1, np.nan, 2.5, 3, 4, 5])
-    np.testing.assert_allclose(touches.depth, 1e-3 * columns["depth_mm"], rtol=1e-6)
-    np.testing.assert_allclose(touches.nearest, -touches.depth)
-    place = 1e-3 * np.column_stack([columns["x_mm"], columns["y_mm"], -columns["depth_mm"]])
+    np.testing.assert_allclose(touches.travel, 1e-3 * columns["travel_mm"], rtol=1e-6)
+    np.testing.assert_allclose(touches.nearest, -touches.travel)
+    place = 1e-3 * np.column_stack([columns["x_mm"], columns["y_mm"], -columns["travel_mm"]])
     np.testing.assert_allclose(touches.T_w_o[:, :3, 3], place, atol=1e-9)
     assert [dataset.sessions[i] for i in touches.session] == more["run"]
     assert [dataset.pads[i] for i in touches.pad] == more["pad"]
@@ -614,13 +614,13 @@ def test_an_option_cannot_contradict_the_column_source(tmp_path, capsys):
 def test_the_same_presses_in_two_layouts_give_the_same_touches(tmp_path):
     place, values = made_up_session(tmp_path / "src" / "a")
     middle = (place.min(0) + place.max(0)) / 2
-    depth = place[:, 2].max() - place[:, 2]
-    columns = {"x_mm": place[:, 0] - middle[0], "y_mm": place[:, 1] - middle[1], "depth_mm": depth}
+    travel = place[:, 2].max() - place[:, 2]
+    columns = {"x_mm": place[:, 0] - middle[0], "y_mm": place[:, 1] - middle[1], "travel_mm": travel}
     write_columns(tmp_path / TABLE, columns | dict(zip(READING_NAMES, values.T, strict=True)))
     options = ("--window-mm", 40, "--reach-mm", 3)
     a = converted("eflesh", tmp_path / "src", tmp_path / "a", *options, "--tip-radius-mm", 5).touches
     b = converted("presses", tmp_path / TABLE, tmp_path / "b", *options, "--indenter", "sphere:5").touches
-    for name in ("patch", "nearest", "reading", "depth", "T_w_t", "T_w_o"):
+    for name in ("patch", "nearest", "reading", "travel", "T_w_t", "T_w_o"):
         np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-8 if name != "reading" else UT)
 
 
@@ -642,7 +642,7 @@ def test_a_mesh_is_pressed_with_its_lowest_point_first(tmp_path):
     """A cone frustum on its small end, 2 mm below its frame's origin: a flat disk in a slope of 45 degrees."""
     mesh = trimesh.creation.revolve([(0, -2), (2, -2), (5, 1), (0, 1)], sections=256)
     mesh.export(tmp_path / "tip.stl")
-    presses_table(tmp_path / TABLE, n=3, x_mm=[0, 1, -2], y_mm=[0, 2, 1], depth_mm=[0, 1, 2])
+    presses_table(tmp_path / TABLE, n=3, x_mm=[0, 1, -2], y_mm=[0, 2, 1], travel_mm=[0, 1, 2])
     options = ("--indenter", f"mesh:{tmp_path / 'tip.stl'}", "--unit", "mm")
     dataset = converted("presses", tmp_path / TABLE, tmp_path / "dst", *options)
     centres = ((np.arange(48) + 0.5) / 48 - 0.5) * 17e-3

@@ -15,16 +15,16 @@ from i2t.errors import DataError, MissingExtraError
 pq = pytest.importorskip("pyarrow.parquet")
 
 
-@pytest.mark.parametrize(("truth", "wide", "board"), [(False, False, "reskin"), (True, True, "grid-1x2")])
-def test_frames_hold_every_value_and_are_counted_as_lerobot_requires(tmp_path, truth, wide, board):
-    dataset = make(9, truth=truth, wide=wide, board=board, pixels=6)
+@pytest.mark.parametrize(("truth", "view", "board"), [(False, False, "reskin"), (True, True, "grid-1x2")])
+def test_frames_hold_every_value_and_are_counted_as_lerobot_requires(tmp_path, truth, view, board):
+    dataset = make(9, truth=truth, view=view, board=board, pixels=6)
     folder = lerobot.write(tmp_path / "out", dataset)
     info, stats, note = (json.loads((folder / f"meta/{name}.json").read_text()) for name in ("info", "stats", "i2t"))
     table = pq.read_table(folder / "data/chunk-000/file-000.parquet")
     episodes = pq.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert set(table.column_names) == set(info["features"])
     row = table["touch.row"].to_pylist()
-    absent = {"truth"} | ({"wide"} if not wide else set())
+    absent = {"truth"} | ({"view"} if not view else set())
     fields = {k: v for k, v in dataset.touches._asdict().items() if k not in absent and v is not None}
     fields |= {f"truth_{name}": values for name, values in dataset.touches.truth._asdict().items()} if truth else {}
     for name, values in fields.items():

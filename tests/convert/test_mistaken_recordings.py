@@ -50,10 +50,10 @@ def test_a_recording_is_taken_as_stated_on_request_and_its_times_are_kept(tmp_pa
 
 def write_presses(path, recorded: Recorded, sign=1.0):
     """A table of presses, at seconds of Unix time."""
-    depth = sign * np.maximum(-1e3 * recorded.height, 0)
-    time = 1.7e9 + np.arange(len(depth))
-    rows = np.column_stack([1e3 * recorded.position, depth, recorded.force, recorded.readings, time])
-    return write_table(path, ["x_mm", "y_mm", "depth_mm", "force_N", *READING_NAMES, "time_s"], rows)
+    travel = sign * np.maximum(-1e3 * recorded.height, 0)
+    time = 1.7e9 + np.arange(len(travel))
+    rows = np.column_stack([1e3 * recorded.position, travel, recorded.force, recorded.readings, time])
+    return write_table(path, ["x_mm", "y_mm", "travel_mm", "force_N", *READING_NAMES, "time_s"], rows)
 
 
 def test_a_mistake_in_a_table_of_presses_is_corrected(tmp_path, capsys):
@@ -62,13 +62,13 @@ def test_a_mistake_in_a_table_of_presses_is_corrected(tmp_path, capsys):
     expected = converted("presses", write_presses(tmp_path / "sound.csv", sound), tmp_path / "sound", *options).touches
     assert "corrected" not in capsys.readouterr().out
     np.testing.assert_array_equal(expected.time, 1.7e9 + np.arange(28))
-    for mistake in ("force that pulls", "depths negative", "readings in millitesla"):
-        negative = mistake == "depths negative"
+    for mistake in ("force that pulls", "travels negative", "readings in millitesla"):
+        negative = mistake == "travels negative"
         wrong = sound if negative else VARIANTS[mistake](sound)
         path = write_presses(tmp_path / f"{mistake}.csv", wrong, -1.0 if negative else 1.0)
         corrected = converted("presses", path, tmp_path / mistake, *options)
         assert "corrected" in capsys.readouterr().out
-        for name in ("reading", "force", "depth", "T_w_o"):
+        for name in ("reading", "force", "travel", "T_w_o"):
             ours, theirs = getattr(corrected.touches, name), getattr(expected, name)
             np.testing.assert_allclose(ours, theirs, rtol=1e-5, atol=1e-5, err_msg=name)
         assert {finding.name for finding in findings_in(corrected)} >= {"units", "height zero"}
@@ -97,7 +97,7 @@ def test_presses_to_one_height_have_no_depth_but_keep_frame_and_times(shared_dat
     states[:, 3] = 142.6
     write_session(tmp_path / "src" / "late", states[level, 1:], values[level, 1:])
     dataset = converted("eflesh", tmp_path / "src", tmp_path / "dst")
-    assert np.isnan(dataset.touches.depth).all()
+    assert np.isnan(dataset.touches.travel).all()
     assert (dataset.touches.code == ReturnCode.UNDEFINED).all()
     # In float64: a float32 tells Unix time to two minutes.
     np.testing.assert_array_equal(dataset.touches.time, 1.7e9 + 4.25 * np.arange(level.sum()) + 1e-3)
@@ -108,4 +108,4 @@ def test_presses_to_one_height_have_no_depth_but_keep_frame_and_times(shared_dat
     np.testing.assert_allclose(reference["lowest_z_m"], 0.1426)
     assert not unknowns.find(findings_in(dataset), "height zero").identifiable
     given = converted("eflesh", tmp_path / "src", tmp_path / "given", "--z0-mm", 145, "--as-stated")
-    np.testing.assert_allclose(given.touches.depth, 2.4e-3, atol=1e-8)
+    np.testing.assert_allclose(given.touches.travel, 2.4e-3, atol=1e-8)

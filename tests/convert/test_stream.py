@@ -19,7 +19,7 @@ NAMES = ["time_s", "x_mm", "y_mm", "z_mm", "force_N", *READING_NAMES]
 
 
 def log(presses: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of a log in the order of NAMES, and of each press x, y and depth (mm), force (N) and reading (uT).
+    """Rows of a log in the order of NAMES, and of each press x, y and travel (mm), force (N) and reading (uT).
 
     The stage comes down from 2 mm above the skin at 10 mm/s, waits half a second in the skin, and goes up again.
     """
@@ -29,10 +29,10 @@ def log(presses: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     )
     levels = rng.normal(scale=60, size=(presses, 15))
     parts = []
-    for (x, y, depth, force), level in zip(told, levels, strict=True):
-        down = np.linspace(2, -depth, int(RATE * (2 + depth) / 10))
-        z = np.concatenate([np.full(200, 2.0), down, np.full(200, -depth), down[::-1], np.full(120, 2.0)])
-        share = np.maximum(-z, 0) / depth
+    for (x, y, travel, force), level in zip(told, levels, strict=True):
+        down = np.linspace(2, -travel, int(RATE * (2 + travel) / 10))
+        z = np.concatenate([np.full(200, 2.0), down, np.full(200, -travel), down[::-1], np.full(120, 2.0)])
+        share = np.maximum(-z, 0) / travel
         place = np.column_stack([np.full(len(z), x), np.full(len(z), y), z, force * share])
         parts.append(np.column_stack([place, share[:, None] * level]))
     rows = np.concatenate(parts)
@@ -54,10 +54,10 @@ def test_each_press_of_a_log_becomes_a_touch(tmp_path, capsys):
     np.testing.assert_allclose(touches.force, told[:, 3], atol=1e-3)
     np.testing.assert_allclose(touches.reading, told[:, 4:], atol=1.5)  # the drift of a median of 20 ms and more
     # The reading leaves its noise within a few rows, in which the stage moves 25 um each.
-    np.testing.assert_allclose(1e3 * touches.depth, told[:, 2], atol=0.1)
+    np.testing.assert_allclose(1e3 * touches.travel, told[:, 2], atol=0.1)
     output = capsys.readouterr().out
     assert "found: 12 presses" in output
-    assert "depth counts from the height at which a press's reading left its rest" in output
+    assert "travel counts from the height at which a press's reading left its rest" in output
 
 
 def test_a_log_read_in_pieces_has_the_presses_of_the_whole(tmp_path, monkeypatch):
@@ -383,8 +383,8 @@ def test_rows_that_repeat_earlier_ones_are_left_out(tmp_path):
 def test_a_depth_is_unknown_if_first_contact_was_not_recorded(tmp_path):
     met = int(np.flatnonzero(np.diff(np.sign(LOG[:, 3])) < 0)[2])
     table = presses_of(tmp_path, *one_clock(np.delete(LOG, slice(met - 20, met + 20), axis=0)))
-    depths = [cells[table.header.index("depth_mm")] for _, cells in table.rows]
-    assert [depth == "" for depth in depths] == [False, False, True, False, False, False]
+    travels = [cells[table.header.index("travel_mm")] for _, cells in table.rows]
+    assert [travel == "" for travel in travels] == [False, False, True, False, False, False]
     assert any("1 presses begin where rows are missing" in note for note in table.notes)
 
 

@@ -45,18 +45,18 @@ ROOT = Path(__file__).parents[2]
     n=st.integers(0, 5),
     seed=st.integers(0, 99),
     truth=st.booleans(),
-    wide=st.booleans(),
+    view=st.booleans(),
     pixels=st.sampled_from([1, 16, 48]),
     board=st.sampled_from(["reskin", "grid-2x2", "grid-4x4"]),
 )
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_packed_set_reads_back_exactly(tmp_path, n, seed, truth, wide, pixels, board):
-    dataset = make(n, seed, truth, wide, pixels=pixels, board=board)
+def test_a_packed_set_reads_back_exactly(tmp_path, n, seed, truth, view, pixels, board):
+    dataset = make(n, seed, truth, view, pixels=pixels, board=board)
     again = load_dataset(save_dataset(tmp_path / "set.h5", dataset))
     assert_equal(again, dataset)
-    if not wide:  # an absent view takes no memory
+    if not view:  # an absent view takes no memory
         for each in (again, again.select(np.arange(n // 2)), concatenate([again, dataset])):
-            assert not any(each.touches.wide.strides)
+            assert not any(each.touches.view.strides)
 
 
 def test_a_recorded_touch_reads_back_exactly(tmp_path):
@@ -84,10 +84,10 @@ def test_what_could_not_be_read_is_not_written(tmp_path):
 
 
 def test_every_array_has_units_and_the_file_its_provenance(tmp_path):
-    path = write_touch(tmp_path, record(make(1, truth=True, wide=True)))
+    path = write_touch(tmp_path, record(make(1, truth=True, view=True)))
     with h5py.File(path) as file:
         kind = [file.attrs[name] for name in ("schema", "version", "source")]
-        assert kind == ["i2t-touches", 2, "simulated"]
+        assert kind == ["i2t-touches", 3, "simulated"]
         assert file.attrs["software"].startswith("i2t ")
         assert file.attrs["created"].endswith("+00:00")
         without = []
@@ -113,24 +113,34 @@ def test_changed_missing_and_added_bytes_are_found(packed, tmp_path, data, flip)
             load_dataset(tmp_path / "changed.h5")
 
 
-def test_a_file_of_the_first_schema_is_read(tmp_path):
-    """Which called sessions runs, and knew boards of five chips only."""
-    dataset = make(6, truth=True, wide=True)
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("view", [True, False])
+def test_a_file_of_an_earlier_schema_is_read(tmp_path, version, view):
+    """Version 2 called travel depth and a view wide. Version 1 also called sessions runs."""
+    dataset = make(6, truth=True, view=view)
     path = tmp_path / "old.h5"
     save_dataset(path, dataset)
     with h5py.File(path, "r+") as file:
-        file.move("touches/session", "touches/run")
-        file.move("names/sessions", "names/runs")
-        file.attrs["version"] = 1
+        file.move("touches/travel", "touches/depth")
+        file.move("truth/view", "truth/wide")
+        if view:
+            file.move("touches/view", "touches/wide")
+        attributes = file["touches"].attrs
+        attributes["wide_pixels"] = attributes["view_pixels"]
+        del attributes["view_pixels"]
+        if version == 1:
+            file.move("touches/session", "touches/run")
+            file.move("names/sessions", "names/runs")
+        file.attrs["version"] = version
     content = path.read_bytes()[512:]
-    header = f"i2t-touches 1 sha256 {hashlib.sha256(content).hexdigest()}\n".encode().ljust(512, b"\0")
+    header = f"i2t-touches {version} sha256 {hashlib.sha256(content).hexdigest()}\n".encode().ljust(512, b"\0")
     path.write_bytes(header + content)
     assert_equal(load_dataset(path), dataset)
 
 
 def test_a_newer_schema_is_told_apart_from_damage_and_a_broken_one_is_named(packed, tmp_path):
-    (tmp_path / "newer.h5").write_bytes(packed.replace(b"i2t-touches 2 ", b"i2t-touches 3 ", 1))
-    with pytest.raises(DataError, match=r"newer\.h5: written in schema version 3, .* newer i2t"):
+    (tmp_path / "newer.h5").write_bytes(packed.replace(b"i2t-touches 3 ", b"i2t-touches 4 ", 1))
+    with pytest.raises(DataError, match=r"newer\.h5: written in schema version 4, .* newer i2t"):
         load_dataset(tmp_path / "newer.h5")
     path = files.write(
         tmp_path / "less.h5", lambda file: file.create_dataset("touches/reading", data=np.zeros((1, 15)))
@@ -219,7 +229,7 @@ RESKIN = boards.reskin_board()
     [
         (broken("patch", np.zeros((3, 48, 47)), None), "patch has shape"),
         (broken("reading", np.zeros((3, 14)), None), "reading has shape"),
-        (broken("truth", make(4, truth=True).touches.truth, None), "truth/wide has shape"),
+        (broken("truth", make(4, truth=True).touches.truth, None), "truth/view has shape"),
         (broken("patch", np.nan), "patch is not finite in 1 of 3 rows, first in row 1"),
         (broken("patch", -1e-4), "patch is outside the range from 0 to the reach"),
         (broken("reading", np.inf), "reading is infinite"),
@@ -246,7 +256,7 @@ def test_what_no_touch_can_be_is_refused_in_one_sentence(tmp_path, dataset, prob
 
 
 def test_unknown_values_are_no_error():
-    for name in ("force", "depth", "nearest", "T_w_t", "T_w_o"):
+    for name in ("force", "travel", "nearest", "T_w_t", "T_w_o"):
         validate(broken(name, np.nan))
     validate(broken("nearest", np.inf))
 
@@ -273,7 +283,7 @@ def test_concatenation_merges_names_and_refuses_what_does_not_fit():
 def test_the_summary_counts_what_is_there_in_plain_numbers():
     dataset = make(40, truth=True)
     summary = json.loads(json.dumps(dataset.summary(), allow_nan=False))
-    assert (summary["touches"], summary["source"], summary["missing"]["wide"]) == (40, "simulated", 40)
+    assert (summary["touches"], summary["source"], summary["missing"]["view"]) == (40, "simulated", 40)
     names = [dataset.objects[i] for i in dataset.touches.object]
     assert summary["objects"] == {name: names.count(name) for name in dataset.objects}
     for i, axis in enumerate("xyz"):

@@ -71,7 +71,7 @@ def settled(skin, wanted, atol):
 @pytest.mark.full
 def test_a_press_follows_the_physics_with_the_noise_of_its_world(touching):
     pad = jax.jit(sample_pad)(jax.random.key(DEFAULT_PAD_KEY))
-    pressed = jax.jit(lambda depth: press(pad, jnp.zeros((GRID.cells, GRID.cells)), depth))
+    pressed = jax.jit(lambda indentation: press(pad, jnp.zeros((GRID.cells, GRID.cells)), indentation))
     noise = 5 * 4.6 / np.sqrt(SAMPLES)  # uT, five sigma of a mean
     with ReSkin(touching[1]) as skin, UrArm(touching[0], Rig().limits, state_timeout=3.0, watchdog_rate=0.3) as arm:
         assert arm.features.source == skin.features.source == "emulated"
@@ -92,7 +92,7 @@ def test_a_press_follows_the_physics_with_the_noise_of_its_world(touching):
             felt, sunk = -done.state.wrench[2], TOP - (ABOVE - done.distance)
             expected = pressed(jnp.asarray(sunk - felt / STIFFNESS, jnp.float32))
             # Force and reading lie between those of loads a factor of 1.85 apart, and for a flat on straight lines. It
-            # is stiff: 3 % of 6 N are a micrometre of depth.
+            # is stiff: 3 % of 6 N are a micrometre of indentation.
             assert felt == pytest.approx(float(expected.force), rel=0.03)
             wanted = np.asarray(expected.reading)
             assert np.linalg.norm(wanted) > 10  # uT, so that there is something to compare

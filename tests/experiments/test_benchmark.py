@@ -86,9 +86,9 @@ def test_skin_section_against_contact_mechanics() -> None:
 
 
 def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
-    heights, depths = skin.touches(skin.GRID, ["punch"], 1)
+    heights, indentations = skin.touches(skin.GRID, ["punch"], 1)
     pad = skin.nominal_pad()
-    found = jax.jit(jax.vmap(skin.solve, (None, 0, 0)))(pad, heights, depths)
+    found = jax.jit(jax.vmap(skin.solve, (None, 0, 0)))(pad, heights, indentations)
     with pytest.raises(ValueError, match="pressures differ by "):
         skin.check("punch", found, [1.5 * found.pressure[0]], skin.GRID)
 

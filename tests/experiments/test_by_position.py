@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.baselines import placed_dataset
 
-from experiments.train.by_position import CALIBRATED, PLAIN, position_readings
+from experiments.train.by_position import CALIBRATED, TUNED, position_readings
 from experiments.train.evaluation import Lead, MethodChoice, position_note
 from i2t.dataset import Dataset, Split
 from i2t.prediction.metrics import score
@@ -15,12 +15,12 @@ TOUCHES = 150
 
 
 def recording() -> Dataset:
-    """Presses at places of a skin whose reading grows with the depth and bends over the place."""
+    """Presses at places of a skin whose reading grows with the travel and bends over the place."""
     rng = np.random.default_rng(0)
-    place, depth = rng.uniform(-8e-3, 8e-3, (TOUCHES, 2)), rng.uniform(0.5e-3, 2e-3, TOUCHES)
+    place, travel = rng.uniform(-8e-3, 8e-3, (TOUCHES, 2)), rng.uniform(0.5e-3, 2e-3, TOUCHES)
     maps = np.sin(place @ rng.uniform(-400, 400, (2, 15)) + rng.uniform(0, 6, 15))
-    readings = 40e3 * depth[:, None] * maps + rng.normal(0, 0.5, maps.shape)
-    return placed_dataset(place, np.zeros((TOUCHES, 6, 6)), readings, depth=depth)
+    readings = 40e3 * travel[:, None] * maps + rng.normal(0, 0.5, maps.shape)
+    return placed_dataset(place, np.zeros((TOUCHES, 6, 6)), readings, travel=travel)
 
 
 def thirds() -> Split:
@@ -31,7 +31,7 @@ def thirds() -> Split:
 def test_both_rows_predict_the_touches_that_validate_and_test():
     dataset, split = recording(), thirds()
     rows = position_readings(dataset, split, 0)
-    assert list(rows) == [PLAIN, f"{CALIBRATED}, 90 of the presses"]
+    assert list(rows) == [TUNED, f"{CALIBRATED}, 90 of the presses"]
     truth = dataset.touches.reading[split.validation | split.test]
     for mean, std in rows.values():
         assert score(truth, mean).r2 > 0.8
@@ -53,14 +53,14 @@ def test_nothing_is_said_of_touches_that_are_not_of_one_tip_at_known_places(chan
     if change == "off the skin":
         touches.T_w_o[0, 0, 3] = 50e-3
     if change == "no load":
-        touches.depth[np.flatnonzero(thirds().test)[0]] = np.nan  # of one touch to test
+        touches.travel[np.flatnonzero(thirds().test)[0]] = np.nan  # of one touch to test
     assert position_readings(replace(dataset, touches=touches), thirds(), 0) == {}
 
 
 def test_the_run_says_where_a_position_tells_more_than_any_method():
     level = Lead(0.1, 0.0, 0.2)
-    choice = MethodChoice("GP", {"GP": 0.93, "mean": 0.0, PLAIN: 0.92, CALIBRATED: 0.95}, "mean", level, "GP", level)
-    [note] = position_note(choice, [PLAIN, CALIBRATED])
+    choice = MethodChoice("GP", {"GP": 0.93, "mean": 0.0, TUNED: 0.92, CALIBRATED: 0.95}, "mean", level, "GP", level)
+    [note] = position_note(choice, [TUNED, CALIBRATED])
     assert note.startswith(CALIBRATED)
     assert "(R2 0.950, GP 0.930)" in note
-    assert position_note(choice, [PLAIN]) == position_note(choice, []) == []
+    assert position_note(choice, [TUNED]) == position_note(choice, []) == []

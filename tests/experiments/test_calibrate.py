@@ -38,11 +38,11 @@ from i2t.skin_models.tip_gp.prior import PRIOR_KIND, KernelPrior, load_prior
 def recording(n: int, pads: int = 1, **columns) -> Dataset:
     """Presses of one tip on a generated skin, some columns of which may be other ones."""
     rng = np.random.default_rng(0)
-    place, depth = rng.uniform(-12e-3, 12e-3, (n, 2)), rng.uniform(0.5e-3, 4e-3, n)
+    place, travel = rng.uniform(-12e-3, 12e-3, (n, 2)), rng.uniform(0.5e-3, 4e-3, n)
     centres = rng.uniform(-15e-3, 15e-3, (20, 2))
     g = np.exp(-((place[:, None] - centres) ** 2).sum(-1) / 2 / 9e-3**2) @ rng.normal(scale=60, size=(20, 15))
-    reading = g * ((depth + 3e-3) / 5e-3)[:, None] ** 1.75 + rng.normal(size=(n, 15))
-    known = {"nearest": -depth, "depth": depth, "pad": np.arange(n) % pads} | columns
+    reading = g * ((travel + 3e-3) / 5e-3)[:, None] ** 1.75 + rng.normal(size=(n, 15))
+    known = {"nearest": -travel, "travel": travel, "pad": np.arange(n) % pads} | columns
     board = boards.eflesh_board()
     made = placed_dataset(place, np.zeros((n, 8, 8)), reading, board=board, source="simulated", **known)
     return replace(made, pads=tuple(f"skin {i}" for i in range(pads)))
@@ -50,9 +50,9 @@ def recording(n: int, pads: int = 1, **columns) -> Dataset:
 
 @pytest.mark.full
 def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
-    """On presses at few depths, of which `i2t.calibrate` makes no less than neighbours or the plain process."""
-    depth = 1e-3 * np.round(1e3 * recording(400).touches.depth)
-    data.save_dataset(tmp_path / "set.h5", recording(400, depth=depth, nearest=-depth))
+    """On presses at few travels, of which `i2t.calibrate` makes no less than neighbours or the plain process."""
+    travel = 1e-3 * np.round(1e3 * recording(400).touches.travel)
+    data.save_dataset(tmp_path / "set.h5", recording(400, travel=travel, nearest=-travel))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
     assert command.main(args) == 0
     metrics = json.loads((tmp_path / "out" / "metrics.json").read_text())
@@ -60,7 +60,7 @@ def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
     assert metrics["warnings"] == []
     assert (tmp_path / "out" / "curves.png").stat().st_size > 1e4
     kept = load_calibration(tmp_path / "out" / "calibration.npz")
-    assert kept.load_kind == "depth"
+    assert kept.load_kind == "travel"
     assert kept.predict(np.zeros(2), 2e-3)[0].shape == (15,)
     assert set(metrics["r2"]["random presses"]) == {*methods.BASELINES, methods.CALIBRATED}
     assert metrics["kept"]["board_shares"] == kept.board_shares
@@ -99,9 +99,9 @@ GRID = np.stack(np.meshgrid(*2 * [np.linspace(-8e-3, 8e-3, 5)]), -1).reshape(-1,
 
 
 def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
-    """Presses at these places to many depths, held out as `experiments.calibrate` does it."""
+    """Presses at these places by many travels, held out as `experiments.calibrate` does it."""
     n = len(place)
-    presses = LoadedPresses(place, np.linspace(1e-3, 3e-3, n), np.zeros((n, 15)), load_kind="depth")
+    presses = LoadedPresses(place, np.linspace(1e-3, 3e-3, n), np.zeros((n, 15)), load_kind="travel")
     return hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(n, bool) if usable is None else usable, "set")
 
 
@@ -156,8 +156,8 @@ def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
 def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough():
     with pytest.raises(ValueError, match=r"7 usable presses, too few .* 8 are enough .* some 20"):
         held_out_of(SPREAD[:7])
-    alike = LoadedPresses(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), load_kind="depth")
-    with pytest.raises(ValueError, match="one place and one depth, which says nothing of any other press"):
+    alike = LoadedPresses(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), load_kind="travel")
+    with pytest.raises(ValueError, match="one place and one travel, which says nothing of any other press"):
         hold_out(alike, arguments.PRESETS["paper"], 0, np.ones(20, bool), "set")
 
 
@@ -167,7 +167,7 @@ def test_presses_left_out_in_turn_are_scored_as_one_test(monkeypatch):
     simple = lambda r, rows, test: (methods.mean(r, rows, test), np.ones((len(test), 15)))  # noqa: E731
     monkeypatch.setattr("experiments.calibrate.evaluate.calibrated", simple)
     readings = np.random.default_rng(0).normal(size=(24, 15))
-    presses = LoadedPresses(SPREAD, np.linspace(1e-3, 3e-3, 24), readings, load_kind="depth")
+    presses = LoadedPresses(SPREAD, np.linspace(1e-3, 3e-3, 24), readings, load_kind="travel")
     splits = hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(24, bool), "set").splits
     scores = learning_curves(presses, splits, counts=(23,), draws=1, seed=0)
     assert scores.r2[EACH_PRESS][methods.MEAN][23] == pytest.approx([1 - (24 / 23) ** 2])
@@ -190,7 +190,7 @@ def test_few_presses_are_calibrated_from_the_command_line(tmp_path, capsys, one_
     printed = capsys.readouterr().out
     assert "held out: 12 presses are fewer than 60" in printed
     assert ("leaving places out is impossible" in printed) == one_place
-    assert load_calibration(tmp_path / "out" / "calibration.npz").load_kind == "depth"
+    assert load_calibration(tmp_path / "out" / "calibration.npz").load_kind == "travel"
 
 
 @pytest.mark.parametrize(("n", "pads", "message"), [(400, 2, "several skins"), (7, 1, "8 are enough")])
@@ -219,15 +219,15 @@ def test_intervals_over_blocks_are_those_of_whole_blocks():
     np.testing.assert_allclose([gain["low"], gain["high"]], 1 - ends[::-1], rtol=1e-9)
 
 
-NO_DEPTH = {"depth": np.full(60, np.nan)}
+NO_TRAVEL = {"travel": np.full(60, np.nan)}
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"force": -np.linspace(4, 8, 60)} | NO_DEPTH, "negative in 100 % of the presses"),
-        ({"depth": np.zeros(60)}, "all presses have the same depth"),
-        ({"force": np.r_[-1.0, np.linspace(1, 3, 59)]} | NO_DEPTH, "1 presses with a negative force"),
+        ({"force": -np.linspace(4, 8, 60)} | NO_TRAVEL, "negative in 100 % of the presses"),
+        ({"travel": np.zeros(60)}, "all presses have the same travel"),
+        ({"force": np.r_[-1.0, np.linspace(1, 3, 59)]} | NO_TRAVEL, "1 presses with a negative force"),
     ],
 )
 def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, said):
@@ -240,8 +240,8 @@ def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, sai
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"T_w_t": np.full((60, 4, 4), np.nan)}, "no press has a known position and depth"),
-        ({"force": np.zeros(60)} | NO_DEPTH, "every force is zero"),
+        ({"T_w_t": np.full((60, 4, 4), np.nan)}, "no press has a known position and travel"),
+        ({"force": np.zeros(60)} | NO_TRAVEL, "every force is zero"),
     ],
 )
 def test_loads_that_say_nothing_are_refused_at_once(change, said):
@@ -251,7 +251,7 @@ def test_loads_that_say_nothing_are_refused_at_once(change, said):
 
 def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, capsys, monkeypatch):
     made = recording(60)
-    made = replace(made, objects=("sphere:4.0",), touches=made.touches._replace(force=1e3 * made.touches.depth))
+    made = replace(made, objects=("sphere:4.0",), touches=made.touches._replace(force=1e3 * made.touches.travel))
     data.save_dataset(tmp_path / "set.h5", made)
     fitted, given = sample_pad(jax.random.key(0)), {}
 
@@ -318,7 +318,7 @@ def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
         assert [part["inside_all"][1] for part in metrics["by_load"].values()] == [28, 28]
         assert all(part["inside_all"][0] > 14 for part in metrics["by_load"].values())
     else:
-        assert set(metrics["cases"]["lattice, depth"]["r2"]) == {*methods.BASELINES, methods.CALIBRATED}
+        assert set(metrics["cases"]["lattice, travel"]["r2"]) == {*methods.BASELINES, methods.CALIBRATED}
 
 
 def test_a_split_of_too_few_touches_says_what_each_part_needs_and_what_to_add():

@@ -20,7 +20,7 @@ from i2t.skin import boards
 FORCED = PressureModelConfig(pitch=1e-3)
 
 
-def recording(n=200, force=None, depth=None, seed=0):
+def recording(n=200, force=None, travel=None, seed=0):
     """A round tip at random places of a skin, whose readings go with the load and the place."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(-6e-3, 6e-3, (n, 2))
@@ -29,7 +29,7 @@ def recording(n=200, force=None, depth=None, seed=0):
     near = np.exp(-((place[:, None] - board.chips[:, :2]) ** 2).sum(-1) / 2 / 5e-3**2)
     reading = 40 * load[:, None] * np.repeat(near, 3, axis=1) * rng.choice([-1, 1], 15)
     reading = reading + rng.normal(size=(n, 15))
-    loads = {"force": load if force is None else force} | ({} if depth is None else {"depth": depth})
+    loads = {"force": load if force is None else force} | ({} if travel is None else {"travel": travel})
     return placed_dataset(place, round_tip(place, 24), reading, board=board, source="simulated", **loads)
 
 
@@ -37,18 +37,18 @@ UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e
 
 
 @pytest.mark.parametrize(
-    ("force", "depth", "control", "said"),
+    ("force", "travel", "control", "said"),
     [
         (None, None, "force", ""),
         (NIL, None, None, "forces do not push"),
-        (NIL, RISING, "depth", "forces do not push"),
-        (UNKNOWN, NIL, "depth", "100 % of the depths are zero"),
+        (NIL, RISING, "travel", "forces do not push"),
+        (UNKNOWN, NIL, "travel", "100 % of the travels are zero"),
         (UNKNOWN, UNKNOWN, None, "predicted as if all touches were pressed with 1 N"),
-        (np.where(np.arange(200) % 2, 1.0, np.nan), UNKNOWN, None, "force is missing at 100 and depth at 200 of 200"),
+        (np.where(np.arange(200) % 2, 1.0, np.nan), UNKNOWN, None, "force is missing at 100 and travel at 200 of 200"),
     ],
 )
-def test_what_a_load_is_taken_from_is_said_before_anything_is_computed(force, depth, control, said):
-    found = press_load(recording(force=force, depth=depth).touches)
+def test_what_a_load_is_taken_from_is_said_before_anything_is_computed(force, travel, control, said):
+    found = press_load(recording(force=force, travel=travel).touches)
     assert found.control == (control if "1 N" not in said else found.control)
     assert said in "".join(found.notes[:1])
     assert found.constant == ("1 N" in said)

@@ -22,7 +22,7 @@ from i2t.recordings.read import SkinRecording, from_dataset
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
 TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW)
 SKIN = presses_of_a_skin(90)
-PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis and creep", "Ceilings", "Calibration curves")
+PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis and creep", "Repeatability", "Calibration curves")
 
 
 def _targets(**changed):
@@ -33,19 +33,19 @@ def _stream(n=240, strokes=6, channels=15):
     """Strokes in and out at one place, with a force that is read every other row."""
     rng = np.random.default_rng(0)
     phase = np.linspace(0, np.pi, n // strokes)
-    depth = np.tile(3e-3 * np.sin(phase) ** 2, strokes)
+    travel = np.tile(3e-3 * np.sin(phase) ** 2, strokes)
     inward = np.tile(phase < np.pi / 2, strokes)
-    signal = (depth / 3e-3) ** 1.5 * np.where(inward, 1.0, 1.06)
+    signal = (travel / 3e-3) ** 1.5 * np.where(inward, 1.0, 1.06)
     readings = 200 * signal[:, None] * rng.normal(size=channels) + rng.normal(size=(n, channels))
-    force = np.where(np.arange(n) % 2, np.nan, 1e6 * depth**2)
-    force[depth < 1e-4] = 0
+    force = np.where(np.arange(n) % 2, np.nan, 1e6 * travel**2)
+    force[travel < 1e-4] = 0
     session = np.repeat(np.arange(strokes), n // strokes)
     return SkinRecording(
         name="stream",
         readings=readings,
         targets={
             "position": np.zeros((n, 2)),
-            "depth": depth[:, None],
+            "travel": travel[:, None],
             "force": force[:, None],
             "contact": np.where(force > 0.1, 1.0, np.where(force < 0.02, 0.0, np.nan))[:, None],
         },
@@ -57,7 +57,7 @@ def _stream(n=240, strokes=6, channels=15):
 
 HOSTILE = {
     "as it is": SKIN,
-    "forces that pull": replace(SKIN, targets=_targets(depth=None, force=-1e3 * SKIN.targets["depth"])),
+    "forces that pull": replace(SKIN, targets=_targets(travel=None, force=-1e3 * SKIN.targets["travel"])),
     "nothing but readings": replace(SKIN, targets={}),
     "one press": SKIN.rows(slice(1)),
     "a dead channel": replace(SKIN, readings=SKIN.readings * (np.arange(15) != 4)),
@@ -65,16 +65,16 @@ HOSTILE = {
     "enormous values, each row a session": replace(
         SKIN, readings=1e7 * SKIN.readings + 1e15 * np.eye(90, 15), session=np.arange(90)
     ),
-    "a line, depths known of a few, times that stand still": replace(
+    "a line, travels known of a few, times that stand still": replace(
         SKIN,
         targets=_targets(
-            depth=np.where(np.arange(90)[:, None] % 9 == 0, SKIN.targets["depth"], np.nan),
+            travel=np.where(np.arange(90)[:, None] % 9 == 0, SKIN.targets["travel"], np.nan),
             position=SKIN.targets["position"] * [1, 0],
         ),
         time=np.zeros(90),
     ),
     "a stream of one chip, without air": _stream(channels=3).rows(
-        np.flatnonzero(_stream().targets["depth"][:, 0] > 1e-3)
+        np.flatnonzero(_stream().targets["travel"][:, 0] > 1e-3)
     ),
     "objects with views": from_dataset(random_touches.make(60, pixels=8), "objects")[0],
 }
@@ -110,8 +110,8 @@ def test_no_part_fails_whatever_the_recording(name):
 
 def written_table(path, reverse=False):
     """The presses as a user's table."""
-    header = "x_mm,y_mm,depth_mm," + ",".join(f"b{i}{axis}_uT" for i in range(5) for axis in "xyz")
-    rows = np.column_stack([1e3 * SKIN.targets["position"], 1e3 * SKIN.targets["depth"], SKIN.readings])
+    header = "x_mm,y_mm,travel_mm," + ",".join(f"b{i}{axis}_uT" for i in range(5) for axis in "xyz")
+    rows = np.column_stack([1e3 * SKIN.targets["position"], 1e3 * SKIN.targets["travel"], SKIN.readings])
     np.savetxt(path, rows[::-1] if reverse else rows, delimiter=",", header=header, comments="")
     return str(path)
 
@@ -180,7 +180,7 @@ def test_mistakes_that_were_put_in_are_found():
 @pytest.mark.full
 def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
     """Labels of another row and positions in millimetres: as good as the sound recording, and said."""
-    for part in ("noise", "hysteresis", "ceilings"):
+    for part in ("noise", "hysteresis", "repeatability"):
         monkeypatch.setattr(dynamics, part, lambda *args: None)
     tiny = replace(TINY, counts=(40,))
     late = {name: np.roll(values, 2, axis=0) for name, values in SKIN.targets.items()}
@@ -243,7 +243,7 @@ def test_a_range_that_holds_too_few_rows_is_said():
 )
 def test_a_90_percent_range_is_called_too_wide_where_chance_does_not_explain_it(inside, rows, too_wide):
     score = heads.HeadScore(rows, rmse=0.2, median=0.1, r2=0.9, inside_90=inside / rows, unfamiliar=0.0)
-    sentences = heads.missed_ranges("depth", {"random rows": score})
+    sentences = heads.missed_ranges("travel", {"random rows": score})
     assert bool(sentences) == too_wide
     assert all(f"holds {100 * inside / rows:.0f} % of {rows} rows; it is too wide" in text for text in sentences)
 
@@ -276,16 +276,18 @@ def test_noise_and_hysteresis_are_measured_as_put_in():
     assert 0.015 < np.mean(loops) < 0.05
 
 
-def test_the_ceiling_is_that_of_the_noise_put_in():
+def test_the_limit_is_that_of_the_noise_put_in():
     rng = np.random.default_rng(0)
     once = presses_of_a_skin(120, noise_ut=0)
     twice = once.rows(np.tile(np.arange(120), 2))
     noisy = replace(twice, readings=twice.readings + 4.0 * rng.normal(size=twice.readings.shape))
-    section = Section("Ceilings")
-    dynamics.ceilings(noisy, replace(TINY, forward_rows=200), section)
+    section = Section("Repeatability")
+    dynamics.repeatability(noisy, replace(TINY, forward_rows=200), section)
     total = np.mean(np.sum((noisy.readings - noisy.readings.mean(0)) ** 2, axis=1))
-    assert section.numbers["r2_ceiling"] == pytest.approx(1 - 15 * 4.0**2 / total, abs=0.3 * 15 * 4.0**2 / total)
-    assert section.numbers["r2_plain_gp_leave_one_out"] < section.numbers["r2_ceiling"]
+    assert section.numbers["r2_repeatability_limit"] == pytest.approx(
+        1 - 15 * 4.0**2 / total, abs=0.3 * 15 * 4.0**2 / total
+    )
+    assert section.numbers["r2_leave_one_out_gp"] < section.numbers["r2_repeatability_limit"]
 
 
 def test_one_chip_that_remembers_is_named():
@@ -307,9 +309,9 @@ def test_what_is_held_out_is_never_fitted_to():
     rows = heads.held_out_rows(SKIN, 0.2, 0)
     assert set(rows) == {heads.RANDOM_SPLIT, heads.GROUP_SPLIT, heads.LATER_SPLIT}
     assert rows[heads.LATER_SPLIT].tolist() == [False] * 72 + [True] * 18
-    masked = heads._known_of(SKIN, "depth", np.arange(10))
-    assert masked.known("depth").sum() == 10
-    assert SKIN.known("depth").all()
+    masked = heads._known_of(SKIN, "travel", np.arange(10))
+    assert masked.known("travel").sum() == 10
+    assert SKIN.known("travel").all()
 
 
 def test_heads_are_fitted_by_one_command(tmp_path, capsys):

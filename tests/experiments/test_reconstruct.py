@@ -170,7 +170,7 @@ def _recorded(name):
     touches = made.touches._replace(
         T_w_o=np.tile(placed, (4, 1, 1)),
         T_w_t=np.tile(down, (4, 1, 1)),
-        depth=np.array([1e-3, 1e-3, 1e-3, np.nan]),
+        travel=np.array([1e-3, 1e-3, 1e-3, np.nan]),
         code=np.array([ReturnCode.SKIN, ReturnCode.WRENCH, ReturnCode.SKIN, ReturnCode.AIR]),
         object=np.zeros(4, int),
     )

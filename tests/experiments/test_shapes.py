@@ -79,10 +79,10 @@ def test_folds_hold_out_what_they_say():
     location = split_folds(where, "location", 0)
     for cell in np.unique(block, axis=0):
         assert len(np.unique(location[(block == cell).all(1)])) == 1
-    depth = split_folds(where, "depth", 0)
+    travel = split_folds(where, "travel", 0)
     for shape in range(5):
         own = where.shape == shape
-        assert where.depth[own & (depth == 0)].max() <= where.depth[own & (depth == 1)].min()
+        assert where.travel[own & (travel == 0)].max() <= where.travel[own & (travel == 1)].min()
     lost = where._replace(rotation=np.full(50, np.nan), position=np.full((50, 2), np.nan))
     assert split_folds(lost, "angle", 0) is None
     assert split_folds(lost, "location", 0) is None
@@ -150,7 +150,7 @@ def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_reading
     assert command.main(["--preset", "debug", "--dataset", str(path), "--out", str(out)]) == 0
     metrics = json.loads((out / "metrics.json").read_text())
     assert metrics["source"] == "real"
-    assert set(metrics["splits"]) == {"random", "depth"}
+    assert set(metrics["splits"]) == {"random", "travel"}
     assert set(metrics["splits"]["random"]) == {methods.PAPER}
     assert "simulated" not in capsys.readouterr().out
 

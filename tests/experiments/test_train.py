@@ -83,7 +83,7 @@ def test_the_kept_predictor_is_the_best_of_all_on_validation_touches_and_scored_
     assert all(0.5 < methods[name]["validation_coverage_90"] <= 1 for name in r2)
     touches = dataset.load_dataset(trained_run / "data.h5")
     rows = np.isin([touches.objects[i] for i in touches.touches.object], ["star", "hammer"])
-    given = {name: getattr(touches.touches, name)[rows] for name in ("force", "nearest", "depth", "wide")}
+    given = {name: getattr(touches.touches, name)[rows] for name in ("force", "nearest", "travel", "view")}
     seen = predictor.predict(touches.touches.patch[rows], **given)
     truth = touches.touches.reading[rows]
     assert methods[metrics["best"]]["r2"] == pytest.approx(score(truth, seen.mean).r2, abs=1e-4)
@@ -163,7 +163,7 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
     rng = np.random.default_rng(0)
     readings = rng.normal(size=(12, 6))
     blank, nothing = np.zeros((12, 4, 4)), np.zeros(12)
-    dataset = bare_dataset(blank, readings, force=nothing, nearest=nothing, depth=nothing)
+    dataset = bare_dataset(blank, readings, force=nothing, nearest=nothing, travel=nothing)
     part = np.repeat([0, 1, 2], 4)
     split = Split(part == 0, part == 1, part == 2, part, "object")
     pressure = ContactPressure(blank, nothing)
@@ -240,12 +240,12 @@ def small_recording(board: Board, **columns) -> dataset.Dataset:
     """160 presses of a round tip on a skin, by place, in sessions of ten."""
     rng = np.random.default_rng(0)
     n, board_chips = 160, np.asarray(board.chips)
-    place, depth = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.3e-3, 2e-3, n)
+    place, travel = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.3e-3, 2e-3, n)
     near = np.exp(-((place[:, None] - board_chips[:, :2]) ** 2).sum(-1) / 2 / 5e-3**2)
     noise = rng.normal(size=(n, 3 * len(board_chips)))
     made = placed_dataset(
-        place, round_tip(place, 48), 4e4 * depth[:, None] * np.repeat(near, 3, axis=1) + noise, board=board,
-        **({"nearest": -depth, "depth": depth, "session": np.arange(n) // 10} | columns),
+        place, round_tip(place, 48), 4e4 * travel[:, None] * np.repeat(near, 3, axis=1) + noise, board=board,
+        **({"nearest": -travel, "travel": travel, "session": np.arange(n) // 10} | columns),
     )  # fmt: skip
     return replace(made, sessions=tuple(f"run {i}" for i in range(16)))
 
@@ -279,7 +279,7 @@ def test_a_table_is_printed_where_a_score_is_missing(capsys):
     lead = {"r2": 0.0, "low": None, "high": None}
     print_table(
         {
-            "source": "real", "groups": 3, "best": "mean reading", "seconds": 1.0, "notes": ["depths are zero"],
+            "source": "real", "groups": 3, "best": "mean reading", "seconds": 1.0, "notes": ["travels are zero"],
             "methods": {"mean reading": one | {"r2": 0.0, "validation_coverage_90": 0.91}, "GP": one},
             "validation_r2": {"mean reading": 0.0, "GP": None}, "by_object": {},
             "choice": {"best_baseline": "mean reading", "over_best_baseline": lead},
@@ -289,7 +289,7 @@ def test_a_table_is_printed_where_a_score_is_missing(capsys):
     said = capsys.readouterr().out
     assert "kept: mean reading" in said
     assert "0.91 of validation values" in said
-    assert "note: depths are zero" in said
+    assert "note: travels are zero" in said
 
 
 def test_several_pads_are_summed_up_over_pads(tmp_path, capsys):

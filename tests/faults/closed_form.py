@@ -16,7 +16,7 @@ from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.poses import shifted_along_z
 from i2t.hardware.protocols import ApproachResult, ArmState, View
 from i2t.hardware.rig import Rig
-from i2t.patches.dimensions import PATCH_PIXELS, WIDE_PIXELS
+from i2t.patches.dimensions import PATCH_PIXELS, VIEW_PIXELS
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.types import Array
@@ -122,7 +122,7 @@ def plane_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenP
     middle = view.depth[max(0, row - 8) : row + 9, max(0, column - 8) : column + 9]
     point = T_w_c[:3, 3] + float(np.nanmean(middle)) * T_w_c[:3, 2]
     nearest = float((point - T_w_t[:3, 3]) @ T_w_t[:3, 2])
-    flat = np.zeros((WIDE_PIXELS, WIDE_PIXELS), np.float32)
+    flat = np.zeros((VIEW_PIXELS, VIEW_PIXELS), np.float32)
     return SeenPatch(flat[:PATCH_PIXELS, :PATCH_PIXELS], flat, nearest, float(np.isfinite(middle).mean()))
 
 

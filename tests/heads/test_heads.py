@@ -12,8 +12,9 @@ from sklearn.gaussian_process.kernels import RBF, DotProduct, WhiteKernel
 from sklearn.neighbors import KNeighborsRegressor
 
 from i2t.errors import DataError, SerializationError
+from i2t.files import serialization
 from i2t.heads import regression as methods
-from i2t.heads.heads import fit_head, hold_out_groups, load_head, target_rows
+from i2t.heads.heads import FILE_KIND_OF_HEAD, fit_head, hold_out_groups, load_head, target_rows
 from i2t.heads.regression import BASELINE_HEADS, HeadBudget
 from i2t.recordings.read import SkinRecording, is_stream, read_recordings
 
@@ -40,7 +41,7 @@ def test_a_head_predicts_new_positions_better_than_the_baselines(recording, posi
 
 
 def test_untouched_rows_are_not_used_for_positions(recording):
-    """Without depth and contact, a shear force of zero shows that the skin is not touched."""
+    """Without travel and contact, a shear force of zero shows that the skin is not touched."""
     touched = np.arange(len(recording)) % 3 > 0
     place = {"position": recording.targets["position"]}
     shear = np.where(touched[:, None], [[0.1, -0.2]], 0.0)
@@ -48,7 +49,7 @@ def test_untouched_rows_are_not_used_for_positions(recording):
     for targets, rows in (
         ({"contact": touched[:, None] * 1.0}, np.flatnonzero(touched)),
         ({"shear": shear}, np.flatnonzero(touched)[:-1]),
-        ({"shear": shear, "depth": recording.targets["depth"]}, np.arange(len(recording))),
+        ({"shear": shear, "travel": recording.targets["travel"]}, np.arange(len(recording))),
     ):
         np.testing.assert_array_equal(target_rows(replace(recording, targets=place | targets), "position"), rows)
 
@@ -67,17 +68,28 @@ def test_a_changed_skin_is_unfamiliar_and_a_failed_chip_gives_nan(recording, pos
 def test_the_mean_is_predicted_if_readings_hold_no_information(recording):
     rng = np.random.default_rng(1)
     deaf = replace(recording, readings=rng.normal(size=recording.readings.shape))
-    head = fit_head(deaf, "depth", budget=SMALL)
-    truth = recording.targets["depth"]
+    head = fit_head(deaf, "travel", budget=SMALL)
+    truth = recording.targets["travel"]
     assert head.validation[head.method] <= head.validation["mean"]
     predicted = head.predict(rng.normal(size=(100, 15)))
     np.testing.assert_allclose(predicted.mean.mean(), truth.mean(), rtol=0.15)
-    # Its spread is that of the depths themselves.
+    # Its spread is that of the travels themselves.
     np.testing.assert_allclose(np.median(predicted.std), truth.std(), rtol=0.35)
 
 
+@pytest.mark.parametrize("target", ["depth", "travel"])
+def test_a_file_may_call_travel_depth(recording, target, tmp_path):
+    """As earlier files do."""
+    head = fit_head(recording, "travel", budget=SMALL, methods=())
+    about = {"target": target, "validation": head.validation, "about": head.metadata}
+    serialization.save(tmp_path / "head.npz", FILE_KIND_OF_HEAD, head.record, about)
+    again = load_head(tmp_path / "head.npz")
+    assert again.target == "travel"
+    np.testing.assert_array_equal(again.predict(recording.readings).mean, head.predict(recording.readings).mean)
+
+
 def presses_at_sites(side: int = 12, touches: int = 4) -> tuple[SkinRecording, np.ndarray]:
-    """Touch each site of a grid several times to one depth; return the recording and the number of each press's site.
+    """Touch each site of a grid several times by one travel; return the recording and the number of each press's site.
 
     Readings have an offset that is the same for all presses of a site.
     """
@@ -123,18 +135,18 @@ def test_a_head_beats_nearest_readings_whether_or_not_sites_repeat(sites_repeat,
 def test_ranges_hold_on_strokes_that_err_alike():
     """Strokes have a gain of their own: rows of one stroke err alike, and there are few strokes."""
     inside = []
-    stroke, depth = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
+    stroke, travel = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
     train, time = stroke < 8, 0.1 * np.arange(300) + 5.0 * stroke
     for seed in range(6):
         rng = np.random.default_rng(seed)
         gain = np.exp(0.15 * rng.normal(size=12))[stroke]
-        readings = 40 * (gain * depth)[:, None] * np.linspace(-1, 1, 15) + rng.normal(size=(300, 15))
-        recording = SkinRecording("strokes", readings, {"force": depth[:, None]}, stroke, time)
+        readings = 40 * (gain * travel)[:, None] * np.linspace(-1, 1, 15) + rng.normal(size=(300, 15))
+        recording = SkinRecording("strokes", readings, {"force": travel[:, None]}, stroke, time)
         head = fit_head(
             recording.rows(train), "force", methods=("linear", "k nearest readings"), budget=SMALL, history=0
         )
         predicted = head.predict(readings[~train], stroke[~train])
-        inside.append(np.mean(np.abs(predicted.mean - depth[~train, None]) <= 1.645 * predicted.std))
+        inside.append(np.mean(np.abs(predicted.mean - travel[~train, None]) <= 1.645 * predicted.std))
     assert np.mean(inside) > 0.88
 
 
@@ -166,11 +178,11 @@ def test_blocks_are_held_out_of_presses_and_strokes_of_a_stream():
 @pytest.mark.parametrize(
     ("target", "change", "message"),
     [
-        ("depth", {"readings": np.ones((300, 15))}, "no channel changes"),
+        ("travel", {"readings": np.ones((300, 15))}, "no channel changes"),
         ("colour", {}, "not a target of a head"),
         ("force", {}, "has no known force"),
-        ("depth", {"depth": np.full((300, 1), 2e-3)}, "has only one depth"),
-        ("depth", {"depth": np.r_[np.arange(10.0), np.full(290, np.nan)][:, None]}, "20 are needed"),
+        ("travel", {"travel": np.full((300, 1), 2e-3)}, "has only one travel"),
+        ("travel", {"travel": np.r_[np.arange(10.0), np.full(290, np.nan)][:, None]}, "20 are needed"),
         ("contact", {"contact": np.ones((300, 1))}, "not a target of a head"),
     ],
 )
@@ -185,10 +197,10 @@ def _session(folder, rows=60):
     rng = np.random.default_rng(0)
     folder.mkdir()
     time = 1.7e9 + 0.05 * np.arange(rows) + 2.0 * (np.arange(rows) // 20)
-    depth = 3 * np.abs(np.sin(np.pi * (np.arange(rows) % 20) / 19))
-    grams = np.where(np.arange(rows) % 2, -1.0, 100 * depth)
-    states = np.column_stack([time, np.full(rows, 10.0), np.full(rows, -5.0), 140 - depth, grams])
-    readings = depth[:, None] * rng.normal(size=15) * 40 + rng.normal(size=(rows, 15))
+    travel = 3 * np.abs(np.sin(np.pi * (np.arange(rows) % 20) / 19))
+    grams = np.where(np.arange(rows) % 2, -1.0, 100 * travel)
+    states = np.column_stack([time, np.full(rows, 10.0), np.full(rows, -5.0), 140 - travel, grams])
+    readings = travel[:, None] * rng.normal(size=15) * 40 + rng.normal(size=(rows, 15))
     values = np.column_stack([time + 2e-3, readings])
     np.savetxt(folder / "states.csv", states, delimiter=",")
     np.savetxt(folder / "sensor_post_baselines.csv", values, delimiter=",")
@@ -199,7 +211,9 @@ def test_sessions_of_eflesh_are_read_as_recorded(tmp_path):
     states, values = _session(tmp_path / "one")
     (recording,) = read_recordings(tmp_path)
     np.testing.assert_allclose(recording.readings, values[:, 1:])
-    np.testing.assert_allclose(recording.targets["depth"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12)
+    np.testing.assert_allclose(
+        recording.targets["travel"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12
+    )
     assert recording.known("force").sum() == 30
     np.testing.assert_allclose(np.nanmax(recording.targets["force"]), 9.80665e-3 * states[::2, 4].max(), rtol=1e-12)
     assert len(np.unique(recording.session)) == 3

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from i2t.contact.pressure import ContactPressure, PressureModelConfig
-from i2t.dataset import Dataset, Split, missing_context
+from i2t.dataset import Dataset, Split, missing_views
 from i2t.prediction.methods import METHODS, TrainingTouches, find_method
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.types import Board, ReturnCode, Touches
@@ -24,7 +24,7 @@ def bare_dataset(
     n, chips = len(patches), readings.shape[1] // 3
     still, zero, unknown = np.tile(np.eye(4), (n, 1, 1)), np.zeros(n), np.full(n, np.nan)
     others: dict[str, Any] = {
-        "wide": patches, "force": unknown, "nearest": unknown, "depth": unknown, "T_w_t": still, "T_w_o": still,
+        "view": patches, "force": unknown, "nearest": unknown, "travel": unknown, "T_w_t": still, "T_w_o": still,
         "object": zero, "pad": zero, "session": zero, "code": zero,
     }  # fmt: skip
     touches = Touches(patch=patches, reading=readings, **(others | columns))
@@ -37,7 +37,7 @@ def placed_dataset(place: np.ndarray, patches: np.ndarray, readings: np.ndarray,
     T_w_o = np.tile(np.eye(4), (len(place), 1, 1))
     T_w_o[:, :2, 3] = place
     code = np.full(len(place), ReturnCode.UNDEFINED)
-    return bare_dataset(patches, readings, wide=missing_context(len(place)), T_w_o=T_w_o, code=code, **more)
+    return bare_dataset(patches, readings, view=missing_views(len(place)), T_w_o=T_w_o, code=code, **more)
 
 
 def round_tip(place: np.ndarray, pixels: int) -> np.ndarray:

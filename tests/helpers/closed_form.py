@@ -16,7 +16,7 @@ from i2t.geometry import transform
 from i2t.hardware.base import DeviceBase
 from i2t.hardware.protocols import CameraFeatures, View
 from i2t.hardware.rig import Rig
-from i2t.patches.dimensions import PATCH_PIXELS, WIDE_PIXELS
+from i2t.patches.dimensions import PATCH_PIXELS, VIEW_PIXELS
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin import boards
 from i2t.skin.noise import Noise
@@ -55,8 +55,8 @@ class Eye(DeviceBase):
 
 def extract_patch(view, camera, T_w_c, T_w_t, nearest=None, visible_share=1.0):
     at = T_w_t[2, 3] - HEIGHT if nearest is None else nearest
-    wide = np.zeros((WIDE_PIXELS, WIDE_PIXELS), np.float32)
-    return SeenPatch(np.zeros((PATCH_PIXELS, PATCH_PIXELS), np.float32), wide, at, visible_share)
+    view = np.zeros((VIEW_PIXELS, VIEW_PIXELS), np.float32)
+    return SeenPatch(np.zeros((PATCH_PIXELS, PATCH_PIXELS), np.float32), view, at, visible_share)
 
 
 def site(number, x=0.0, y=0.0, height=HEIGHT, turned=DOWN):

@@ -27,18 +27,18 @@ def press(seed: int, n: int, *, free: float = 0.15, noise: float = 2.0, half: fl
     rng = np.random.default_rng(seed)
     position = rng.uniform(-half, half, (n, 2))
     height = np.where(rng.random(n) < free, rng.uniform(0, 1e-3, n), rng.uniform(-3e-3, 0, n))
-    depth = np.maximum(-height, 0)
+    travel = np.maximum(-height, 0)
     rest = 7e-3 * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) + rng.normal(0, 0.5e-3, (4, 2))
     moment = rng.normal(size=(4, 3)) + np.array([0, 0, 2])
     offset = rest[None] - position[:, None]
-    sunk = 0.5 * (depth / 3e-3)[:, None] ** 0.75 * depth[:, None] * np.exp(-(offset**2).sum(-1) / (2 * 9e-3**2))
+    sunk = 0.5 * (travel / 3e-3)[:, None] ** 0.75 * travel[:, None] * np.exp(-(offset**2).sum(-1) / (2 * 9e-3**2))
     moved = np.concatenate([0.2 * sunk[..., None] * offset / 9e-3, -sunk[..., None]], -1)
     at = np.concatenate([rest, np.zeros((4, 1))], 1)
     chips = np.column_stack([CHIPS_M, np.full(5, -MAGNETS_UNDER)])
     field = _dipoles(chips[None, :, None] - (at + moved)[:, None], moment).sum(2)
     readings = (field - _dipoles(chips[:, None] - at[None], moment).sum(1)).reshape(n, 15)
-    readings *= 120 / np.sqrt(np.mean(readings[depth > 0] ** 2))
-    return Recorded(position, height, 2e3 * depth**1.1, readings + noise * rng.normal(size=readings.shape))
+    readings *= 120 / np.sqrt(np.mean(readings[travel > 0] ** 2))
+    return Recorded(position, height, 2e3 * travel**1.1, readings + noise * rng.normal(size=readings.shape))
 
 
 def _dipoles(offset: np.ndarray, moment: np.ndarray) -> np.ndarray:
@@ -64,9 +64,9 @@ def five_heights(recorded: Recorded) -> Recorded:
 
 def one_height(recorded: Recorded) -> Recorded:
     """Presses to one height, as deep as the median."""
-    depth = np.median(-recorded.height[recorded.height < 0])
-    kept = np.abs(recorded.height + depth) < 0.2e-3
-    return Recorded(*(part[kept] for part in recorded))._replace(height=np.full(kept.sum(), -depth))
+    travel = np.median(-recorded.height[recorded.height < 0])
+    kept = np.abs(recorded.height + travel) < 0.2e-3
+    return Recorded(*(part[kept] for part in recorded))._replace(height=np.full(kept.sum(), -travel))
 
 
 VARIANTS: dict[str, Callable[[Recorded], Recorded]] = {

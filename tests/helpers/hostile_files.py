@@ -120,7 +120,7 @@ def h5(change: Callable[[h5py.File], Any]) -> Content:
         with h5py.File(path, "r+") as file:
             change(file)
         body = path.read_bytes()[512:]
-        line = f"i2t-touches 2 sha256 {hashlib.sha256(body).hexdigest()}\n".encode()
+        line = f"i2t-touches 3 sha256 {hashlib.sha256(body).hexdigest()}\n".encode()
         path.write_bytes(line.ljust(512, b"\0") + body)
 
     return write
@@ -206,8 +206,8 @@ def about(whole: dict[str, Any], **changes: Any) -> str:
 
 
 PREDICTOR = {
-    "format": "i2t predictor", "version": 4, "model": {"class": "i2t.prediction.gp_method:GPModel", "settings": {}},
-    "window": 0.017, "reach": 0.004, "default_force": 1.0, "default_depth": None, "std_scale": 1.0, "metadata": {},
+    "format": "i2t predictor", "version": 5, "model": {"class": "i2t.prediction.gp_method:GPModel", "settings": {}},
+    "window": 0.017, "reach": 0.004, "default_force": 1.0, "default_travel": None, "std_scale": 1.0, "metadata": {},
     "shapes": {"params": ["float32", 3]},
 }  # fmt: skip
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from i2t.dataset import Dataset, Image, Record, Series, missing_context
+from i2t.dataset import Dataset, Image, Record, Series, missing_views
 from i2t.skin import boards
 from i2t.types import ReturnCode, Touches, Truth
 
 
-def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"), pixels=48, board="reskin"):
+def make(n, seed=0, truth=False, view=False, objects=("star", "square", "hammer"), pixels=48, board="reskin"):
     """Touches of random contents in every field; with the truth also times."""
     board = boards.make_board(board)
     rng, readings = np.random.default_rng(seed), board.num_readings
@@ -26,11 +26,11 @@ def make(n, seed=0, truth=False, wide=False, objects=("star", "square", "hammer"
 
     touches = Touches(
         patch=rng.uniform(0, 4e-3, (n, pixels, pixels)).clip(0, 3.9e-3),
-        wide=rng.uniform(0, 4e-3, (n, 72, 72)) if wide else missing_context(n),
+        view=rng.uniform(0, 4e-3, (n, 72, 72)) if view else missing_views(n),
         nearest=sometimes(rng.normal(0, 1e-3, n)),
         reading=rng.normal(0, 50, (n, readings)),
         force=sometimes(rng.uniform(0, 8, n)),
-        depth=sometimes(rng.uniform(0, 1e-3, n)),
+        travel=sometimes(rng.uniform(0, 1e-3, n)),
         T_w_t=poses(),
         T_w_o=poses(),
         object=rng.integers(0, len(objects), n),
@@ -50,7 +50,7 @@ def recorded_presses(n=40, objects=("star", "mug"), **changed):
     """Touches that are all of one skin, measured, and ended by the skin."""
     dataset = make(n, objects=objects, pixels=8)
     own = {
-        "pad": np.zeros(n), "code": np.full(n, ReturnCode.SKIN), "force": np.full(n, 1.0), "depth": np.full(n, 1e-4),
+        "pad": np.zeros(n), "code": np.full(n, ReturnCode.SKIN), "force": np.full(n, 1.0), "travel": np.full(n, 1e-4),
         "object": np.arange(n) % len(objects), "session": np.arange(n) % 4,
     }  # fmt: skip
     return replace(dataset, touches=dataset.touches._replace(**(own | changed)))

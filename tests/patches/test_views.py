@@ -16,7 +16,7 @@ from i2t.contact.pressure import predict_pressures
 from i2t.depth.camera import Camera
 from i2t.depth.patches import view_from_depth
 from i2t.geometry import contact_frame, inverse
-from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, REACH, WIDE_PIXELS
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, REACH, VIEW_PIXELS
 from i2t.patches.views import SAME_SURFACE_M, camera_view, centre, view_of_heights
 from i2t.rendering.render import prepare_surface, render_heights, render_patch, render_view, stack_surfaces
 from i2t.skin.contact import solve_force
@@ -76,30 +76,30 @@ def pose(drawn) -> np.ndarray:
 @given(drawn=POSES)
 def test_the_middle_of_a_view_is_the_patch_whatever_stands_beside_it(drawn):
     view, patch = jax.device_get(look_at_all(pose(drawn)))
-    np.testing.assert_array_equal(centre(view.wide, PATCH_PIXELS), view.patch.depth)
+    np.testing.assert_array_equal(centre(view.depth, PATCH_PIXELS), view.patch.depth)
     np.testing.assert_allclose(view.patch.nearest, patch.nearest, atol=ROUNDING)
     # A ray that grazes an edge may fall on either side of it.
     assert (np.abs(view.patch.depth - patch.depth) > ROUNDING).mean() < 2e-3
-    assert view.wide.max() <= REACH
+    assert view.depth.max() <= REACH
 
 
 FLAT = np.asarray(contact_frame(jnp.zeros(3), jnp.array([0.0, 0, 1])))
-ALONG = (np.arange(WIDE_PIXELS) + 0.5 - WIDE_PIXELS / 2) * 17e-3 / PATCH_PIXELS  # m, x of the pixels
+ALONG = (np.arange(VIEW_PIXELS) + 0.5 - VIEW_PIXELS / 2) * 17e-3 / PATCH_PIXELS  # m, x of the pixels
 
 
 def test_protruding_surroundings_have_negative_depths():
-    wide, up = np.asarray(look(THINGS["ledge"], FLAT).wide), np.abs(ALONG - 11.5e-3) < 2.5e-3
-    np.testing.assert_allclose(wide[:, up], -3e-3, atol=ROUNDING)
-    np.testing.assert_allclose(wide[:, ~up], 0, atol=ROUNDING)
-    np.testing.assert_allclose(np.asarray(look(THINGS["step"], FLAT).wide)[:, ALONG > 9.3e-3], -12e-3, atol=ROUNDING)
+    depth, up = np.asarray(look(THINGS["ledge"], FLAT).depth), np.abs(ALONG - 11.5e-3) < 2.5e-3
+    np.testing.assert_allclose(depth[:, up], -3e-3, atol=ROUNDING)
+    np.testing.assert_allclose(depth[:, ~up], 0, atol=ROUNDING)
+    np.testing.assert_allclose(np.asarray(look(THINGS["step"], FLAT).depth)[:, ALONG > 9.3e-3], -12e-3, atol=ROUNDING)
 
 
 def test_a_wall_protrudes_and_a_camera_s_noise_does_not():
-    z = jnp.zeros((WIDE_PIXELS, WIDE_PIXELS)).at[:, :3].set(-0.9 * SAME_SURFACE_M).at[:, -3:].set(-2e-3)
-    wide = np.asarray(camera_view(z).wide)
-    assert not wide[:, :-3].any()
-    np.testing.assert_allclose(wide[:, -3:], -2e-3, atol=ROUNDING)
-    exact = np.asarray(view_of_heights(z, jnp.zeros(())).wide)
+    z = jnp.zeros((VIEW_PIXELS, VIEW_PIXELS)).at[:, :3].set(-0.9 * SAME_SURFACE_M).at[:, -3:].set(-2e-3)
+    depth = np.asarray(camera_view(z).depth)
+    assert not depth[:, :-3].any()
+    np.testing.assert_allclose(depth[:, -3:], -2e-3, atol=ROUNDING)
+    exact = np.asarray(view_of_heights(z, jnp.zeros(())).depth)
     np.testing.assert_allclose(exact[:, :3], -0.9 * SAME_SURFACE_M, atol=ROUNDING)
 
 
@@ -107,7 +107,7 @@ def test_nearest_is_a_surface_and_not_a_pixel():
     look = jax.jit(camera_view)
     view = np.full((72, 72), 10e-3, np.float32)
     view[:, 30:33] = 2e-3  # a thin plate: three columns, about 1 mm
-    patch, wide = look(view.copy())
+    patch, depth = look(view.copy())
     assert abs(patch.nearest - 2e-3) < ROUNDING
     view[40, 50] = -5e-3  # one wrong pixel
     assert abs(look(view.copy()).patch.nearest - 2e-3) < ROUNDING
@@ -115,23 +115,23 @@ def test_nearest_is_a_surface_and_not_a_pixel():
     view[:, 70:] = -20e-3  # a high wall beside the patch neither hides nor moves it
     beside, walled = look(view.copy())
     np.testing.assert_array_equal(beside.depth, patch.depth)
-    np.testing.assert_array_equal(walled[:, :70], wide[:, :70])
+    np.testing.assert_array_equal(walled[:, :70], depth[:, :70])
     np.testing.assert_allclose(walled[:, 70:], -22e-3, atol=ROUNDING)  # it protrudes, so its depth is negative
     view[20, 5] = -40e-3  # one wrong pixel there is no surface either
-    np.testing.assert_allclose(look(view.copy()).wide[20, 5], -22e-3, atol=ROUNDING)
+    np.testing.assert_allclose(look(view.copy()).depth[20, 5], -22e-3, atol=ROUNDING)
     # Nothing at all, and a tip alone, which a larger surface beside the patch does not hide.
     view = np.full((72, 72), np.inf, np.float32)
-    patch, wide = look(view.copy())
+    patch, depth = look(view.copy())
     assert np.isposinf(patch.nearest)
-    assert (np.asarray(wide) == np.float32(REACH)).all()
+    assert (np.asarray(depth) == np.float32(REACH)).all()
     view[35:37, 35:37] = 1e-3
     for beside in (np.inf, 4e-3):
         view[:, :8] = beside
-        patch, wide = look(view.copy())
+        patch, depth = look(view.copy())
         assert abs(patch.nearest - 1e-3) < ROUNDING
         assert (np.asarray(patch.depth) == 0).sum() == 4
         assert (np.asarray(patch.depth) == np.float32(REACH)).sum() == 48 * 48 - 4
-    np.testing.assert_allclose(wide[:, :8], 3e-3, atol=ROUNDING)
+    np.testing.assert_allclose(depth[:, :8], 3e-3, atol=ROUNDING)
 
 
 def test_a_depth_image_and_the_mesh_show_one_view():
@@ -143,10 +143,10 @@ def test_a_depth_image_and_the_mesh_show_one_view():
     # A plane at 0.1 m and, where the ray meets it, a step 3 mm nearer at tool x > 9.2 mm.
     depth = np.where(x * 0.097 > 9.2e-3, 0.097, 0.1).astype(np.float32)
     seen = view_from_depth(depth, camera, T_w_c, FLAT)
-    wide = np.asarray(seen.view.wide)[10:-10]
-    np.testing.assert_allclose(wide[:, ALONG > 10e-3], -3e-3, atol=1e-5)
-    np.testing.assert_allclose(wide[:, ALONG < 8e-3], 0, atol=1e-5)
-    np.testing.assert_array_equal(centre(np.asarray(seen.view.wide), PATCH_PIXELS), seen.view.patch.depth)
+    depth = np.asarray(seen.view.depth)[10:-10]
+    np.testing.assert_allclose(depth[:, ALONG > 10e-3], -3e-3, atol=1e-5)
+    np.testing.assert_allclose(depth[:, ALONG < 8e-3], 0, atol=1e-5)
+    np.testing.assert_array_equal(centre(np.asarray(seen.view.depth), PATCH_PIXELS), seen.view.patch.depth)
     assert np.asarray(seen.known_mask).mean() > 0.95
 
 
@@ -198,12 +198,12 @@ def test_the_pressure_is_that_of_a_press_at_the_same_pose(nominal, crowded):
 
 def test_views_are_checked_one_by_one_and_protruding_surroundings_are_reported(nominal, crowded):
     patches = np.zeros((5, PATCH_PIXELS, PATCH_PIXELS), np.float32)
-    views = np.zeros((5, WIDE_PIXELS, WIDE_PIXELS), np.float32)
+    views = np.zeros((5, VIEW_PIXELS, VIEW_PIXELS), np.float32)
     views[3, 20:] = 3e-3
-    with pytest.raises(ValueError, match=r"another view than the patch \(touch 3\)"):
-        nominal.predict(patches, force=1.0, wide=views)
-    with pytest.raises(ValueError, match="another view than the patch, or"):
-        nominal.predict(patches[3], force=1.0, wide=views[3])
+    with pytest.raises(ValueError, match=r"differs from the patch in its middle \(touch 3\)"):
+        nominal.predict(patches, force=1.0, view=views)
+    with pytest.raises(ValueError, match="differs from the patch in its middle, or"):
+        nominal.predict(patches[3], force=1.0, view=views[3])
     with pytest.warns(UserWarning, match="stands out by 12 mm next to the patch"):
         nominal.render_touches(THINGS["step"], crowded[0])
     nominal.render_touches(THINGS["table"], crowded[0])  # without a warning, which would be an error

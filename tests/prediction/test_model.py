@@ -144,7 +144,7 @@ def test_mixture_has_the_moments_worked_out_by_hand() -> None:
     ("field", "value", "words"),
     [
         ("input", "rgb", "choose one of depth, mask, pressure"),
-        ("conditions", ("force", "colour"), "name each of force, nearest, depth"),
+        ("conditions", ("force", "colour"), "name each of force, nearest, travel"),
         ("conditions", ("force", "force"), "at most once"),
         ("bottleneck", 0, "paper.bottleneck is 0"),
     ],

@@ -74,7 +74,7 @@ def network():
 
 @pytest.fixture(scope="module")
 def on_pressure():
-    fields = network_fields(15, conditions=("force", "depth"), input="pressure", pixels=20)
+    fields = network_fields(15, conditions=("force", "travel"), input="pressure", pixels=20)
     return Predictor(PressureNetwork(*fields, PRESSURE), PATCH_WINDOW, REACH, 1.0, 0.3e-3, 0.5)
 
 
@@ -159,7 +159,7 @@ def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_pa
     predictor.save(tmp_path / "p", original)
     loaded = predictor.load_predictor(tmp_path / "p")
     assert type(loaded.model) is type(original.model)
-    fields = ("pressure", "window", "reach", "default_force", "default_depth", "std_scale", "metadata")
+    fields = ("pressure", "window", "reach", "default_force", "default_travel", "std_scale", "metadata")
     assert all(getattr(loaded, field) == getattr(original, field) for field in fields)
     assert_same_predictions(loaded, original, patches, force=1.0, nearest=-1e-4)
 
@@ -167,7 +167,7 @@ def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_pa
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"version": 3}, "of version 3, but this i2t reads version 4; use the i2t that wrote it, or train again"),
+        ({"version": 3}, "of version 3, but this i2t reads version 5; use the i2t that wrote it, or train again"),
         ({"window": None}, "lacks window"),
         (None, "holds no predictor"),
     ],
@@ -192,6 +192,23 @@ def edit_metadata(folder, edit):
     about = json.loads(path.read_text())
     edit(about["custom_metadata"])
     path.write_text(json.dumps(about))
+
+
+def test_a_predictor_that_calls_travel_depth_is_read(on_pressure, patches, tmp_path):
+    """As version 4 does in its conditions, its default and the control of its pressure."""
+    original = replace(on_pressure, model=replace(on_pressure.model, pressure=replace(PRESSURE, control="travel")))
+    predictor.save(tmp_path / "p", original)
+
+    def as_version_4(about):
+        about["version"], about["default_depth"] = 4, about.pop("default_travel")
+        text = json.dumps(about["model"]["settings"])
+        assert text.count('"travel"') == 2
+        about["model"]["settings"] = json.loads(text.replace('"travel"', '"depth"'))
+
+    edit_metadata(tmp_path / "p", as_version_4)
+    loaded = predictor.load_predictor(tmp_path / "p")
+    assert loaded.default_travel == original.default_travel
+    assert_same_predictions(loaded, original, patches, force=1.0, travel=0.2e-3)
 
 
 @pytest.mark.parametrize(
@@ -242,7 +259,7 @@ def test_a_mesh_and_a_pose_are_a_patch(process, tmp_path):
     T_w_t = geometry.contact_frame(jnp.array([1e-3, 0, top]), jnp.array([0.0, 0, 1]))
     surface = prepare_surface(ball.mesh)
     view = jax.device_get(render_view(surface, T_w_t))
-    by_hand = process[0].predict(view.patch.depth, force=0.7, wide=view.wide).mean
+    by_hand = process[0].predict(view.patch.depth, force=0.7, view=view.depth).mean
     for mesh in (ball, ball.mesh, surface):
         np.testing.assert_allclose(process[0].predict_touch(mesh, T_w_t, force=0.7).mean, by_hand, atol=1e-3)
 

@@ -40,8 +40,8 @@ def touches(T, **changes) -> Touches:
     """Touches of the skin, blank but for what is given."""
     n, blank, index = len(T), np.zeros((len(T), 0)), np.zeros(len(T), np.int32)
     usual = Touches(
-        patch=blank, wide=blank, nearest=np.zeros(n), reading=np.ones((n, CHANNELS)), force=np.full(n, 0.5),
-        depth=np.full(n, 1e-3), T_w_t=T, T_w_o=np.tile(np.eye(4), (n, 1, 1)), object=index, pad=index, session=index,
+        patch=blank, view=blank, nearest=np.zeros(n), reading=np.ones((n, CHANNELS)), force=np.full(n, 0.5),
+        travel=np.full(n, 1e-3), T_w_t=T, T_w_o=np.tile(np.eye(4), (n, 1, 1)), object=index, pad=index, session=index,
         code=index + int(ReturnCode.SKIN),
     )  # fmt: skip
     return usual._replace(**changes)
@@ -51,9 +51,9 @@ def recorded(heights: np.ndarray, codes: list[ReturnCode]) -> Dataset:
     """A session of presses straight down that ended at these heights (m), on a 4-chip board."""
     T = np.tile(DOWN, (len(heights), 1, 1))
     T[:, 2, 3] = heights
-    depth = np.where(np.array(codes) == ReturnCode.AIR, np.nan, 1e-3)
-    images = {"patch": np.zeros((len(heights), 48, 48)), "wide": np.zeros((len(heights), 72, 72))}
-    recording = touches(T, depth=depth, code=np.array(codes, np.int32), **images)
+    travel = np.where(np.array(codes) == ReturnCode.AIR, np.nan, 1e-3)
+    images = {"patch": np.zeros((len(heights), 48, 48)), "view": np.zeros((len(heights), 72, 72))}
+    recording = touches(T, travel=travel, code=np.array(codes, np.int32), **images)
     return Dataset(recording, ("square",), ("pad",), ("session",), BOARD, "simulated")
 
 

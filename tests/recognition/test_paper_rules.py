@@ -41,7 +41,7 @@ def beliefs() -> dict[str, np.ndarray]:
         jnp.float32(reading), jnp.full((1, 4), 0.5), jnp.zeros((1, 4)), jnp.ones((1, 4), bool)
     )
     episodes = Episodes(np.zeros(1, int), np.arange(4)[None], observations, np.float32(T))
-    table = Predictor(Table(len(surfaces)), 17e-3, 4e-3, default_force=1.0, default_depth=0.0)
+    table = Predictor(Table(len(surfaces)), 17e-3, 4e-3, default_force=1.0, default_travel=0.0)
     predictors = {"table": table, "constant": constant_predictor(np.full(CHANNELS, STD * 0.25))}
     return paper_rules(predictors, np.full(CHANNELS, STD), surfaces, episodes)
 
@@ -99,7 +99,7 @@ class Weight(TouchModel):
 def test_at_the_median_force_predictions_ignore_the_measured_force():
     patch = np.zeros((2, 4, 4), np.float32)
     pressed = TouchBatch(patch, patch, 1e-3, np.array([0.1, 5.0]), np.zeros(2), np.zeros(2))
-    told = Predictor(Weight(), 17e-3, 4e-3, default_force=1.5, default_depth=0.0, std_scale=2.0)
+    told = Predictor(Weight(), 17e-3, 4e-3, default_force=1.5, default_travel=0.0, std_scale=2.0)
     np.testing.assert_allclose(told.predict_batch(pressed).mean[:, 0], [0.1, 5.0])
     reading = at_median_force(told).with_pressure(smooth=False).predict_batch(pressed)
     np.testing.assert_allclose(reading.mean, 1.5)

@@ -67,7 +67,7 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
     ("changed", "message"),
     [
         ({"code": np.full(40, ReturnCode.AIR)}, "no press among the training touches was ended by the skin"),
-        ({"force": np.full(40, np.nan)}, "no press among the training touches has a measured force, depth and pose"),
+        ({"force": np.full(40, np.nan)}, "no press among the training touches has a measured force, travel and pose"),
         ({"pad": np.arange(40) % 2}, r"of several skins \(pad b, pad é\), and a pad model is of one"),
         ({"session": np.zeros(40)}, "40 usable training touches in 1 sessions are too few"),
         (

@@ -13,7 +13,7 @@ from i2t.recordings.read import SkinRecording, corrected_recording
 
 def as_recording(recorded):
     n = len(recorded.readings)
-    targets = {"position": recorded.position, "depth": -recorded.height[:, None], "force": recorded.force[:, None]}
+    targets = {"position": recorded.position, "travel": -recorded.height[:, None], "force": recorded.force[:, None]}
     return SkinRecording("made", recorded.readings, targets, session=np.zeros(n, int), time=np.arange(n, dtype=float))
 
 
@@ -23,8 +23,8 @@ EXPECTED = as_recording(SOUND)
 
 def put_right(variant):
     recording = as_recording(VARIANTS[variant](SOUND))
-    position, depth, force = (recording.targets[name] for name in ("position", "depth", "force"))
-    presses = Presses(position, recording.readings, height=-depth[:, 0], force=force[:, 0])
+    position, travel, force = (recording.targets[name] for name in ("position", "travel", "force"))
+    presses = Presses(position, recording.readings, height=-travel[:, 0], force=force[:, 0])
     return recording, corrected_recording(recording, diagnose_labels(presses))
 
 
@@ -36,9 +36,9 @@ def test_a_wrong_column_is_corrected(mistake):
     np.testing.assert_allclose(corrected.readings, EXPECTED.readings)
     for name in ("position", "force"):
         np.testing.assert_allclose(corrected.targets[name], EXPECTED.targets[name])
-    # Turned depths keep their differences; from where they count is another question.
-    assert np.ptp(corrected.targets["depth"] - EXPECTED.targets["depth"]) < 1e-12
-    assert corrected.targets["depth"].min() >= 0
+    # Turned travels keep their differences; from where they count is another question.
+    assert np.ptp(corrected.targets["travel"] - EXPECTED.targets["travel"]) < 1e-12
+    assert corrected.targets["travel"].min() >= 0
 
 
 @pytest.mark.parametrize("mistake", ["labels a row late", "labels two rows early"])

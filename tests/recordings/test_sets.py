@@ -12,10 +12,13 @@ from i2t.recordings.sets import corrected_dataset
 from i2t.types import ReturnCode
 
 
-def touches_of(n=60, depth=None, force=None, seed=0):
+def touches_of(n=60, travel=None, force=None, seed=0):
     """Presses of a lattice skin as a data set."""
     recorded = press(seed, n, free=0.0)
-    given = {"depth": -recorded.height if depth is None else depth, "force": recorded.force if force is None else force}
+    given = {
+        "travel": -recorded.height if travel is None else travel,
+        "force": recorded.force if force is None else force,
+    }
     return placed_dataset(recorded.position, round_tip(recorded.position, 24), recorded.readings, **given), recorded
 
 
@@ -52,9 +55,9 @@ def test_forces_of_both_signs_are_reported_and_kept():
 def test_negative_depths_change_sign_and_a_sound_set_is_unchanged():
     sound, recorded = touches_of()
     assert corrected_dataset(sound) == (sound, ())
-    turned, notes = corrected_dataset(touches_of(depth=recorded.height)[0])
-    np.testing.assert_allclose(turned.touches.depth, sound.touches.depth)
-    assert "Depths are negative in 100 %" in notes[0]
+    turned, notes = corrected_dataset(touches_of(travel=recorded.height)[0])
+    np.testing.assert_allclose(turned.touches.travel, sound.touches.travel)
+    assert "Travel is negative in 100 %" in notes[0]
 
 
 def test_depths_from_a_zero_that_is_too_low_count_from_the_highest_press():
@@ -62,11 +65,11 @@ def test_depths_from_a_zero_that_is_too_low_count_from_the_highest_press():
     lowered = 1.5e-3
     _, recorded = touches_of(150)
     height = recorded.height + lowered
-    dataset, _ = touches_of(150, depth=np.maximum(-height, 0), force=np.full(150, np.nan))
+    dataset, _ = touches_of(150, travel=np.maximum(-height, 0), force=np.full(150, np.nan))
     code = np.where(height > 0, int(ReturnCode.FREE), int(ReturnCode.UNDEFINED)).astype(dataset.touches.code.dtype)
     touches = dataset.touches._replace(nearest=height.astype(np.float32), code=code)
     corrected, notes = corrected_dataset(replace(dataset, touches=touches))
-    np.testing.assert_allclose(corrected.touches.depth, height.max() - height, atol=1e-7)
+    np.testing.assert_allclose(corrected.touches.travel, height.max() - height, atol=1e-7)
     np.testing.assert_allclose(corrected.touches.nearest, height - height.max(), atol=1e-7)
     assert not (corrected.touches.code == ReturnCode.FREE).any()
     assert "but still read" in notes[0]

@@ -17,8 +17,8 @@ from i2t.recordings.read import read_recordings
 from i2t.recordings.tables import read_text_table
 
 SKIN = presses_of_a_skin(40)
-NAMES = ["x_mm", "y_mm", "depth_mm", *READING_NAMES]
-VALUES = np.column_stack([1e3 * SKIN.targets["position"], 1e3 * SKIN.targets["depth"], SKIN.readings])
+NAMES = ["x_mm", "y_mm", "travel_mm", *READING_NAMES]
+VALUES = np.column_stack([1e3 * SKIN.targets["position"], 1e3 * SKIN.targets["travel"], SKIN.readings])
 OPTIONS = ("--indenter", "sphere:4", "--window-mm", "40", "--as-stated")
 BARE = [name.rpartition("_")[0] for name in NAMES]
 
@@ -187,11 +187,11 @@ def test_a_table_is_the_same_from_any_program(tmp_path, way):
     path = write_table(tmp_path / "mine.csv", *WAYS[way])
     (recording,) = read_recordings(path)
     np.testing.assert_allclose(recording.readings, SKIN.readings, rtol=1e-9)
-    for name in ("position", "depth"):
+    for name in ("position", "travel"):
         np.testing.assert_allclose(recording.targets[name], SKIN.targets[name], rtol=1e-9)
     touches = converted("presses", path, tmp_path / "out", *OPTIONS).touches
     np.testing.assert_allclose(touches.reading, SKIN.readings, rtol=1e-5)
-    np.testing.assert_allclose(touches.depth, SKIN.targets["depth"][:, 0], rtol=1e-5)
+    np.testing.assert_allclose(touches.travel, SKIN.targets["travel"][:, 0], rtol=1e-5)
 
 
 def test_conversions_and_omissions_are_noted(tmp_path):
@@ -214,24 +214,35 @@ def test_an_unknown_table_is_refused_with_its_first_line(tmp_path):
             read_recordings(write_table(tmp_path / "a.csv", names, np.ones((3, 3))))
 
 
-def test_heights_of_the_tip_replace_depths(tmp_path, capsys):
-    heights = VALUES * np.r_[1, 1, -1, np.ones(15)] + np.r_[0, 0, 142.6, np.zeros(15)]
-    path = write_table(tmp_path / "a.csv", renamed("depth", "z"), heights)
-    expected = SKIN.targets["depth"] - SKIN.targets["depth"].min()
+@pytest.mark.parametrize(("name", "factor"), [("depth_mm", 1), ("Depth [mm]", 1), ("depth_m", 1e-3)])
+def test_a_column_of_depths_is_the_travel(tmp_path, name, factor):
+    """Tables of users, and those of earlier versions, call it depth."""
+    values = VALUES * np.r_[1, 1, factor, np.ones(15)]
+    path = write_table(tmp_path / "a.csv", renamed("travel_mm", name), values)
     (recording,) = read_recordings(path)
-    np.testing.assert_allclose(recording.targets["depth"], expected, atol=1e-12)
-    assert any("depth counts from its highest value" in note for note in recording.notes)
+    np.testing.assert_allclose(recording.targets["travel"], SKIN.targets["travel"])
     touches = converted("presses", path, tmp_path / "out", *OPTIONS).touches
-    np.testing.assert_allclose(touches.depth, expected[:, 0], atol=1e-9)
-    assert "depth counts from its highest value" in capsys.readouterr().out
+    np.testing.assert_allclose(touches.travel, SKIN.targets["travel"][:, 0], rtol=1e-5)
 
 
-def test_presses_with_force_but_no_depth_are_converted(tmp_path, capsys):
-    path = write_table(tmp_path / "a.csv", renamed("depth_mm", "force_g"), VALUES)
+def test_heights_of_the_tip_replace_travels(tmp_path, capsys):
+    heights = VALUES * np.r_[1, 1, -1, np.ones(15)] + np.r_[0, 0, 142.6, np.zeros(15)]
+    path = write_table(tmp_path / "a.csv", renamed("travel", "z"), heights)
+    expected = SKIN.targets["travel"] - SKIN.targets["travel"].min()
+    (recording,) = read_recordings(path)
+    np.testing.assert_allclose(recording.targets["travel"], expected, atol=1e-12)
+    assert any("travel counts from its highest value" in note for note in recording.notes)
+    touches = converted("presses", path, tmp_path / "out", *OPTIONS).touches
+    np.testing.assert_allclose(touches.travel, expected[:, 0], atol=1e-9)
+    assert "travel counts from its highest value" in capsys.readouterr().out
+
+
+def test_presses_with_force_but_no_travel_are_converted(tmp_path, capsys):
+    path = write_table(tmp_path / "a.csv", renamed("travel_mm", "force_g"), VALUES)
     dataset = converted("presses", path, tmp_path / "out", *OPTIONS)
     touches = dataset.touches
-    np.testing.assert_allclose(touches.force, 9.80665 * SKIN.targets["depth"][:, 0], rtol=1e-6)
-    assert np.isnan(touches.depth).all()
+    np.testing.assert_allclose(touches.force, 9.80665 * SKIN.targets["travel"][:, 0], rtol=1e-6)
+    assert np.isnan(touches.travel).all()
     np.testing.assert_allclose(touches.T_w_o[:, :2, 3], SKIN.targets["position"], atol=1e-8)
     assert "known by their force" in capsys.readouterr().out
     presses = loaded_presses(dataset, "auto")

@@ -10,7 +10,7 @@ from rendering.test_render import embree_heights
 import i2t
 from i2t.dataset import Dataset
 from i2t.geometry import from_twist, to_twist
-from i2t.patches.dimensions import REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.dimensions import REACH, VIEW_PIXELS, VIEW_WINDOW
 from i2t.patches.views import camera_view
 from i2t.registration import (
     SessionEstimate,
@@ -79,7 +79,7 @@ def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
     dataset = Dataset.simulated(touches, ("hammer",), i2t.nominal_pad())
     corrected = with_hand_eye(dataset, offset, looked_from=looked_from).touches
     triangles = np.float32(MESHES[1].vertices)[np.asarray(MESHES[1].faces)]
-    z = embree_heights(triangles, np.float32(touches.T_w_t), WIDE_WINDOW, WIDE_PIXELS)
+    z = embree_heights(triangles, np.float32(touches.T_w_t), VIEW_WINDOW, VIEW_PIXELS)
     true = jax.vmap(camera_view)(jnp.float32(z))
 
     def missed(view, of_true):
@@ -88,8 +88,8 @@ def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
     assert missed(corrected.patch, true.patch.depth) < 0.25 * missed(touches.patch, true.patch.depth)
     assert missed(corrected.patch, true.patch.depth) < 1.2 * NOISE
     inner = np.s_[:, 8:-8, 8:-8]  # what is beyond a view's edge was not seen
-    assert missed(corrected.wide[inner], np.minimum(true.wide, REACH)[inner]) < 0.25 * missed(
-        touches.wide[inner], np.minimum(true.wide, REACH)[inner]
+    assert missed(corrected.view[inner], np.minimum(true.view, REACH)[inner]) < 0.25 * missed(
+        touches.view[inner], np.minimum(true.view, REACH)[inner]
     )
     assert np.abs(corrected.nearest - true.patch.nearest).max() < 3 * NOISE
     assert corrected.patch.min() >= 0
@@ -99,15 +99,15 @@ def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
 def test_cropped_views_stay_cropped_and_empty_views_stay_unchanged():
     offset = np.asarray(from_twist(jnp.float32(OFFSET)), float)
     touches = embree_touches(MESHES[0], SURFACES["hexagon"], np.eye(4), offset)
-    wide, nearest = np.array(touches.wide), np.array(touches.nearest)
-    cropped = np.full(wide.shape[1:], True)
+    view, nearest = np.array(touches.view), np.array(touches.nearest)
+    cropped = np.full(view.shape[1:], True)
     cropped[12:-12, 12:-12] = False
-    wide[:, cropped] = np.nan
+    view[:, cropped] = np.nan
     nearest[3] = np.inf
-    dataset = Dataset.simulated(touches._replace(wide=wide, nearest=nearest), ("hexagon",), i2t.nominal_pad())
+    dataset = Dataset.simulated(touches._replace(view=view, nearest=nearest), ("hexagon",), i2t.nominal_pad())
     corrected = with_hand_eye(dataset, offset).touches
     assert np.isfinite(corrected.patch).all()
-    assert (np.isnan(corrected.wide) == np.isnan(wide)).all()
+    assert (np.isnan(corrected.view) == np.isnan(view)).all()
     np.testing.assert_array_equal(corrected.patch[3], touches.patch[3])
     assert np.isposinf(corrected.nearest[3])
     assert (np.abs(corrected.patch - touches.patch).mean((1, 2)) > 0).sum() == len(nearest) - 1
@@ -121,6 +121,6 @@ def test_a_simulated_lab_may_have_one_camera_for_all_sessions():
     same = i2t.simulate_touches(
         jax.random.clone(key), [SURFACES["hexagon"]], pad, errors, 8, touches_per_session=4, T_t_camera=own
     )
-    np.testing.assert_allclose(same.wide[:4], drawn.wide[:4], atol=2e-4)  # the first session's is its own
-    assert np.abs(same.wide[4:] - drawn.wide[4:]).mean() > 0.05e-3
+    np.testing.assert_allclose(same.view[:4], drawn.view[:4], atol=2e-4)  # the first session's is its own
+    assert np.abs(same.view[4:] - drawn.view[4:]).mean() > 0.05e-3
     np.testing.assert_array_equal(same.reading, drawn.reading)  # the skin does not see it

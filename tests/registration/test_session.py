@@ -19,7 +19,7 @@ from i2t.collect.start import read_rig
 from i2t.contact.approach import first_contact
 from i2t.dataset import Dataset
 from i2t.geometry import from_twist, inverse, to_twist
-from i2t.patches.dimensions import PATCH_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.dimensions import PATCH_WINDOW, REACH, VIEW_PIXELS, VIEW_WINDOW
 from i2t.patches.views import camera_view
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.registration import SessionEstimate, SessionRegistrationConfig, register_session
@@ -49,11 +49,11 @@ def embree_touches(mesh, surface, T_w_o: np.ndarray, T_t_camera: np.ndarray, n: 
     T_w_t = T_w_o @ np.asarray(T_o_t, float) @ end
     triangles = np.float32(mesh.vertices)[np.asarray(mesh.faces)]
     cameras = np.linalg.inv(T_w_o) @ T_w_t @ T_t_camera
-    z = embree_heights(triangles, np.float32(cameras), WIDE_WINDOW, WIDE_PIXELS)
+    z = embree_heights(triangles, np.float32(cameras), VIEW_WINDOW, VIEW_PIXELS)
     view = jax.vmap(camera_view)(jnp.float32(z + NOISE * np.random.default_rng(0).normal(size=z.shape)))
     none = np.zeros(n, np.int32)
     still = np.tile(np.eye(4, dtype=np.float32), (n, 1, 1))
-    seen = (np.asarray(part) for part in (view.patch.depth, view.wide, view.patch.nearest))
+    seen = (np.asarray(part) for part in (view.patch.depth, view.depth, view.patch.nearest))
     force, depth, code = np.ones(n), np.full(n, PRESS), np.full(n, ReturnCode.SKIN)
     return Touches(*seen, np.zeros((n, 15)), force, depth, np.float32(T_w_t), still, none, none, none, code)
 
@@ -156,10 +156,10 @@ def test_views_of_registered_sessions_are_rendered_at_the_estimated_poses():
     dataset = Dataset.simulated(touches, ("hexagon",), pad)
     estimate = SessionEstimate(from_twist(jnp.float32(APART[0])), jnp.eye(4), jnp.eye(12), numbers[:n], numbers[:n])
     after = with_registered_views(dataset, SURFACES, {1: estimate}).touches
-    np.testing.assert_array_equal(after.wide[:n], 0)
+    np.testing.assert_array_equal(after.view[:n], 0)
     for row in range(n, 2 * n):
         expected = render_view(SURFACES["hexagon"], inverse(estimate.T_w_o) @ T_w_t[row])
-        np.testing.assert_allclose(after.wide[row], expected.wide, atol=1e-6)
+        np.testing.assert_allclose(after.view[row], expected.depth, atol=1e-6)
         np.testing.assert_allclose(after.patch[row], expected.patch.depth, atol=1e-6)
         assert after.nearest[row] == pytest.approx(float(expected.patch.nearest), abs=1e-6)
         np.testing.assert_array_equal(after.T_w_o[row], estimate.T_w_o)

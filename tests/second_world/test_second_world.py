@@ -24,10 +24,10 @@ def test_it_shares_no_code_with_i2t():
 
 def test_a_flat_sinks_as_its_springs_say_and_a_dipole_has_its_field():
     """On the axis of a dipole: mu0 m / (2 pi r^3)."""
-    depth, given = world.press(SKIN, FLAT, 3.0)
-    np.testing.assert_allclose(given, depth, rtol=1e-3)
-    share = depth / SKIN.thickness
-    assert SKIN.stiffness * depth / (1 - share) ** 2 * world.EDGE_M**2 == pytest.approx(3.0, rel=0.01)
+    indentation, given = world.press(SKIN, FLAT, 3.0)
+    np.testing.assert_allclose(given, indentation, rtol=1e-3)
+    share = indentation / SKIN.thickness
+    assert SKIN.stiffness * indentation / (1 - share) ** 2 * world.EDGE_M**2 == pytest.approx(3.0, rel=0.01)
     r, moment = 4e-3, np.array([[0.0, 0.0, 1e-4]])
     at, chip = np.array([[0.0, 0.0, -1e-3]]), np.array([[0.0, 0.0, -1e-3 - r]])
     field = world.field(SKIN._replace(magnets=at, moments=moment, chips=chip), FLAT)

@@ -108,19 +108,19 @@ def touch(rng: np.random.Generator, mesh: trimesh.Trimesh, skin: ReferenceSkin, 
 
 
 def press(skin: ReferenceSkin, heights: np.ndarray, force: float) -> tuple[float, np.ndarray]:
-    """Depth (m) to which a surface sinks until the springs push with a force, and how far they give (cells, cells) m.
+    """Indentation (m) at which the springs push with a force, and how far they give (cells, cells) m.
 
     Heights (m) are those of the surface over its nearest point, infinite where there is none.
     """
     heights = np.minimum(heights, 1.0)
     low, high, below = 0.0, 0.9 * skin.thickness, np.zeros_like(heights)
     for _ in range(BISECTIONS):
-        depth = (low + high) / 2
-        given = _relaxed(skin, depth - heights, below)
+        indentation = (low + high) / 2
+        given = _relaxed(skin, indentation - heights, below)
         if _spring(skin, given).sum() * (EDGE_M / CELLS) ** 2 < force:
-            low, below = depth, given
+            low, below = indentation, given
         else:
-            high = depth
+            high = indentation
     return low, below
 
 

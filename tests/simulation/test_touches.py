@@ -22,7 +22,7 @@ from i2t import geometry
 from i2t.contact import approach
 from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset, load_dataset, save_dataset
-from i2t.patches.dimensions import PAD_WINDOW, REACH, WIDE_PIXELS, WIDE_WINDOW
+from i2t.patches.dimensions import PAD_WINDOW, REACH, VIEW_PIXELS, VIEW_WINDOW
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation import sites
@@ -50,8 +50,8 @@ PLACED = replace(
 )
 RUNS, N = 3, 6  # touches of a run, touches of an object
 SEED = 5  # one of the four objects drawn lies too low to be met
-PITCH = WIDE_WINDOW / WIDE_PIXELS
-X, Y = np.meshgrid(*[(np.arange(WIDE_PIXELS) - (WIDE_PIXELS - 1) / 2) * PITCH] * 2)
+PITCH = VIEW_WINDOW / VIEW_PIXELS
+X, Y = np.meshgrid(*[(np.arange(VIEW_PIXELS) - (VIEW_PIXELS - 1) / 2) * PITCH] * 2)
 PATCH = slice(12, 60)  # the central 48 of 72 pixels
 ROUNDING = 2e-7  # m: two dozen roundings of coordinates below 0.1 m
 # Cells of 0.5 mm meet a corner up to half a diagonal aside. Where a flat skin rests on a corner of the ball, it is less
@@ -130,21 +130,21 @@ def test_runs_and_objects_are_counted_and_kept(touches, pad, tmp_path):
 
 @pytest.mark.full
 def test_the_camera_and_the_skin_meet_the_object_where_it_stands(touches, true_poses, solids):
-    render = jax.jit(lambda surface, T: render_heights(surface, geometry.inverse(T), WIDE_WINDOW, WIDE_PIXELS))
+    render = jax.jit(lambda surface, T: render_heights(surface, geometry.inverse(T), VIEW_WINDOW, VIEW_PIXELS))
     truth, on_pad = touches.truth, np.maximum(np.abs(X), np.abs(Y)) < PAD_WINDOW / 2
     for i, T in enumerate(true_poses):
         surface = solids[int(touches.object[i])]
         z = np.asarray(render(surface, jnp.float32(T)))
         # A ray on an edge may fall to either side where a pose is rounded in another order.
-        assert np.mean(np.abs(touches.wide[i] - behind(z, touches.nearest[i])) < ROUNDING) > 0.995
-        np.testing.assert_array_equal(touches.patch[i], touches.wide[i, PATCH, PATCH])
+        assert np.mean(np.abs(touches.view[i] - behind(z, touches.nearest[i])) < ROUNDING) > 0.995
+        np.testing.assert_array_equal(touches.patch[i], touches.view[i, PATCH, PATCH])
         # A mean of 5 x 5 pixels lies behind the nearest, by at most two of them along each slope (below 45 degrees).
         assert -ROUNDING < touches.nearest[i] - z[PATCH, PATCH].min() < 2 * 2 * PITCH
         if touches.code[i] != ReturnCode.AIR:
             # The skin stays behind the reported pose by what force bends arm and mount.
             z = np.asarray(render(surface, jnp.float32(along_z(T, -truth.force[i] / LIMITS.stiffness))))
             assert abs(truth.nearest[i] - z[on_pad].min()) < ROUNDING
-            assert np.mean(np.abs(truth.wide[i] - behind(z, truth.nearest[i])) < 2 * ROUNDING) > 0.995
+            assert np.mean(np.abs(truth.view[i] - behind(z, truth.nearest[i])) < 2 * ROUNDING) > 0.995
             # Pixels and the skin's cells meet the nearest point, each late by less than that.
             assert abs(truth.nearest[i] + truth.indentation[i]) < LATE
 
@@ -160,12 +160,12 @@ def test_a_press_ends_past_first_contact_by_indentation_and_compliance_and_what_
         if air[i]:  # it went to the end of its search, and what it looked for begins further on
             assert ahead > 0
             assert touches.nearest[i] > 0
-            assert np.isnan(touches.depth[i])
+            assert np.isnan(touches.travel[i])
             assert not touches.reading[i].any()
             assert not touches.truth.reading[i].any()
             assert touches.force[i] == touches.truth.indentation[i] == 0
         else:
-            assert abs(-ahead - touches.depth[i]) < ROUNDING
+            assert abs(-ahead - touches.travel[i]) < ROUNDING
             late = -ahead - touches.truth.indentation[i] - touches.truth.force[i] / LIMITS.stiffness
             assert -ROUNDING < late < LATE
 
@@ -228,7 +228,7 @@ def test_measured_force_and_travel_err_by_their_sizes_and_a_slant_is_felt_by_fri
     for touches in (smooth, rough):
         assert stats.kstest((touches.force - touches.truth.force) / 0.2, "norm").pvalue > 1e-6
         travelled = touches.truth.indentation + touches.truth.force / PressLimits.stiffness
-        assert stats.kstest((touches.depth - travelled) / 0.1e-3, "norm").pvalue > 1e-6
+        assert stats.kstest((touches.travel - travelled) / 0.1e-3, "norm").pvalue > 1e-6
     # A flat top feels alike everywhere, and a press ends as it would straight on.
     np.testing.assert_allclose(smooth.truth.reading, np.broadcast_to(smooth.truth.reading[:1], (n, 15)), atol=1e-3)
     np.testing.assert_allclose(rough.truth.force, smooth.truth.force, rtol=WITHIN)
@@ -239,7 +239,7 @@ def test_measured_force_and_travel_err_by_their_sizes_and_a_slant_is_felt_by_fri
 @pytest.mark.full
 def test_the_key_determines_all_draws_and_an_object_without_safe_sites_is_named(touches, solids, pad):
     few = many(jax.random.key(SEED), solids[:1], pad, n=[3])  # and fewer touches are the first ones
-    for name in ("patch", "reading", "force", "depth", "T_w_t", "code"):
+    for name in ("patch", "reading", "force", "travel", "T_w_t", "code"):
         np.testing.assert_array_equal(getattr(few, name), getattr(touches, name)[:3])
     other = many(jax.random.key(SEED + 1), solids[:1], pad, n=[3])
     assert (np.linalg.norm((other.T_w_t - touches.T_w_t[:3])[:, :3, 3], axis=1) > 1e-4).all()
@@ -276,9 +276,9 @@ camera = jax.jit(apply_camera_model, static_argnames="errors")
 
 
 def seen(z: np.ndarray, **errors: float) -> np.ndarray:
-    """Heights in the wide view."""
-    patch, wide = camera(jax.random.key(0), jnp.float32(z), errors=replace(SimulationErrors.none(), **errors))
-    return np.asarray(wide, np.float64) + float(patch.nearest)
+    """Heights in the view."""
+    patch, depth = camera(jax.random.key(0), jnp.float32(z), errors=replace(SimulationErrors.none(), **errors))
+    return np.asarray(depth, np.float64) + float(patch.nearest)
 
 
 def test_depth_noise_has_its_stated_size():

@@ -105,14 +105,14 @@ def test_a_flat_face_on_an_infinite_layer_is_a_spring():
 
 @pytest.fixture(scope="module")
 def sweeps():
-    """Press 15 rough surfaces to 8 depths, the first of which does not touch."""
+    """Press 15 rough surfaces to 8 indentations, the first of which does not touch."""
     heights = jnp.asarray(_rough(15), jnp.float32)
-    depths = jnp.asarray([0.0, 1e-6, 1e-5, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4])
+    indentations = jnp.asarray([0.0, 1e-6, 1e-5, 5e-5, 1e-4, 2e-4, 4e-4, 8e-4])
 
-    def press(height, depth):
-        return contact.solve(PAD, height, depth)
+    def press(height, indentation):
+        return contact.solve(PAD, height, indentation)
 
-    return heights, depths, jax.jit(jax.vmap(jax.vmap(press, (None, 0)), (0, None)))(heights, depths)
+    return heights, indentations, jax.jit(jax.vmap(jax.vmap(press, (None, 0)), (0, None)))(heights, indentations)
 
 
 def _kernel_for_fft() -> np.ndarray:
@@ -128,10 +128,10 @@ def _kernel_for_fft() -> np.ndarray:
 
 
 def test_contact_conditions_hold_and_force_grows_with_depth(sweeps):
-    heights, depths, solved = sweeps
+    heights, indentations, solved = sweeps
     assert np.all(solved.converged)
     assert np.all(solved.pressure >= 0)
-    deflection = np.max(solved.gap - heights[:, None] + depths[None, :, None, None], axis=(2, 3))
+    deflection = np.max(solved.gap - heights[:, None] + indentations[None, :, None, None], axis=(2, 3))
     # The tolerance bounds the residual; float32 adds a few roundings of heights of about a millimetre.
     violation = contact.CONTACT_SOLVER.tolerance * deflection[..., None, None] + 4 * np.finfo(np.float32).eps * 1e-3
     assert np.all(solved.gap > -violation)
@@ -139,36 +139,36 @@ def test_contact_conditions_hold_and_force_grows_with_depth(sweeps):
     assert np.all(np.where(touching, np.abs(solved.gap) < violation, True))
     # The gap follows from the pressure, here with NumPy's FFT.
     down = np.fft.irfft2(_kernel_for_fft() * np.fft.rfft2(solved.pressure, (64, 64)), (64, 64))[..., :40, :40]
-    gap = heights[:, None] + down - depths[None, :, None, None]
+    gap = heights[:, None] + down - indentations[None, :, None, None]
     assert np.all(np.where(np.isinf(heights[:, None]), True, np.abs(solved.gap - gap) < 2 * violation))
     force = np.asarray(solved.force)
     assert np.all(force[:, 0] == 0)
     assert np.all(np.diff(force, axis=1) > 0)
     # Contacts stiffen: the mean slope of the force never falls (its energy is convex), up to the tolerance.
-    slope = np.diff(force, axis=1) / np.diff(depths)
+    slope = np.diff(force, axis=1) / np.diff(indentations)
     assert np.all(np.diff(slope, axis=1) > -1e-3 * slope[:, 1:])
 
 
 def test_force_control_inverts_depth_control_and_a_start_changes_only_the_effort(sweeps):
-    heights, depths, solved = sweeps
+    heights, indentations, solved = sweeps
     for row in range(0, len(heights), 5):
         back = solve_force(PAD, heights[row], solved.force[row, -2])
         assert back.converged
         np.testing.assert_allclose(back.force, solved.force[row, -2], rtol=1e-5)
-        # Both stop within the tolerance of the deepest deflection, which is at most a few times the depth here.
-        np.testing.assert_allclose(back.indentation, depths[-2], rtol=10 * contact.CONTACT_SOLVER.tolerance)
+        # Both stop within the tolerance of the deepest deflection, which is at most a few times the indentation here.
+        np.testing.assert_allclose(back.indentation, indentations[-2], rtol=10 * contact.CONTACT_SOLVER.tolerance)
     near = solved.pressure[row, -3]
     for start in (near, jnp.zeros((40, 40))):
-        warm = solve(PAD, heights[row], depths[-2], GRID, start=start)
+        warm = solve(PAD, heights[row], indentations[-2], GRID, start=start)
         np.testing.assert_allclose(warm.force, solved.force[row, -2], rtol=10 * contact.CONTACT_SOLVER.tolerance)
     forced = solve_force(PAD, heights[row], solved.force[row, -2], GRID, start=near)
-    np.testing.assert_allclose(forced.indentation, depths[-2], rtol=10 * contact.CONTACT_SOLVER.tolerance)
+    np.testing.assert_allclose(forced.indentation, indentations[-2], rtol=10 * contact.CONTACT_SOLVER.tolerance)
 
 
 def test_problems_of_a_batch_are_independent_and_an_unfinished_solution_is_marked(sweeps):
-    heights, depths, solved = sweeps
+    heights, indentations, solved = sweeps
     for i in (0, 1):
-        alone = solve(PAD, heights[i], depths[-1])
+        alone = solve(PAD, heights[i], indentations[-1])
         assert alone.steps == solved.steps[i, -1]
         np.testing.assert_allclose(alone.pressure, solved.pressure[i, -1], atol=1e-5 * float(alone.pressure.max()))
     stopped = solve(PAD, jnp.asarray(T, jnp.float32), 0.2e-3, GRID, max_steps=3)
@@ -245,13 +245,13 @@ def test_pressure_and_traction_are_reciprocal():
 def test_a_skin_clamped_at_its_edge_sinks_away_from_the_object(mount_compliance):
     """Its pressure is that of a bonded skin whose surface is lowered by the sinking under this pressure."""
     pad = PAD._replace(mount_compliance=jnp.asarray(mount_compliance))
-    height, depth = (jnp.asarray(value, jnp.float32) for value in SHAPES["tilted stamp"])
-    solved, bonded = solve(pad, height, depth), solve(PAD, height, depth)
+    height, indentation = (jnp.asarray(value, jnp.float32) for value in SHAPES["tilted stamp"])
+    solved, bonded = solve(pad, height, indentation), solve(PAD, height, indentation)
     assert solved.converged
     load = elasticity.clamped_load(solved.pressure)
     np.testing.assert_allclose(load, np.sum(np.asarray(solved.pressure) * SHAPE) * GRID.spacing**2, rtol=1e-5)
     sunk = mount_compliance * load * jnp.asarray(SHAPE, jnp.float32)
-    again = solve(PAD, height + sunk, depth)
+    again = solve(PAD, height + sunk, indentation)
     np.testing.assert_allclose(again.pressure, solved.pressure, atol=1e-3 * float(solved.pressure.max()))
     assert solved.force < bonded.force
     assert elasticity.load(PAD, bonded.pressure).centre_sinking == 0  # a bonded skin has no motion as a whole
@@ -264,7 +264,7 @@ def test_a_skin_clamped_at_its_edge_sinks_away_from_the_object(mount_compliance)
     for tilt, expected in zip((turned - turned_alone)[:2], (slope[0], -slope[1]), strict=True):
         np.testing.assert_allclose(tilt[inner], expected[inner], atol=0.02 * np.abs(expected).max())
     forced = solve_force(pad, height, solved.force)
-    np.testing.assert_allclose(forced.indentation, depth, rtol=20 * contact.CONTACT_SOLVER.tolerance)
+    np.testing.assert_allclose(forced.indentation, indentation, rtol=20 * contact.CONTACT_SOLVER.tolerance)
 
 
 def test_the_surface_follows_the_indenter():

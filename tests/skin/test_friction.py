@@ -33,11 +33,11 @@ def _total(state, grid=GRID):
 def test_reproduces_cattaneo_and_mindlin_where_they_hold():
     """A sphere on a layer 33 times as thick as the contact is wide is pressed without friction and then dragged."""
     grid = Grid(32, 512, 1e-3)
-    radius, depth = 2e-3, 0.03e-3
+    radius, indentation = 2e-3, 0.03e-3
     pad = PAD._replace(thickness=jnp.asarray(8e-3))
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
-    solved = contact.solve(pad, jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32), depth, grid)
-    a, load, mu = np.sqrt(radius * depth), float(solved.force), float(pad.friction)
+    solved = contact.solve(pad, jnp.asarray((x**2 + y**2) / (2 * radius), jnp.float32), indentation, grid)
+    a, load, mu = np.sqrt(radius * indentation), float(solved.force), float(pad.friction)
     modulus, nu = float(pad.young) / (2 * (1 + float(pad.poisson))), float(pad.poisson)
     slides = 3 * mu * load * (2 - nu) / (16 * modulus * a)  # on a half space, at which the whole contact slips
     pressed = without_traction(pad, solved.pressure, grid)
@@ -55,9 +55,9 @@ def test_reproduces_cattaneo_and_mindlin_where_they_hold():
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("height", "depth"), [(TIP, 0.4e-3), (STAMP, 0.2e-3)])
-def test_the_conditions_of_friction_hold(height, depth):
-    pressure = solve(PAD, height, depth).pressure
+@pytest.mark.parametrize(("height", "indentation"), [(TIP, 0.4e-3), (STAMP, 0.2e-3)])
+def test_the_conditions_of_friction_hold(height, indentation):
+    pressure = solve(PAD, height, indentation).pressure
     limit = float(PAD.friction) * np.asarray(pressure, float)
     for slide in ([0.0, 0.0], [1e-4, -3e-4], [5e-3, 0.0]):
         state = first(PAD, pressure, jnp.asarray(slide))

@@ -72,7 +72,7 @@ def test_derivatives_of_the_contact_agree_with_differences(double, solve, contro
 @pytest.mark.full
 def test_derivatives_of_the_reading_agree_with_differences(double):
     at, way = _inputs(np.random.default_rng(4), 0.4e-3)
-    run = jax.jit(lambda pad, height, depth: response(pad, _outcome(pad, height, depth)[0], SMALL))
+    run = jax.jit(lambda pad, height, indentation: response(pad, _outcome(pad, height, indentation)[0], SMALL))
     difference = (run(*_moved(at, way, STEP)) - run(*_moved(at, way, -STEP))) / (2 * STEP)
     # `press` stops at 1e-5 of the deflection, which is also about the error of its derivative.
     weights = jnp.asarray(np.random.default_rng(5).normal(size=15))
@@ -86,12 +86,12 @@ def test_derivatives_of_the_reading_agree_with_differences(double):
 def test_derivatives_in_single_precision_and_in_batches():
     """Gradients of a batch are those of its members, finite even if nothing is met or touched."""
 
-    def force(height, depth):
-        return contact.solve(PAD, height, depth, SMALL).force
+    def force(height, indentation):
+        return contact.solve(PAD, height, indentation, SMALL).force
 
     heights = jnp.asarray(np.stack([TIP - TIP.min(), np.where(X > 0, TIP, np.inf), TIP]), jnp.float32)
-    depths = jnp.asarray([0.4e-3, 0.5e-3, -0.1e-3])
-    along, stiffness = jax.jit(jax.vmap(jax.value_and_grad(force, argnums=(0, 1))))(heights, depths)[1]
+    indentations = jnp.asarray([0.4e-3, 0.5e-3, -0.1e-3])
+    along, stiffness = jax.jit(jax.vmap(jax.value_and_grad(force, argnums=(0, 1))))(heights, indentations)[1]
     assert np.all(np.isfinite(along))
     assert np.all(along <= 1e-3 * np.abs(along).max())  # raising a surface never increases the force
     assert np.all(along[1][X < 0] == 0)
@@ -105,11 +105,11 @@ def test_derivatives_in_single_precision_and_in_batches():
 
 def test_second_derivatives_exist(double):
     """The force on a bonded layer is proportional to E, and so is its slope."""
-    (pad, height, depth), _ = _inputs(np.random.default_rng(0), 0.4e-3)
+    (pad, height, indentation), _ = _inputs(np.random.default_rng(0), 0.4e-3)
 
     def slope(young):
         bonded = pad._replace(young=young, mount_compliance=jnp.zeros(()))
-        return jax.grad(lambda depth: _outcome(bonded, height, depth)[1])(depth)
+        return jax.grad(lambda indentation: _outcome(bonded, height, indentation)[1])(indentation)
 
     value, change = jax.jit(jax.value_and_grad(slope))(pad.young)
     np.testing.assert_allclose(change, value / pad.young, rtol=1e-8)

@@ -60,24 +60,24 @@ def test_a_convolution_of_vectors_agrees_with_the_parts_along_and_across_each_wa
 def test_a_batch_of_presses_of_one_pad_or_of_several_agrees_with_single_presses():
     y, x = np.meshgrid(CELL_GRID.centres, CELL_GRID.centres, indexing="ij")
     heights = jnp.asarray([(x**2 + (y - i * 1e-3) ** 2) / 12e-3 for i in range(3)], jnp.float32)
-    depths, slide = jnp.asarray([1e-4, 3e-4, 4e-4]), jnp.asarray([1e-5, 0.0])
+    indentations, slide = jnp.asarray([1e-4, 3e-4, 4e-4]), jnp.asarray([1e-5, 0.0])
 
-    def press(pad, height, depth):
-        contact = solve(pad, height, depth, CELL_GRID)
+    def press(pad, height, indentation):
+        contact = solve(pad, height, indentation, CELL_GRID)
         forced = solve_force(pad, height, jnp.maximum(contact.force, 0.1), CELL_GRID)
         return contact.force, forced.indentation, shear(pad, contact.pressure, slide, CELL_GRID).traction
 
     pads = jax.vmap(sample_pad)(jax.random.split(jax.random.key(0), 3))
     pad = jax.tree.map(lambda leaf: leaf[0], pads)
     alone = jax.jit(press)
-    nested = jax.jit(jax.vmap(jax.vmap(press, (None, 0, None)), (None, None, 0)))(pad, heights, depths)
-    several = jax.jit(jax.vmap(press))(pads, heights, depths)
+    nested = jax.jit(jax.vmap(jax.vmap(press, (None, 0, None)), (None, None, 0)))(pad, heights, indentations)
+    several = jax.jit(jax.vmap(press))(pads, heights, indentations)
     for i in range(3):
         for batch, wanted in (
-            (jax.tree.map(lambda leaf, i=i: leaf[2, i], nested), alone(pad, heights[i], depths[2])),
+            (jax.tree.map(lambda leaf, i=i: leaf[2, i], nested), alone(pad, heights[i], indentations[2])),
             (
                 jax.tree.map(lambda leaf, i=i: leaf[i], several),
-                alone(jax.tree.map(lambda leaf, i=i: leaf[i], pads), heights[i], depths[i]),
+                alone(jax.tree.map(lambda leaf, i=i: leaf[i], pads), heights[i], indentations[i]),
             ),
         ):
             for mine, theirs in zip(batch, wanted, strict=True):

@@ -37,7 +37,7 @@ class Presses(NamedTuple):
     """Presses of a sphere."""
 
     position: jax.Array  # m
-    load: jax.Array  # m, depth
+    load: jax.Array  # m, travel
 
 
 class Pressed(NamedTuple):
@@ -65,8 +65,8 @@ def rows_of(tree: Any, rows: slice) -> Any:
 @pytest.fixture(scope="module")
 def pressed() -> Pressed:
     rng, pad, count = np.random.default_rng(0), i2t.sample_pad(jax.random.key(3)), PRESSES + NEW
-    position, depth = rng.uniform(-6e-3, 6e-3, (count, 2)), rng.uniform(0.3e-3, 0.9e-3, count)
-    presses = Presses(jnp.float32(position), jnp.float32(depth))
+    position, travel = rng.uniform(-6e-3, 6e-3, (count, 2)), rng.uniform(0.3e-3, 0.9e-3, count)
+    presses = Presses(jnp.float32(position), jnp.float32(travel))
 
     @jax.jit
     def read(presses: Presses) -> jax.Array:
@@ -80,7 +80,7 @@ def pressed() -> Pressed:
 
 def tip_case(pressed: Pressed) -> tuple[Any, Any]:
     at, load = (np.asarray(part, np.float64)[FITTED_ROWS] for part in pressed.presses)
-    return TipModel("depth"), TipPresses(at, load, pressed.readings[FITTED_ROWS], BOARD)
+    return TipModel("travel"), TipPresses(at, load, pressed.readings[FITTED_ROWS], BOARD)
 
 
 def pressure_case(pressed: Pressed) -> tuple[Any, Any]:

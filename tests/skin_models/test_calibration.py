@@ -13,15 +13,15 @@ from i2t.skin_models.calibration import FILE_KIND, CalibrationRecord
 from i2t.skin_models.tip_gp import population
 
 rng = np.random.default_rng(0)
-POSITIONS, DEPTH = rng.uniform(-10e-3, 10e-3, (30, 2)), rng.uniform(0, 4e-3, 30)
-FORCE = 1e3 * DEPTH
+POSITIONS, TRAVEL = rng.uniform(-10e-3, 10e-3, (30, 2)), rng.uniform(0, 4e-3, 30)
+FORCE = 1e3 * TRAVEL
 READINGS = rng.normal(scale=30, size=(30, 15))
 BOARD = boards.reskin_board()
 
 
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
-    return calibrate(POSITIONS, DEPTH, READINGS, load_kind="depth", metadata={"skin": "made up"})
+    return calibrate(POSITIONS, TRAVEL, READINGS, load_kind="travel", metadata={"skin": "made up"})
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def unknown() -> Calibration:
     return calibrate(POSITIONS, None, READINGS, load_kind="none")
 
 
-BOTH_KINDS = pytest.mark.parametrize(("which", "load"), [("calibration", DEPTH), ("structured", FORCE)])
+BOTH_KINDS = pytest.mark.parametrize(("which", "load"), [("calibration", TRAVEL), ("structured", FORCE)])
 
 
 def assert_same_predictions(first: Calibration, second: Calibration, *given, **more) -> None:
@@ -60,22 +60,33 @@ def test_a_saved_calibration_loads_unchanged(which, load, request, tmp_path):
         load_pad(tmp_path / "skin.npz")
 
 
-def depths(position=POSITIONS, load=DEPTH, readings=READINGS, **given):
-    return calibrate(position, load, readings, load_kind="depth", **given)
+@pytest.mark.parametrize("load", ["depth", "travel"])
+def test_a_file_may_call_travel_depth(calibration, load, tmp_path):
+    """As earlier files do."""
+    about = {"load": load, "boards": list(calibration.boards), "about": {}}
+    record = CalibrationRecord(calibration.gp, calibration.interval_scaling)
+    serialization.save(tmp_path / "skin.npz", FILE_KIND, record, about)
+    again = load_calibration(tmp_path / "skin.npz")
+    assert again.load_kind == "travel"
+    assert_same_predictions(calibration, again, POSITIONS, TRAVEL)
+
+
+def by_travel(position=POSITIONS, load=TRAVEL, readings=READINGS, **given):
+    return calibrate(position, load, readings, load_kind="travel", **given)
 
 
 @pytest.mark.parametrize(
     ("call", "word"),
     [
-        (lambda model, _: model.predict(POSITIONS, DEPTH[:3]), "do not go with"),
-        (lambda model, _: model.predict(1e3 * POSITIONS, DEPTH), "give metres"),
-        (lambda model, _: model.predict(POSITIONS, -DEPTH - 1), "between 0 and"),
-        (lambda *_: depths(readings=np.where(READINGS > 0, np.nan, READINGS)), "not finite"),
-        (lambda *_: depths(POSITIONS[:4]), "do not belong together"),
-        (lambda _, unknown: depths(previous_session=unknown), "other channels or another kind of load"),
-        (lambda *_: depths(board=boards.grid_board(4, 4)), "16 chips"),
+        (lambda model, _: model.predict(POSITIONS, TRAVEL[:3]), "do not go with"),
+        (lambda model, _: model.predict(1e3 * POSITIONS, TRAVEL), "give metres"),
+        (lambda model, _: model.predict(POSITIONS, -TRAVEL - 1), "between 0 and"),
+        (lambda *_: by_travel(readings=np.where(READINGS > 0, np.nan, READINGS)), "not finite"),
+        (lambda *_: by_travel(POSITIONS[:4]), "do not belong together"),
+        (lambda _, unknown: by_travel(previous_session=unknown), "other channels or another kind of load"),
+        (lambda *_: by_travel(board=boards.grid_board(4, 4)), "16 chips"),
         (lambda *_: calibrate(None, None, READINGS, load_kind="none"), "say nothing about another press"),
-        (lambda _, unknown: unknown.predict(POSITIONS[:4], DEPTH[:4]), "loads do not match this calibration"),
+        (lambda _, unknown: unknown.predict(POSITIONS[:4], TRAVEL[:4]), "loads do not match this calibration"),
     ],
 )
 def test_wrong_input_is_refused(calibration, unknown, call, word):
@@ -86,7 +97,7 @@ def test_wrong_input_is_refused(calibration, unknown, call, word):
 def test_files_of_earlier_versions_are_refused_with_a_remedy(calibration, tmp_path):
     """Earlier files had terms for the temperature, or members without a board."""
     path = tmp_path / "old.npz"
-    terms = {"load": "depth", "boards": list(calibration.boards), "about": {"linear_terms": ["temperature"]}}
+    terms = {"load": "travel", "boards": list(calibration.boards), "about": {"linear_terms": ["temperature"]}}
     record = CalibrationRecord(calibration.gp, calibration.interval_scaling)
     no_board = record._replace(gp=record.gp._replace(components=record.gp.components._replace(board=None)))
     for form in (record, no_board):
@@ -97,7 +108,7 @@ def test_files_of_earlier_versions_are_refused_with_a_remedy(calibration, tmp_pa
 
 @pytest.mark.full
 def test_loads_and_boards_are_optional(unknown, tmp_path):
-    both = np.column_stack([DEPTH, FORCE])
+    both = np.column_stack([TRAVEL, FORCE])
     fitted = calibrate(
         POSITIONS, both, READINGS, load_kind="both", board=boards.eflesh_board(),
         previous_session=calibrate(POSITIONS, both, READINGS, load_kind="both"),
@@ -107,8 +118,8 @@ def test_loads_and_boards_are_optional(unknown, tmp_path):
     assert_same_predictions(fitted, again, POSITIONS[1:4], both[1:4])
     alone = again.predict(POSITIONS[2], both[2])
     np.testing.assert_allclose(alone[0], fitted.predict(POSITIONS[1:4], both[1:4])[0][1], rtol=1e-6)
-    nowhere = calibrate(None, DEPTH, READINGS, load_kind="depth")
-    assert nowhere.predict(None, DEPTH[:4])[0].shape == (4, 15)
+    nowhere = calibrate(None, TRAVEL, READINGS, load_kind="travel")
+    assert nowhere.predict(None, TRAVEL[:4])[0].shape == (4, 15)
     assert nowhere.predict(None, 1e-3)[0].shape == (15,)
     assert unknown.predict(POSITIONS[:4])[0].shape == (4, 15)
 
@@ -127,6 +138,6 @@ def test_few_presses_are_fitted_with_one_blas_thread_which_is_undone_afterwards(
     monkeypatch.setattr(population, "fit_population", fitting)
     with threadpool_limits(2, user_api="blas"):
         before = blas_threads()
-        depths(POSITIONS[:5], DEPTH[:5], READINGS[:5])
+        by_travel(POSITIONS[:5], TRAVEL[:5], READINGS[:5])
         assert blas_threads() == before
     assert set(seen) == {1}

@@ -55,16 +55,16 @@ def test_a_pad_is_recovered_and_its_errors_are_estimated():
     presses = jnp.float32(rng.uniform(-7e-3, 7e-3, (60, 2))), jnp.float32(rng.uniform(0.2e-3, 0.8e-3, 60))
 
     @jax.jit
-    def read(pad, at, depth):
-        return jax.vmap(lambda x, d: press(pad, TIP.height(x, COARSE), d, grid=COARSE).reading)(at, depth)
+    def read(pad, at, travel):
+        return jax.vmap(lambda x, d: press(pad, TIP.height(x, COARSE), d, grid=COARSE).reading)(at, travel)
 
     readings = np.asarray(read(pad, *presses) + jnp.float32(rng.normal(size=(60, 15))))
-    pressed, (at, depth), held = (part[:30] for part in presses), (part[30:] for part in presses), readings[30:]
+    pressed, (at, travel), held = (part[:30] for part in presses), (part[30:] for part in presses), readings[30:]
     model = MagnetizationModel(TIP, by_force=False, grid=COARSE, max_layer_presses=16)
     fitted = model.fit(None, TipReadings(*pressed, jnp.float32(readings[:30]), BOARD))
     # Pressed by the simulator, the fitted pad reads what the true one reads.
     layer = fitted.posterior.layer
-    again = read(fitted.pad, at + layer.tip_offset[None], depth - layer.contact_offset)
+    again = read(fitted.pad, at + layer.tip_offset[None], travel - layer.contact_offset)
     error = np.sqrt(np.mean((held - again) ** 2))
     assert error < np.sqrt(0.15) * np.sqrt(np.mean((held - held.mean(0)) ** 2))
     truth = np.asarray(pad.magnetization)

@@ -179,8 +179,8 @@ def _session(shear=False):
         "What it is": {"rows": 10, "known": {}},
         "Noise and drift": {"noise": noise, "drift": {"median_uT": 1.0, "largest_uT": 2.0, "simulator_uT": 4.0}},
         "Hysteresis and creep": {} if shear else {"hysteresis": {"loop_share": [0.1, 0.3], "left_share": [0.0]}},
-        "Ceilings": {"repeat_std_uT": [3.0, 4.0], "r2_ceiling": 0.9},
-        "Heads": {"sentences": [], "heads": dict.fromkeys(("position", "depth", "force", "shear"), splits)},
+        "Repeatability": {"repeat_std_uT": [3.0, 4.0], "r2_repeatability_limit": 0.9},
+        "Heads": {"sentences": [], "heads": dict.fromkeys(("position", "travel", "force", "shear"), splits)},
     }
 
 
@@ -191,7 +191,7 @@ def test_a_report_on_recordings_is_kept_for_two_tables():
     assert "sentences" not in json.dumps(kept)
     heads = TABLES["fidelity"]["heads"](kept).splitlines()
     assert [line.split("|")[1].strip() for line in heads[2:]] == [
-        "`spatial`, position (mm)", "`spatial`, depth (mm)",
+        "`spatial`, position (mm)", "`spatial`, travel (mm)",
         "`normal`, first, force (N)", "`normal`, second, force (N)",
         "`shear`, shear (N)",
     ]  # fmt: skip

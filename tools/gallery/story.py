@@ -57,7 +57,7 @@ class Story:
         touches = self.unseen
         pitch = self.run.predictor.window / touches.patch.shape[1]
         return self.run.predictor.predict_batch(
-            TouchBatch(touches.patch, touches.wide, pitch, touches.force, touches.nearest, touches.depth)
+            TouchBatch(touches.patch, touches.view, pitch, touches.force, touches.nearest, touches.travel)
         )
 
     @cached_property

@@ -11,7 +11,7 @@ from tools.reproduce.skin_tables import r2_of
 WARPED, CHANGES, RECORDED = "time-warped strokes", "less ambient", "as recorded"
 AT_REST, PAPER, POSED = "control: at rest, less the median", "paper's classifier", "classifier with pose"
 GP = "Gaussian process on predicted contact pressure"
-CALIBRATED, PLAIN_OF_TIP, PLAIN = "i2t.calibrate", "plain GP on position and load", "plain Gaussian process"
+CALIBRATED, TUNED, PLAIN = "i2t.calibrate", "tuned GP on position and load", "plain Gaussian process"
 OTHER_PHYSICS = ("free side faces", "soft compressible layer", "Winkler foundation")
 VOTES = {
     "masks": "Imagine2touch (paper's network, mask), votes",
@@ -31,7 +31,7 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
     blocks, study, calibrate = results["train_blocks"], results["study"], results["calibrate"]
     real, pads, registered = blocks["methods"], study["over_pads"], results["train_registered"]["over_pads"]
     by_position = next(scores for name, scores in real.items() if name.startswith(CALIBRATED))
-    baseline = max((real[name] for name in (*blocks["baselines"], PLAIN_OF_TIP)), key=lambda scores: scores["r2"])
+    baseline = max((real[name] for name in (*blocks["baselines"], TUNED)), key=lambda scores: scores["r2"])
     baseline_on_pads = max((pads[name]["r2"] for name in study["baselines"]), key=lambda r2: r2[0])
     press = calibrate["calibrate_over_blocks"]["blocks of 6 mm"]["r2"]["20"]
     plain = calibrate["r2"]["blocks of 6 mm"][PLAIN]["20"]["mean"]

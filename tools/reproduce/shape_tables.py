@@ -47,7 +47,7 @@ def local_shapes_by_source(measured: Measured) -> str:
 
 
 HELD_OUT = {
-    "random": "random fifths", "location": "squares of position", "depth": "fifths of depth",
+    "random": "random fifths", "location": "squares of position", "travel": "fifths of travel",
     "angle": "sectors of rotation",
 }  # fmt: skip
 STAMP_GOALS = {"random": "0.92 (classifier); 0.95 (best)", "location": "0.85", "20": "0.85"}

@@ -55,13 +55,13 @@ SESSIONS = {  # of eFlesh, by the names of their folders
     "20250401_015037_probe": "`normal`, second",
     "20250416_200533_probe": "`shear`",
 }
-SHOWN_HEADS = ("position", "depth"), ("force",), ("force",), ("shear",)  # of each of these sessions
-HEAD_UNITS = {"position": "mm", "depth": "mm", "force": "N", "shear": "N"}
+SHOWN_HEADS = ("position", "travel"), ("force",), ("force",), ("shear",)  # of each of these sessions
+HEAD_UNITS = {"position": "mm", "travel": "mm", "force": "N", "shear": "N"}
 KEPT_SECTIONS = {
     "What it is": ("rows", "channels"),
     "Noise and drift": ("noise", "drift"),
     "Hysteresis and creep": ("hysteresis", "creep", "hysteresis_of_chips"),
-    "Ceilings": ("repeat_std_uT", "r2_ceiling"),
+    "Repeatability": ("repeat_std_uT", "r2_repeatability_limit"),
     "Heads": ("heads",),
     "What one session says of another": ("r2",),
 }
@@ -146,7 +146,11 @@ def eflesh_sessions(measured: Measured) -> str:
     strokes = {name: x["hysteresis"] for name, x in moving.items() if "hysteresis" in x}
     creep = {name: x["creep"] for name, x in moving.items() if "creep" in x}
     chips = {name: x["hysteresis_of_chips"] for name, x in moving.items() if "hysteresis_of_chips" in x}
-    ends = {name: sections["Ceilings"] for name, sections in found.items() if "r2_ceiling" in sections["Ceilings"]}
+    ends = {
+        name: sections["Repeatability"]
+        for name, sections in found.items()
+        if "r2_repeatability_limit" in sections["Repeatability"]
+    }
 
     def noise(x: Any) -> str:
         return f"{x['xy_uT']:.2f}, {x['z_uT']:.2f}"
@@ -156,7 +160,7 @@ def eflesh_sessions(measured: Measured) -> str:
 
     def spread(x: Any) -> str:
         square = [each**2 for each in x["repeat_std_uT"]]
-        return f"{(sum(square) / len(square)) ** 0.5:.1f}, {x['r2_ceiling']:.3f}"
+        return f"{(sum(square) / len(square)) ** 0.5:.1f}, {x['r2_repeatability_limit']:.3f}"
 
     def growth(x: Any) -> str:
         return cell(sum(x["share_per_decade"]) / x["holds"])
@@ -169,7 +173,7 @@ def eflesh_sessions(measured: Measured) -> str:
         ("creep per tenfold time", creep, growth, lambda x: cell(x["simulator"])),
         ("kept of the press before", chips, lambda x: cell(max(map(abs, x["by_chip"]))),
          lambda x: cell(x["simulator"])),
-        ("scatter of repeats (µT), R² ceiling", ends, spread, lambda _: "-"),
+        ("scatter of repeats (µT), largest R²", ends, spread, lambda _: "-"),
     ]  # fmt: skip
     rows = [
         [title, *(cell(values[name]) if name in values else "-" for name in SESSIONS), own(next(iter(values.values())))]

@@ -30,7 +30,7 @@ from i2t.recordings.diagnose.findings import (
 from i2t.recordings.diagnose.height import find_approaches, find_height_zero, first_contact
 from i2t.recordings.diagnose.hypotheses import diagnose, diagnose_labels
 from i2t.recordings.diagnose.lag import find_lag
-from i2t.recordings.diagnose.signs import find_depth_sign, find_force_sign, find_height_axis
+from i2t.recordings.diagnose.signs import find_force_sign, find_height_axis, find_travel_sign
 from i2t.recordings.diagnose.units import find_units
 
 __all__ = [
@@ -45,11 +45,11 @@ __all__ = [
     "find",
     "find_approaches",
     "find_board",
-    "find_depth_sign",
     "find_force_sign",
     "find_height_axis",
     "find_height_zero",
     "find_lag",
+    "find_travel_sign",
     "find_units",
     "findings_to_meta",
     "first_contact",

@@ -47,7 +47,7 @@ def check_presses(
 
     Args:
         positions: `(n, 2)` positions of the tip in m, in the order of time.
-        loads: `(n,)` positive depths in m, or forces in N.
+        loads: `(n,)` positive travels in m, or forces in N.
         readings: `(n, c)` readings in uT, three channels for each chip.
         by_force: Whether the loads are forces.
         config: Thresholds of the tests.

@@ -18,7 +18,7 @@ class FindingName(StrEnum):
 
     UNITS = "units"
     FORCE_SIGN = "sign of the force"
-    DEPTH_SIGN = "sign of the depth"
+    TRAVEL_SIGN = "sign of the travel"
     HEIGHT_AXIS = "height axis"
     LAG = "lag of the labels"
     HEIGHT_ZERO = "height zero"
@@ -120,7 +120,7 @@ def correction_of(findings: Iterable[Finding]) -> Correction:
     return Correction(
         length=changes.get("length_factor", 1.0),
         field=changes.get("field_factor", 1.0),
-        height=changes.get("depth_factor", 1.0) * changes.get("height_sign", 1.0),
+        height=changes.get("travel_factor", 1.0) * changes.get("height_sign", 1.0),
         force=changes.get("force_factor", 1.0) * changes.get("force_sign", 1.0),
         lag=int(changes.get("label_lag_rows", 0)),
         board_from_stage=None if board_from_stage is None else np.asarray(board_from_stage, np.float64),

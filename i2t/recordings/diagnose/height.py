@@ -4,12 +4,12 @@ A recording that follows the tip shows first contact in its rows: within one app
 y(z) = b + c t + g ((z0 - z)+)^p + noise: a constant, a slow creep along the rows t, and a growth from first contact on.
 For a given zero and power this model is linear; zero and power minimise the squared error near the contact.
 
-Single presses show first contact together. Above it nothing is read; below it a reading grows with the depth
+Single presses show first contact together. Above it nothing is read; below it a reading grows with the travel
 d = z0 - z, at each place by its own map:
 
     reading(x, z) = (d / unit)^p g(x) + w(x, d) + noise.
 
-The maps g and w are Gaussian processes over the skin. w grows with depth as an integrated Wiener process, which starts
+The maps g and w are Gaussian processes over the skin. w grows with travel as an integrated Wiener process, which starts
 at first contact with value and slope zero and bends freely below it, as no skin grows exactly by a power (kernel:
 Rasmussen and Williams, "Gaussian Processes for Machine Learning", equation 6.28). z0 maximises the leave-one-out
 density of the presses. They hardly determine the power p: raising it by 0.1 fits as well as a zero some 0.03 mm higher.
@@ -68,13 +68,13 @@ class HeightZeroConfig:
         max_subsets: Number of subsets of many presses whose estimates are combined.
         subset_presses: Number of presses in a subset, at most.
         coarse_presses: Number of presses in the coarse search, at most.
-        power: Power by which readings grow with depth.
+        power: Power by which readings grow with travel.
         power_std: Standard deviation of the power.
         power_range: Powers of skins that were measured.
         lengths_m: Length scales of the maps over the skin to try.
         free_shares: Shares of the variance that do not grow by the power, to try.
         noises: Noise variances to try, relative to the readings' mean square.
-        relative_noises: Noise standard deviations to try, relative to the signal at the same depth.
+        relative_noises: Noise standard deviations to try, relative to the signal at the same travel.
         zero_tolerance_m: Tolerance of the search for the zero.
         shape_std_m: Standard deviation of the zero because no skin grows exactly by a power.
         max_half_width_m: Half width of the interval up to which a zero is used.
@@ -114,7 +114,7 @@ class _GrowthModel(NamedTuple):
     length: float  # m, length scale of the maps
     free_share: float  # share of the variance that does not grow by the power
     noise: float  # variance, relative to the readings' mean square
-    relative_noise: float  # standard deviation, relative to the signal at the same depth
+    relative_noise: float  # standard deviation, relative to the signal at the same travel
 
 
 class _Fit(NamedTuple):
@@ -162,7 +162,7 @@ def find_height_zero(
 
 
 def first_contact(height: Float[np.ndarray, " n"], finding: Finding | None = None) -> float:
-    """Choose the height that depths count from.
+    """Choose the height from which travel counts.
 
     Args:
         height: `(n,)` heights of presses along the skin's outward normal in m, corrected; NaN where unknown.
@@ -170,7 +170,7 @@ def first_contact(height: Float[np.ndarray, " n"], finding: Finding | None = Non
 
     Returns:
         The height of first contact in m if the presses identify it. Otherwise the height of the highest press, from
-        which all depths may be too small by the same amount. NaN if all presses go to one height, so that no depth is
+        which all travels may be too small by the same amount. NaN if all presses go to one height, so that no travel is
         known.
     """
     if finding is not None and finding.identifiable and finding.estimate is not None:
@@ -288,8 +288,8 @@ def _combine_fits(fits: list[_Fit], height: np.ndarray, stated: float | None, co
             return Finding(
                 FindingName.HEIGHT_ZERO,
                 f"The stated height of first contact is too low: {100 * reading_share:.0f} % of the presses lie above "
-                f"it but still read. Depth counts from the highest press, {1e3 * (top - stated):.2f} mm above it; give "
-                "the height of first contact if it is known (--z0-mm of the converter).",
+                f"it but still read. Travel counts from the highest press, {1e3 * (top - stated):.2f} mm above it; "
+                "give the height of first contact if it is known (--z0-mm of the converter).",
                 identifiable=False, wrong=True, estimate=zero, low=low, high=high, unit="m",
                 evidence=evidence | {"share_reading_above": reading_share}, correction={"height_zero_m": top},
             )  # fmt: skip
@@ -300,7 +300,7 @@ def _combine_fits(fits: list[_Fit], height: np.ndarray, stated: float | None, co
     return Finding(
         FindingName.HEIGHT_ZERO,
         f"Height zero is not identifiable to {1e3 * config.max_half_width_m:g} mm: {reason}; if readings grow with a "
-        f"power of {powers[0]:g} to {powers[1]:g} of the depth, first contact is {from_top[0]:+.2f} to "
+        f"power of {powers[0]:g} to {powers[1]:g} of the travel, first contact is {from_top[0]:+.2f} to "
         f"{from_top[1]:+.2f} mm from the highest press.",
         identifiable=False, estimate=zero, low=low, high=high, unit="m", evidence=evidence,
     )  # fmt: skip
@@ -348,12 +348,12 @@ def _best_zero(
 def _score(presses: Presses, zero: float, power: float, model: _GrowthModel) -> tuple[float, float]:
     """Compute log density and R2 of presses that are predicted from each other, given zero and power."""
     assert presses.height is not None
-    depth = np.maximum(zero - np.asarray(presses.height, np.float64), 0)
-    depth = depth / max(float(np.quantile(depth, 0.9)), 1e-6)
-    power_law = depth**power
+    travel = np.maximum(zero - np.asarray(presses.height, np.float64), 0)
+    travel = travel / max(float(np.quantile(travel, 0.9)), 1e-6)
+    power_law = travel**power
     square = ((presses.position[:, None] - presses.position[None]) ** 2).sum(-1)
     free = model.free_share
-    growth = (1 - free) * power_law[:, None] * power_law[None] + free * _integrated_wiener(depth)
+    growth = (1 - free) * power_law[:, None] * power_law[None] + free * _integrated_wiener(travel)
     covariance = np.exp(-square / (2 * model.length**2)) * growth
     covariance[np.diag_indices_from(covariance)] += model.noise + (model.relative_noise * power_law) ** 2
     values = presses.readings / max(np.sqrt(np.mean(presses.readings**2)), 1e-30)
@@ -361,7 +361,7 @@ def _score(presses: Presses, zero: float, power: float, model: _GrowthModel) -> 
     return prediction.log_density, 1 - float((prediction.error**2).sum() / max((values**2).sum(), 1e-30))
 
 
-def _integrated_wiener(depth: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:
-    """Compute the covariance of a process that starts at depth zero with value and slope zero, and is 1 at depth 1."""
-    smaller, larger = np.minimum(depth[:, None], depth[None]), np.maximum(depth[:, None], depth[None])
+def _integrated_wiener(travel: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n n"]:
+    """Compute the covariance of a process that starts at 0 with value and slope zero, and is 1 at travel 1."""
+    smaller, larger = np.minimum(travel[:, None], travel[None]), np.maximum(travel[:, None], travel[None])
     return 0.5 * smaller**2 * (3 * larger - smaller)

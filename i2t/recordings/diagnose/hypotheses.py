@@ -75,8 +75,8 @@ def _is_empty(column: np.ndarray | None) -> bool:
 
 def _units(presses: Presses) -> Finding:
     height = presses.height
-    depth = None if height is None or _is_empty(height) else np.abs(height - np.nanmax(height))
-    return find_units(presses.position, presses.readings, depth=depth, force=presses.force)
+    travel = None if height is None or _is_empty(height) else np.abs(height - np.nanmax(height))
+    return find_units(presses.position, presses.readings, travel=travel, force=presses.force)
 
 
 def _board(presses: Presses, stated: _Stated, findings: Sequence[Finding]) -> Finding | None:

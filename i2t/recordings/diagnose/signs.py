@@ -1,6 +1,6 @@
-"""Signs: tests whether forces push, whether depths count into the skin, and whether heights point out of it.
+"""Signs: tests whether forces push, whether travel counts into the skin, and whether heights point out of it.
 
-A tip can only push a skin, so the forces of all presses have one sign, and so have their depths. Negative loads have
+A tip can only push a skin, so the forces of all presses have one sign, and so has their travel. Negative loads have
 two explanations: the recording uses the other sign, or its values do not measure the press and have random signs.
 Signs are reversed if at least four in five presses are negative and chance would give as many in at most one of twenty
 recordings. Noise makes a fifth of the signs wrong when its standard deviation is 1.2 times the median force; with more
@@ -27,17 +27,17 @@ class SignConfig:
         max_chance: Highest probability of as many negative presses among random signs, for a sign to be reversed. It
             allows 5 of 5, 7 of 8 or 16 of 20.
         min_force_n: Force up to which a row is not a press.
-        min_depth_m: Depth up to which a row is not a press.
+        min_travel_m: Travel up to which a row is not a press.
         min_reading_share: Share of the median norm of readings below which a row is not a press.
         min_rows: Number of presses below which the direction of the height is not identifiable.
-        min_correlation: Rank correlation of readings with depth below which the direction is not identifiable.
+        min_correlation: Rank correlation of readings with travel below which the direction is not identifiable.
         min_standard_errors: The same threshold in standard errors of the rank correlation; the larger one applies.
     """
 
     min_negative_share: float = 0.8
     max_chance: float = 0.05
     min_force_n: float = 0.05
-    min_depth_m: float = 1e-5
+    min_travel_m: float = 1e-5
     min_reading_share: float = 0.2
     min_rows: int = 20
     min_correlation: float = 0.15
@@ -86,32 +86,32 @@ def find_force_sign(
     return Finding(FindingName.FORCE_SIGN, sentence, identifiable=True, estimate=1.0, evidence=evidence)
 
 
-def find_depth_sign(depth: Float[np.ndarray, " n"], *, config: SignConfig = SignConfig()) -> Finding:
-    """Test whether depths count into the skin, as travel past first contact does, or are negative like heights.
+def find_travel_sign(travel: Float[np.ndarray, " n"], *, config: SignConfig = SignConfig()) -> Finding:
+    """Test whether travel is positive into the skin, or negative like a height.
 
     Args:
-        depth: `(n,)` depths of the presses, in m; NaN where none is known.
+        travel: `(n,)` travels (m) of the presses; NaN where unknown.
         config: Thresholds of the test.
 
     Returns:
-        The finding. Its estimate is -1 if the depths must change sign.
+        The finding. Its estimate is -1 if travel must change sign.
     """
-    pressed = depth[np.isfinite(depth) & (np.abs(depth) > config.min_depth_m)]
+    pressed = travel[np.isfinite(travel) & (np.abs(travel) > config.min_travel_m)]
     negative = pressed < 0
     if not negative.any():
-        return Finding(FindingName.DEPTH_SIGN, "Depths count into the skin.", bool(len(pressed)), estimate=1.0)
-    sentence = f"Depths are negative in {100 * negative.mean():.0f} % of the presses"
+        return Finding(FindingName.TRAVEL_SIGN, "Travel counts into the skin.", bool(len(pressed)), estimate=1.0)
+    sentence = f"Travel is negative in {100 * negative.mean():.0f} % of the presses"
     evidence = {"share_negative": float(negative.mean()), "presses": len(pressed)}
     if not _is_reversed(negative, config):
-        return Finding(FindingName.DEPTH_SIGN, f"{sentence}: the column is damaged.", False, evidence=evidence)
+        return Finding(FindingName.TRAVEL_SIGN, f"{sentence}: the column is damaged.", False, evidence=evidence)
     return Finding(
-        FindingName.DEPTH_SIGN, f"{sentence}, like heights: their sign is reversed.", identifiable=True, wrong=True,
+        FindingName.TRAVEL_SIGN, f"{sentence}, like heights: their sign is reversed.", identifiable=True, wrong=True,
         estimate=-1.0, evidence=evidence, correction={"height_sign": -1.0},
     )  # fmt: skip
 
 
 def find_height_axis(presses: Presses, *, config: SignConfig = SignConfig()) -> Finding:
-    """Test whether heights point out of the skin or into it: readings grow with depth.
+    """Test whether heights point out of the skin or into it: readings grow with travel.
 
     Args:
         presses: Presses with heights along the assumed outward normal.
@@ -123,15 +123,15 @@ def find_height_axis(presses: Presses, *, config: SignConfig = SignConfig()) -> 
     if presses.height is None or not np.isfinite(presses.height).any():
         return not_identifiable(FindingName.HEIGHT_AXIS, "no height was recorded")
     has_height = np.isfinite(presses.height)
-    depth, norm = -presses.height[has_height], np.linalg.norm(presses.readings[has_height], axis=1)
+    travel, norm = -presses.height[has_height], np.linalg.norm(presses.readings[has_height], axis=1)
     if len(norm) < config.min_rows:
         reason = f"{len(norm)} presses are too few ({config.min_rows} are enough)"
         return not_identifiable(FindingName.HEIGHT_AXIS, reason)
-    if np.ptp(depth) == 0 or np.ptp(norm) == 0:
+    if np.ptp(travel) == 0 or np.ptp(norm) == 0:
         return not_identifiable(FindingName.HEIGHT_AXIS, "all heights, or all readings, are equal")
-    correlation = float(np.corrcoef(rankdata(depth), rankdata(norm))[0, 1])
+    correlation = float(np.corrcoef(rankdata(travel), rankdata(norm))[0, 1])
     evidence = {"rank_correlation": correlation, "presses": len(norm)}
-    number = f"(rank correlation with depth {correlation:+.2f})"
+    number = f"(rank correlation with travel {correlation:+.2f})"
     if abs(correlation) < max(config.min_standard_errors / np.sqrt(len(norm) - 1), config.min_correlation):
         return not_identifiable(FindingName.HEIGHT_AXIS, f"readings hardly change with height {number}", **evidence)
     if correlation < 0:

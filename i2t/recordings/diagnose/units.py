@@ -17,8 +17,8 @@ class UnitRanges:
     Attributes:
         max_extent_m: Range of positions above which they are in millimetres.
         min_extent_m: Range of positions below which millimetres were stated for metres, if readings depend on position.
-        max_depth_m: Depth above which depths are in millimetres.
-        min_depth_m: Depth below which millimetres were stated for metres.
+        max_travel_m: Travel above which it is in millimetres.
+        min_travel_m: Travel below which millimetres were stated for metres.
         min_norm_ut: Norm below which strong readings are not in microtesla: the noise of one reading of five chips
             alone is 12 uT.
         max_norm_ut: Norm above which strong readings are in nanotesla: chips saturate at 1.3e5 uT on each axis.
@@ -31,8 +31,8 @@ class UnitRanges:
 
     max_extent_m: float = 0.5
     min_extent_m: float = 5e-5
-    max_depth_m: float = 0.05
-    min_depth_m: float = 1e-5
+    max_travel_m: float = 0.05
+    min_travel_m: float = 1e-5
     min_norm_ut: float = 2.0
     max_norm_ut: float = 2e5
     max_norm_in_tesla: float = 2e-3
@@ -45,7 +45,7 @@ def find_units(
     position: Float[np.ndarray, "n d"],
     readings: Float[np.ndarray, "n c"],
     *,
-    depth: Float[np.ndarray, " n"] | None = None,
+    travel: Float[np.ndarray, " n"] | None = None,
     force: Float[np.ndarray, " n"] | None = None,
     ranges: UnitRanges = UnitRanges(),
 ) -> Finding:
@@ -54,7 +54,7 @@ def find_units(
     Args:
         position: `(n, d)` positions of the presses, as recorded.
         readings: `(n, c)` readings, as recorded.
-        depth: `(n,)` depths as recorded, or None if there are none.
+        travel: `(n,)` travels as recorded, or None if there are none.
         force: `(n,)` forces as recorded, or None if there are none.
         ranges: Plausible sizes.
 
@@ -65,18 +65,18 @@ def find_units(
     strong = float(np.quantile(norm, 0.9)) if len(norm) else np.nan
     finite_positions = position[np.isfinite(position).all(1)]
     extent = float(np.ptp(finite_positions, axis=0).max()) if len(finite_positions) else np.nan
-    largest_depth, largest_force = _largest(depth), _largest(force)
+    largest_travel, largest_force = _largest(travel), _largest(force)
     too_narrow = 1e-6 < extent < ranges.min_extent_m and _depends_on_position(position, readings, ranges)
     positions = f"the positions range over {extent:.3g}"
-    depths, forces = f"the depths reach {largest_depth:.3g}", f"the forces reach {largest_force:.3g}"
+    travels, forces = f"the travel reaches {largest_travel:.3g}", f"the forces reach {largest_force:.3g}"
     fields = f"strong readings have a norm of {strong:.2g}"
     unit, to_microtesla = ("tesla", 1e6) if strong < ranges.max_norm_in_tesla else ("millitesla", 1e3)
     # Quantity, whether its size is implausible, the factor that corrects it, and the reason.
     tests = (
         ("length", extent > ranges.max_extent_m, 1e-3, f"{positions}, too large for m: they are in millimetres"),
         ("length", too_narrow, 1e3, f"{positions} m, although readings depend on them: they are multiplied by 1000"),
-        ("depth", 0 < largest_depth < ranges.min_depth_m, 1e3, f"{depths} m: they are multiplied by 1000"),
-        ("depth", largest_depth > ranges.max_depth_m, 1e-3, f"{depths}, too large for m: they are in millimetres"),
+        ("travel", 0 < largest_travel < ranges.min_travel_m, 1e3, f"{travels} m: it is multiplied by 1000"),
+        ("travel", largest_travel > ranges.max_travel_m, 1e-3, f"{travels}, too large for m: it is in millimetres"),
         ("field", 0 < strong < ranges.min_norm_ut, to_microtesla, f"{fields}, too small for uT: they are in {unit}"),
         ("field", strong > ranges.max_norm_ut, 1e-3, f"{fields}, too large for uT: they are in nanotesla"),
         (
@@ -95,7 +95,7 @@ def find_units(
     return Finding(
         FindingName.UNITS, sentence, identifiable=bool(np.isfinite(strong)), wrong=bool(implausible),
         evidence={
-            "extent": extent, "strong_norm": strong, "largest_depth": largest_depth, "largest_force": largest_force,
+            "extent": extent, "strong_norm": strong, "largest_travel": largest_travel, "largest_force": largest_force,
         },
         correction={f"{quantity}_factor": factor for quantity, factor, _ in implausible},
     )  # fmt: skip

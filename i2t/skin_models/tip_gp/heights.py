@@ -1,4 +1,4 @@
-"""Local heights of a skin that is not flat: the depth by which a press differs from its stated load.
+"""Local heights of a skin that is not flat: the travel by which a press differs from its stated load.
 
 Heights are a Gaussian process over positions, common to all channels, in typical loads of the first kind. They are
 measured by leave-one-out errors along the slopes of the readings by the load. Because the roughness of a skin is

@@ -1,6 +1,6 @@
 """Covariance of readings over presses, for many candidate skins at once.
 
-A press has a position x (m, tool frame) and a load d. The load is its depth or its normal force in units of the
+A press has a position x (m, tool frame) and a load d. The load is its travel or its normal force in units of the
 recording's typical load (root mean square), so that one kernel serves both. A reading of a channel of chip p is
 
   y(x, d) = e_p(x) [f(d) g(x) + f(d) b(x, d) + g0(x)] + const + noise,

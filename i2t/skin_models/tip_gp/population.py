@@ -134,7 +134,7 @@ class PressTable(NamedTuple):
     """Presses, without their readings."""
 
     position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros if no position is known
-    loads: Float[np.ndarray, "n kinds"]  # m of depth, N of force; one column for each kind of load that is known
+    loads: Float[np.ndarray, "n kinds"]  # m of travel, N of force; one column for each kind of load that is known
     previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, prediction of a previous session
 
 
@@ -166,7 +166,7 @@ def fit_population(
     Args:
         presses: n presses in any order.
         readings: `(n, c)` readings of the presses (uT).
-        load_kinds: "depth" or "force" for each column of the loads.
+        load_kinds: "travel" or "force" for each column of the loads.
         chip_positions: `(boards, chips, 2)` chip positions (m) of each board that the skin may have. Each chip has
             three successive channels.
         prior: Kernels of a population; by default those of the package.

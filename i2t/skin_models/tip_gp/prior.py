@@ -34,10 +34,10 @@ _PLAIN = PlainMembers()
 
 
 class KernelPrior(NamedTuple):
-    """Kernels of a population of skins, and how common they are among skins pressed by depth and by force."""
+    """Kernels of a population of skins, and how common they are among skins pressed by travel and by force."""
 
     kernels: SkinKernels
-    log_share: Float[np.ndarray, "kinds s"]  # rows: depth, force
+    log_share: Float[np.ndarray, "kinds s"]  # rows: travel, force
 
 
 @cache
@@ -124,7 +124,7 @@ def with_plain(
 
     Args:
         prior: Prior of the population.
-        kind: Kind of load, "depth" or "force".
+        kind: Kind of load, "travel" or "force".
         position: `(n, 2)` positions of the presses (m).
         load: `(n,)` loads of the presses (typical loads).
         readings: `(n, c)` readings of the presses (uT), to which one of the plain processes is fitted.
@@ -132,7 +132,7 @@ def with_plain(
     Returns:
         A stack of k kernels, and the `(k,)` logarithms of their shares.
     """
-    log_share = prior.log_share[("depth", "force").index(kind)]
+    log_share = prior.log_share[("travel", "force").index(kind)]
     present = np.isfinite(log_share)
     plain, fitted = plain_kernels(position, load), fitted_kernel(position, load, readings)
     counts = len(plain.load_power) - 1, 1, len(fitted.load_power)

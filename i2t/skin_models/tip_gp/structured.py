@@ -1,6 +1,6 @@
 """Gaussian process of one skin with given hyperparameters: a mixture of one kernel.
 
-A reading of channel c of a press at x (m, tool frame) with the load d, its depth (m) or its normal force (N), is
+A reading of channel c of a press at x (m, tool frame) with the load d, its travel (m) or its normal force (N), is
 
   y_c = e_c(x) [f(d) g_c(x) + f(d) b_c(x, d) + g0_c(x)] + const_c + noise,
   f(d) = ((d + load_offset) / (unit_load + load_offset))^load_power,
@@ -43,7 +43,7 @@ class StructuredGPHyperparameters(NamedTuple):
 
 # Fitted to the development presses of one eFlesh session (docs/calibration.md). The long length is of the order of the
 # height of the magnets over the chips and of their spacing; the short one is that of a lattice's struts.
-DEPTH_HYPERPARAMETERS = StructuredGPHyperparameters(
+TRAVEL_HYPERPARAMETERS = StructuredGPHyperparameters(
     unit_load=2e-3, load_offset=2.7e-3, load_power=1.8, map_length=16.5e-3, map_variance=1.0, bend_variance=0.0145,
     bend_length=2e-3, bend_load_width=7e-3, static_variance=0.03, constant_variance=2e-3, noise_variance=4.5e-3,
     height_std=0.17e-3, height_length=1.8e-3, chip_reach=10e-3, far_amplitude=0.2,

@@ -15,9 +15,9 @@ def skin(rng: np.random.Generator):
     """A skin f(d) g(x): a function from presses to readings."""
     centre, size = rng.uniform(-20e-3, 20e-3, (40, 2)), rng.normal(size=(40, CHANNELS))
 
-    def read(position: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    def read(position: np.ndarray, travel: np.ndarray) -> np.ndarray:
         g = np.exp(-((position[:, None] - centre) ** 2).sum(-1) / 2 / 8e-3**2) @ size
-        return 60 * g * (np.maximum(depth + 3e-3, 0) / 5e-3)[:, None] ** 1.75
+        return 60 * g * (np.maximum(travel + 3e-3, 0) / 5e-3)[:, None] ** 1.75
 
     return read
 
@@ -63,15 +63,15 @@ def test_repeated_rows_and_a_changed_chip_are_found():
 
 def test_a_skin_that_slips_is_found():
     rng = np.random.default_rng(12)
-    position, depth = presses(rng, 600)
+    position, travel = presses(rng, 600)
     slipped = position + np.where(np.arange(600)[:, None] < 300, 0.0, 4e-3)
-    (sentence,) = wrong_in(position, depth, skin(rng)(slipped, depth) + rng.normal(size=(600, CHANNELS)))
+    (sentence,) = wrong_in(position, travel, skin(rng)(slipped, travel) + rng.normal(size=(600, CHANNELS)))
     assert "the skin slipped or changed" in sentence
 
 
 def test_a_steel_tip_is_found_by_its_sensitivity():
-    position, depth, readings = session(np.random.default_rng(16), 50)
-    force = 300 * depth  # up to 1.2 N
+    position, travel, readings = session(np.random.default_rng(16), 50)
+    force = 300 * travel  # up to 1.2 N
     readings *= 100 / np.median(np.linalg.norm(readings, axis=1) / force)  # uT/N, as real boards
     assert wrong_in(position, force, readings, by_force=True) == []
     (sentence,) = wrong_in(position, force, 7 * readings, by_force=True)

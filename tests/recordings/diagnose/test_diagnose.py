@@ -22,8 +22,8 @@ from i2t.skin.boards import eflesh_board, reskin_board
 )
 def test_a_finding_on_too_few_presses_states_how_many_are_enough(find, enough):
     rng = np.random.default_rng(0)
-    place, depth, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
-    recorded = {n: Presses(place[:n], readings[:n], height=-depth[:n]) for n in (enough - 1, enough)}
+    place, travel, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
+    recorded = {n: Presses(place[:n], readings[:n], height=-travel[:n]) for n in (enough - 1, enough)}
     sentences = {n: find(some).sentence for n, some in recorded.items()}
     assert f"{enough - 1} presses are too few ({enough} are enough)" in sentences[enough - 1]
     assert "too few" not in sentences[enough]

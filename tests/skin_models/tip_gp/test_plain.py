@@ -26,7 +26,7 @@ def test_the_plain_process_finds_the_scales_of_its_own_presses():
         for scales in (fit, fit._replace(length=fit.length / 2))
     ]
     assert errors[0] < errors[1]
-    # For presses at one depth, it is a process over positions.
+    # For presses at the same travel, it is a process over positions.
     reading = position @ rng.normal(size=(2, 6)) * 1e4
     pressed = position[:12], np.zeros(12), reading[:12]
     flat = plain.predict_plain(plain.fit_scales(*pressed), pressed, (position[:12], np.zeros(12)))

@@ -19,7 +19,7 @@ from i2t.skin_models.tip_gp.population import (
     predict_population,
 )
 from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior
-from i2t.skin_models.tip_gp.structured import DEPTH_HYPERPARAMETERS, fit_structured
+from i2t.skin_models.tip_gp.structured import TRAVEL_HYPERPARAMETERS, fit_structured
 
 CHIPS = np.array([[0, 0], [6, 0], [-6, 0], [0, 6], [0, -6]]) * 1e-3
 CHANNELS = 15
@@ -58,7 +58,7 @@ def r2(truth: np.ndarray, mean: np.ndarray) -> float:
     return 1 - ((truth - mean) ** 2).sum() / ((truth - truth.mean(0)) ** 2).sum()
 
 
-def fit(presses: PressTable, readings: np.ndarray, load_kinds=("depth",), **more) -> PopulationGP:
+def fit(presses: PressTable, readings: np.ndarray, load_kinds=("travel",), **more) -> PopulationGP:
     return fit_population(presses, readings, load_kinds=load_kinds, **more)
 
 
@@ -148,7 +148,7 @@ def test_heights_of_a_given_kernel_help_on_a_rough_skin_and_do_no_harm_on_a_flat
         height = 0.5 * rough * np.sqrt(2 / 60) * np.cos(position @ waves.T + phase).sum(1)
         return read(position, np.maximum(load + height, 0))
 
-    given = DEPTH_HYPERPARAMETERS._replace(
+    given = TRAVEL_HYPERPARAMETERS._replace(
         unit_load=1.0, load_offset=0.1, load_power=1.5, map_length=5e-3, height_std=0.2, height_length=3e-3
     )
     readings, truth = touched(x, d) + rng.normal(size=(200, CHANNELS)), touched(z, e)
@@ -164,7 +164,7 @@ def test_heights_of_a_given_kernel_help_on_a_rough_skin_and_do_no_harm_on_a_flat
 
 def test_unknown_heights_widen_a_reading_by_its_slope_along_the_load():
     """Tested 5 mm from the presses, which therefore say nothing about the height, on a map that reaches that far."""
-    given = DEPTH_HYPERPARAMETERS._replace(
+    given = TRAVEL_HYPERPARAMETERS._replace(
         unit_load=1.0, load_offset=0.1, load_power=1.5, map_length=20e-3, height_std=0.2, height_length=1e-3
     )
     (x, d), (z, e), step = drawn(43, 60), drawn(44, 10), 1e-4
@@ -179,7 +179,7 @@ def test_unknown_heights_widen_a_reading_by_its_slope_along_the_load():
 
 
 def test_given_variances_are_relative_to_map_and_bend_and_given_loads_to_the_unit_load():
-    given = DEPTH_HYPERPARAMETERS._replace(
+    given = TRAVEL_HYPERPARAMETERS._replace(
         unit_load=2.0, load_offset=1.0, bend_load_width=3.0, map_variance=3.0, bend_variance=1.0, static_variance=2.0,
         constant_variance=0.4, noise_variance=0.04,
     )  # fmt: skip
@@ -242,7 +242,7 @@ def test_presses_may_have_two_loads_or_no_position_or_no_load():
     rng = np.random.default_rng(26)
     truth, noise = read(z, e), rng.normal(size=(60, CHANNELS))
     useless = rng.uniform(0.1, 2.0, 120)
-    gp = fit(table(x, useless[:60], d), read(x, d) + noise, load_kinds=("depth", "force"))
+    gp = fit(table(x, useless[:60], d), read(x, d) + noise, load_kinds=("travel", "force"))
     assert explained(gp, table(z, useless[60:], e), truth) > 0.9
     gp = fit(table(x), read(x, d) + noise, load_kinds=())
     mean, std = predict_population(gp, table(z))
@@ -291,7 +291,7 @@ def test_the_prior_of_the_package_is_small_and_complete():
 def test_weights_far_from_the_presses_come_from_presses_left_out_together():
     """A kernel that is best among the presses and worst beyond them gets all weight near them and none far away."""
     x, d = drawn(37, 30)
-    gp = mixture._unweighted_members(table(x, d), skin(38)(x, d), ("depth",), None, load_prior())
+    gp = mixture._unweighted_members(table(x, d), skin(38)(x, d), ("travel",), None, load_prior())
     k, n, c = len(gp.weights), 30, CHANNELS
     error, part_error = np.ones((k, n, c)), np.ones((k, n, c))
     error[0], part_error[0] = 0.01, 100.0
@@ -311,7 +311,7 @@ def test_far_from_the_presses_the_plain_process_keeps_a_share_that_falls_with_th
     """The share is p / (n + p) for p prior presses, however much better the mixture is on the parts left out."""
     prior_presses = mixture._CONFIG.stacking.far_plain_presses
     x, d = drawn(50, n)
-    gp = mixture._unweighted_members(table(x, d), skin(51)(x, d), ("depth",), None, load_prior())
+    gp = mixture._unweighted_members(table(x, d), skin(51)(x, d), ("travel",), None, load_prior())
     rng = np.random.default_rng(52)
     plain_error = rng.normal(size=(2, n, CHANNELS))
     far = mixture._stacking_share(gp, 0 * plain_error, plain_error, prior_presses)
@@ -329,7 +329,7 @@ def test_far_from_the_presses_the_plain_process_keeps_a_share_that_falls_with_th
 
 def test_the_share_of_a_channel_depends_on_its_own_errors_and_on_those_of_all_channels():
     x, d = drawn(53, 30)
-    gp = mixture._unweighted_members(table(x, d), skin(54)(x, d), ("depth",), None, load_prior())
+    gp = mixture._unweighted_members(table(x, d), skin(54)(x, d), ("travel",), None, load_prior())
     plain_error = np.random.default_rng(55).normal(size=(1, 30, CHANNELS))
     error = 0 * plain_error
     error[..., 0] = 2 * plain_error[..., 0]
