@@ -77,7 +77,7 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
 }
 
 
-class Press(NamedTuple):
+class HeldPress(NamedTuple):
     """A press that has ended, with the tool still in contact."""
 
     result: ApproachResult
@@ -247,7 +247,7 @@ class Procedure:
                 f"something was met {1e3 * (settings.prepare - result.distance):.0f} mm before the site"
             )
 
-    def press(self, log: EventLog) -> Press:
+    def press(self, log: EventLog) -> HeldPress:
         """Measure the ambient field, press until a limit is reached, and read the skins in contact.
 
         Args:
@@ -277,7 +277,7 @@ class Procedure:
             log.state(state)
         self._check_alive(log, period)
         felt_by = [on_tool.name for on_tool in self.skins if felt(changes[on_tool.name], on_tool.board, settings)]
-        return Press(result, log, period, ambient, states, changes, felt_by or [TOOL])
+        return HeldPress(result, log, period, ambient, states, changes, felt_by or [TOOL])
 
     def _check_alive(self, log: EventLog, period: tuple[float, float]) -> None:
         """Refuse a press at whose end a skin, other than a simulated one without noise, repeated one sample."""
@@ -289,7 +289,7 @@ class Procedure:
                     raise DeviceError(f"{on_tool.skin.features.name}: {defect}")
 
     def _skin_touch(
-        self, on_tool: SkinOnTool, press: Press, view: View, T_w_c: Array, before: SkinCounters
+        self, on_tool: SkinOnTool, press: HeldPress, view: View, T_w_c: Array, before: SkinCounters
     ) -> SkinTouch:
         """Evaluate a press for one skin; `before` holds its counters before the touch."""
         name = on_tool.name

@@ -17,8 +17,8 @@ import numpy as np
 from i2t import validation
 from i2t.convert.common import Converted, converted
 from i2t.convert.press_table import (
+    Indenter,
     SessionCheck,
-    Tip,
     check_session,
     cylinder,
     presses_dataset,
@@ -254,7 +254,7 @@ def _positive(source: Path, depth: np.ndarray, lines: list[int], notes: ReadingL
     return depth, ~(depth < 0)
 
 
-def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Tip:
+def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Indenter:
     kind, _, value = indenter.partition(":")
     kind = kind.strip().lower()
     if kind == "mesh" and value:
@@ -273,7 +273,7 @@ def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Tip:
     return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](M_PER_MM * radius))
 
 
-def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Tip:
+def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Indenter:
     if unit is None:
         raise DataError(f"--indenter mesh:{file}: say in which unit the file is, for instance --unit mm")
     import jax.numpy as jnp
@@ -299,4 +299,4 @@ def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Tip:
         T_o_t[:, :3, 3] = np.column_stack([-x, -y, np.full(len(x), lowest)])
         return np.stack([np.asarray(look(jnp.asarray(T))) for T in T_o_t])
 
-    return Tip(file.stem, patches, lowest)
+    return Indenter(file.stem, patches, lowest)

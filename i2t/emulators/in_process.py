@@ -17,7 +17,7 @@ import numpy as np
 
 from i2t.depth.camera import Camera
 from i2t.emulators.robot_motion import Robot
-from i2t.emulators.scene import ContactModel, Contacts, ObjectScene
+from i2t.emulators.scene import ObjectScene, SkinContactModel, ToolContactModel
 from i2t.errors import NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware.base import CameraBase
@@ -75,7 +75,7 @@ class SkinInLab:
     """
 
     def __init__(self, scene: ObjectScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
-        self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
+        self.scene, self.contact_model = scene, SkinContactModel(scene, T_tool_skin=T_tool_skin)
         self.samples: deque[StreamRow] = deque(maxlen=StreamConfig.queue_samples)
         self.number = 0
         self.recording = False  # whether the skin is connected
@@ -131,7 +131,7 @@ class SimulatedLab:
     def __init__(self, scene: ObjectScene, clock: Clock, seed: int = 0) -> None:
         self.scene, self.clock = scene, clock
         self.skins = [SkinInLab(scene, seed=seed)]  # the first is the pressing skin
-        self.contacts = Contacts([self.skins[0].contact_model])
+        self.contacts = ToolContactModel([self.skins[0].contact_model])
         home = np.array([0.4, 0.0, 0.3, np.pi, 0.0, 0.0])  # m and rotation vector: pointing down
         self.robot = Robot(home, self.contacts, scene.errors.force)
         self.time = clock.now()

@@ -195,7 +195,7 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
     return first, *jax.lax.map(press, loads)
 
 
-class ContactModel:
+class SkinContactModel:
     """Contact of a skin on a moving tool, and the skin's reading.
 
     A line is computed once the tool stands still near the object. With `wait` False, that happens in the background (it
@@ -303,14 +303,14 @@ class ContactModel:
             self.look_ahead(position, rotation)
 
 
-class Contacts:
+class ToolContactModel:
     """The contact of a tool with all its skins, whose forces add up, as an `i2t.emulators.robot_motion.Robot` expects.
 
     Args:
         models: Contact models of the skins.
     """
 
-    def __init__(self, models: Sequence[ContactModel]) -> None:
+    def __init__(self, models: Sequence[SkinContactModel]) -> None:
         self.models = list(models)
 
     @property
@@ -323,6 +323,6 @@ class Contacts:
         return np.asarray(sum((model(position, rotation) for model in self.models), start=np.zeros(6)))
 
     def look_ahead(self, position: Array, rotation: Array) -> None:
-        """Compute the line ahead of each skin, as in `ContactModel.look_ahead`."""
+        """Compute the line ahead of each skin, as in `SkinContactModel.look_ahead`."""
         for model in self.models:
             model.look_ahead(position, rotation)

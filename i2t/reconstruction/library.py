@@ -53,7 +53,7 @@ class LibraryConfig:
 _CONFIG = LibraryConfig()
 
 
-class Contacts(NamedTuple):
+class FirstContacts(NamedTuple):
     """First contacts with one shape, and the patches there."""
 
     T_o_t: Float[Array, "n 4 4"]  # tool pose at first contact
@@ -96,7 +96,7 @@ def sample_contacts(
     *,
     tilt: tuple[float, float] = _CONFIG.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
-) -> tuple[Contacts, np.ndarray]:
+) -> tuple[FirstContacts, np.ndarray]:
     """Simulate first contacts with many shapes at random sites.
 
     Args:
@@ -133,7 +133,7 @@ def sample_contacts(
     return jax.tree.map(lambda field: field[kept], contacts), np.concatenate(objects)[kept]
 
 
-def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
+def library_of(contacts: FirstContacts, objects: np.ndarray) -> PatchLibrary:
     """Press a nominal layer onto each of the given contacts.
 
     Args:
@@ -211,7 +211,7 @@ def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
 
 
 @jit_quickly
-def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> Contacts:
+def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> FirstContacts:
     """Meet one surface at a batch of sites, with tilted approaches."""
     count = _CONFIG.sites_per_batch
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
@@ -225,12 +225,12 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
     angle = jax.random.uniform(key_tilt, (count,), minval=tilt[0], maxval=tilt[1])
     about = jax.random.uniform(key_about, (count,), maxval=2 * jnp.pi)
 
-    def meet(T_o_site: Array, angle: Array, about: Array) -> Contacts:
+    def meet(T_o_site: Array, angle: Array, about: Array) -> FirstContacts:
         axis = jnp.stack([jnp.cos(about), jnp.sin(about), jnp.zeros(())])
         turn = jnp.eye(4).at[:3, :3].set(so3_exp(angle * axis))
         T_o_t, _, hit = first_contact(surface, T_o_site @ turn)
         patch, height, coarse = _heights(surface, inverse(T_o_t))
-        return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
+        return FirstContacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
 
     contacts = map_batches(lambda site: meet(*site), (frames, angle, about), batch_size=count)
     return contacts._replace(met=contacts.met & safe)
