@@ -10,7 +10,7 @@ from i2t.prediction.metrics import nearest_neighbours
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
 from i2t.skin_models.tip_gp import plain as plain_gp
-from i2t.skin_models.tip_gp.left_out import limit_blas_threads
+from i2t.skin_models.tip_gp.leave_one_out import limit_blas_threads
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
 CALIBRATED = "i2t.calibrate"

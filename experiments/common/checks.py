@@ -29,13 +29,13 @@ def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> No
         raise ValueError(f"{flag} {why}")
 
 
-def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, catalogue: bool = True) -> None:
+def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2, catalogue: bool = True) -> None:
     """Refuse objects that do not exist, that share a name, or that are too few.
 
     Args:
         paths: Values of --objects: names of the catalogue or mesh files; empty if the option was omitted.
         unit: Unit of the files' lengths.
-        least: Minimum number of objects.
+        minimum: Minimum number of objects.
         catalogue: Whether names of the catalogue are allowed.
 
     Raises:
@@ -47,7 +47,7 @@ def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, 
         return
     for path in paths:
         require_object(str(path), unit, flag="--objects", catalogue=catalogue)
-    if len(paths) < least:
+    if len(paths) < minimum:
         raise ValueError("--objects needs at least two objects to tell apart")
     seen: dict[str, Path] = {}
     for path in paths:

@@ -295,22 +295,22 @@ def with_outliers(p: Float[np.ndarray, "n labels"]) -> Float[np.ndarray, "n labe
     return (1 - OUTLIERS) * p + OUTLIERS / p.shape[1]
 
 
-def require_rows(table: ReadingTable, least: int, path: Path) -> None:
+def require_rows(table: ReadingTable, minimum: int, path: Path) -> None:
     """Refuse a table with too few rows of a label in a group, or with a group of one label.
 
     Args:
         table: Any.
-        least: How many rows are enough.
+        minimum: Minimum number of rows of a label in a group.
         path: Of the file, or the first one, for messages.
 
     Raises:
         DataError: There are fewer.
     """
     for rows in rows_of_labels(table):
-        if len(rows) < least:
+        if len(rows) < minimum:
             label, group = table.labels[table.label[rows[0]]], table.groups[table.group[rows[0]]]
             raise DataError(
-                f"{path}: label {label} has {len(rows)} of the {least} rows that are needed in group {group}; add "
+                f"{path}: label {label} has {len(rows)} of the {minimum} rows that are needed in group {group}; add "
                 "some, remove the label, or take larger groups"
             )
     for i, name in enumerate(table.groups):

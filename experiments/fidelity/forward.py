@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from experiments.fidelity.sections import CannotTellError
-from i2t.recordings.diagnose.smooth import left_out
+from i2t.recordings.diagnose.smooth import leave_one_out
 from i2t.recordings.presses import LoadedPresses, LoadName
 from i2t.recordings.read import SkinRecording
 
@@ -77,7 +77,7 @@ def choose_simple_gp(presses: LoadedPresses, known: np.ndarray) -> tuple[float, 
     centred = y - y.mean(0)
 
     def error(settings: tuple[float, ...]) -> float:
-        return float(np.sum(left_out(_covariance(settings, x), centred).error ** 2))
+        return float(np.sum(leave_one_out(_covariance(settings, x), centred).error ** 2))
 
     if len(some) <= GP_SELECTION_ROWS // 3:
         return min(product(*GP_SETTINGS), key=error)
@@ -96,7 +96,7 @@ def predicted_from_others(presses: LoadedPresses, limit: int) -> tuple[np.ndarra
     settings = choose_simple_gp(presses, rows)
     rows = np.sort(rows)
     y = presses.readings[rows]
-    return rows, y - left_out(_covariance(settings, presses.coordinates[rows]), y - y.mean(0)).error
+    return rows, y - leave_one_out(_covariance(settings, presses.coordinates[rows]), y - y.mean(0)).error
 
 
 def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:

@@ -17,7 +17,7 @@ from i2t.prediction.touch_model import Reading
 from i2t.recordings.loads import loaded_presses
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
-from i2t.skin_models.tip_gp.left_out import limit_blas_threads
+from i2t.skin_models.tip_gp.leave_one_out import limit_blas_threads
 from i2t.skin_models.tip_gp.plain import PlainScales, fit_scales, predict_plain
 
 PLAIN, CALIBRATED = "plain GP on position and load", "i2t.calibrate"

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from i2t.collect.first_touch import RigContradictedError, first_touch
+from i2t.collect.first_touch import RigContradictedError, check_rig_by_touch
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
 from i2t.errors import DeviceError, printable
@@ -163,7 +163,7 @@ def _sites_reached(procedure: Procedure, sampler: SiteSampler, count: int) -> li
 def _rig_touched(procedure: Procedure, sampler: SiteSampler) -> list[str]:
     """Check the rig by first looks and slow touches. Raise DeviceError if a device fails."""
     try:
-        first_touch(procedure, sampler)
+        check_rig_by_touch(procedure, sampler)
     except RigContradictedError as error:
         return [str(error)]
     return []

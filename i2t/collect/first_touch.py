@@ -278,7 +278,7 @@ def _plan_slow_touch(procedure: Procedure, name: str, site: Site, past: float | 
     return None
 
 
-def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[str], None] = print) -> None:
+def check_rig_by_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[str], None] = print) -> None:
     """Look at some sites and touch one slowly. Afterwards, the tool is above everything.
 
     Args:

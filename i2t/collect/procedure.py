@@ -15,8 +15,8 @@ callable, `choose(history) -> site`, chooses the next site. Numbers are those of
 them, except where `TouchSettings` gives a reason.
 
 All skins on the tool are read, and each may stop an approach. A skin has felt a press if the part of its change that
-differs between its chips exceeds half of what stops a press. For a skin that felt nothing, the press met air,
-whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one force for
+differs between its chips exceeds half of what stops a press. A press that a skin did not feel counts as no
+contact of that skin, whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one force for
 all skins: it is assigned to a skin if no other felt the press, and is unknown (NaN) otherwise.
 
 Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
@@ -52,7 +52,7 @@ from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.guarded import MotionWatch
 from i2t.hardware.motion_limits import format_position
-from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.poses import translated_along_z
 from i2t.hardware.protocols import (
     ApproachResult,
     ArmState,
@@ -66,7 +66,7 @@ from i2t.hardware.protocols import (
 )
 from i2t.hardware.rig import Rig
 from i2t.hardware.skin_health import frozen_sentence
-from i2t.skin.boards import mean_known
+from i2t.skin.boards import mean_finite
 from i2t.types import Array, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
@@ -313,7 +313,7 @@ class Procedure:
         for on_tool in self.skins:
             samples = on_tool.skin.read(count)
             log.samples(samples, on_tool.name)
-            means[on_tool.name] = mean_known(samples.reading, axis=0)
+            means[on_tool.name] = mean_finite(samples.reading, axis=0)
         return means
 
     def _measure_ambient(self, log: EventLog) -> dict[str, Array]:
@@ -401,7 +401,7 @@ class Procedure:
         height = self.path.transfer_height()
         if T_b_t[2, 3] >= height:
             return
-        steps = (shifted_along_z(T_b_t, -part * self.settings.prepare) for part in (1.0, 0.5, 0.25, 0.1, 0.0))
+        steps = (translated_along_z(T_b_t, -part * self.settings.prepare) for part in (1.0, 0.5, 0.25, 0.1, 0.0))
         back = next((pose for pose in steps if self.rig.limits.contains(pose[:3, 3])), None)
         if back is None:
             raise DeviceError(

@@ -32,7 +32,7 @@ from i2t.dataset import Dataset, Image, Record, Series
 from i2t.depth.camera import Camera, to_units
 from i2t.errors import DataError, DeviceError
 from i2t.files.reading import read_bytes
-from i2t.files.writing import not_through_links, unwritable
+from i2t.files.writing import open_without_links, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import ArmState, Samples, View, channel_names
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
@@ -204,7 +204,7 @@ class Recorder:
         self.bytes = 0
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = open(self.folder / ".lock", "a", opener=not_through_links)  # noqa: SIM115
+            self._lock = open(self.folder / ".lock", "a", opener=open_without_links)  # noqa: SIM115
         except OSError as error:
             raise _not_kept(self.folder, error) from error
         try:
@@ -266,7 +266,7 @@ class Recorder:
         self._offset = self._clock.wall() - self._clock.now()
         path = self._raw_path
         try:
-            self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
+            self._raw = open(path, "wb", buffering=0, opener=open_without_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
             raise _not_kept(path, error) from error
         self._log = EventLog(self._raw, self._clock)

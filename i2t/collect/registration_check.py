@@ -65,9 +65,9 @@ def describe_offsets(
         return f"{contacts} touches that met the object do not show where it and the camera were; {min_touches} would"
     names = {dataset.objects[i] for i in here.touches.object}
     T_t_c = rig.T_tool_camera
-    looked_from = -(rig.looking_distance * T_t_c[:3, 2] + T_t_c[:3, 3])
+    tool_offset = -(rig.looking_distance * T_t_c[:3, 2] + T_t_c[:3, 3])
     config = SessionRegistrationConfig(
-        looked_from=tuple(looked_from.tolist()), depth_noise=depth_noise(here.touches.patch)
+        tool_offset_at_capture=tuple(tool_offset.tolist()), depth_noise=depth_noise(here.touches.patch)
     )
     estimate = register_sessions(here, dict.fromkeys(names, prepare_surface(mesh)), config=config)[session]
     if not np.median(estimate.view_residual) <= max_view_residual:

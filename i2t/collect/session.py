@@ -36,7 +36,7 @@ from i2t.types import ReturnCode
 ENDS = {
     ReturnCode.SKIN: "stopped by the skin",
     ReturnCode.WRENCH: "stopped by force or torque",
-    ReturnCode.AIR: "met air",
+    ReturnCode.AIR: "no contact",
     ReturnCode.FAILED: "failed",
 }
 SOURCE_DESCRIPTIONS = {

@@ -343,9 +343,9 @@ def _board(name: str) -> "Board":
 
 def _page(source: Path, summary: dict[str, Any]) -> str:
     """Format a summary as text."""
-    from i2t.dataset import source_words
+    from i2t.dataset import source_phrase
 
-    lines = [f"{printable(source)}: {summary['touches']} touches, {source_words(summary['source'])}"]
+    lines = [f"{printable(source)}: {summary['touches']} touches, {source_phrase(summary['source'])}"]
     for kind in ("objects", "pads", "sessions"):
         lines += ["", f"{kind:<40} touches"]
         lines += [f"  {printable(name):<38} {count:7d}" for name, count in summary[kind].items()]

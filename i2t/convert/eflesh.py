@@ -30,7 +30,7 @@ from i2t.convert.press_table import (
 from i2t.errors import DataError
 from i2t.patches.dimensions import REACH
 from i2t.recordings.clocks import judge_stamps, require_order
-from i2t.recordings.diagnose import corrected_presses, find_units, findings_to_meta, first_contact, turn_board
+from i2t.recordings.diagnose import corrected_presses, find_units, findings_to_meta, first_contact, rotate_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
     MAX_ROW_OFFSET_S,
@@ -123,7 +123,7 @@ def _common_board(checks: list[SessionCheck], notes: ReadingLog) -> Board:
 def _board() -> Board:
     """Return eFlesh's board as it is mounted on the stage of these recordings."""
     # By what the five chips read together in the `spatial` session.
-    return turn_board(boards.eflesh_board(), np.array([[0.0, -1.0], [1.0, 0.0]]))
+    return rotate_board(boards.eflesh_board(), np.array([[0.0, -1.0], [1.0, 0.0]]))
 
 
 def _session(

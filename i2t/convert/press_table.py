@@ -24,7 +24,7 @@ from i2t.recordings.diagnose import (
     diagnose,
     find,
     findings_to_meta,
-    turn_board,
+    rotate_board,
 )
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.presses import Presses
@@ -82,7 +82,7 @@ def check_session(
         notes.info(f"{verdict} in {name}: {finding.sentence}")
     turn = correction_of(findings).board_from_stage
     return SessionCheck(
-        board if turn is None else turn_board(board, turn), tuple(findings), findings_to_meta(name, findings)
+        board if turn is None else rotate_board(board, turn), tuple(findings), findings_to_meta(name, findings)
     )
 
 

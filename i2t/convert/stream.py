@@ -33,14 +33,14 @@ from i2t.recordings.clocks import pause_of
 from i2t.recordings.columns import FORCE, HEIGHT_COLUMNS, PLACES, TEXT_COLUMNS, TIME, field_columns
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
-    FoundPress,
     OpenRecording,
     SegmentationConfig,
-    find_last,
-    find_more,
+    SegmentedPress,
+    extend_recording,
+    filter_presses,
+    finish_recording,
     open_recording,
     segmentation_rules,
-    true_presses,
 )
 from i2t.recordings.tables import TableRows, TextTable, open_text_table, sound_rows
 from i2t.runtime.progress import progress
@@ -82,7 +82,7 @@ class _Search:
     origin: float  # s on the clock, from which the time of its rows counts
     early: list[LogRows] = field(default_factory=list)  # rows before rate and noise are known
     recording: OpenRecording | None = None
-    presses: list[FoundPress] = field(default_factory=list)
+    presses: list[SegmentedPress] = field(default_factory=list)
     rows: int = 0
     end: float = 0.0  # s, time of the last row
     head: np.ndarray | None = None  # first readings, at rest
@@ -101,7 +101,7 @@ class _Search:
         self.head = rows.readings[: _RULES.head_rows].copy() if self.head is None else self.head
         self.tail = rows.pick(slice(-_RULES.head_rows, None))
         if self.recording is not None:
-            self.recording, more = find_more(self.recording, rows.time, rows.readings, rows.labels)
+            self.recording, more = extend_recording(self.recording, rows.time, rows.readings, rows.labels)
             self.presses += more
             return
         self.early.append(rows)
@@ -134,8 +134,8 @@ class _Search:
         """End the search: find the last presses, if there were enough rows."""
         if self.recording is None and self.rows < SegmentationConfig().min_rows:
             return
-        self.recording, more = find_last(self.recording or self._begin())
-        self.presses = true_presses([*self.presses, *more], self.recording.rules)
+        self.recording, more = finish_recording(self.recording or self._begin())
+        self.presses = filter_presses([*self.presses, *more], self.recording.rules)
 
     @property
     def rest(self) -> np.ndarray | None:
@@ -149,7 +149,7 @@ class _Search:
         """Estimate rate and noise from the first rows, and find their presses."""
         time, readings, labels = (np.concatenate([part[i] for part in self.early]) for i in range(3))
         empty = open_recording(segmentation_rules(time, readings), labels.shape[1], self.earlier)
-        self.recording, self.presses = find_more(empty, time, readings, labels)
+        self.recording, self.presses = extend_recording(empty, time, readings, labels)
         self.early = []
         return self.recording
 
@@ -267,7 +267,7 @@ class _LogPresses:
     """Results of the parts of a log."""
 
     columns: _Columns
-    presses: list[FoundPress] = field(default_factory=list)
+    presses: list[SegmentedPress] = field(default_factory=list)
     rows: int = 0
     parts: int = 0
     spikes: int = 0
@@ -305,7 +305,7 @@ class _LogPresses:
         self.held += search.rows if state.rules.fresh < 1 else 0
         self.moved += [int(row[LabelColumn.LINE]) for row in state.moved]
 
-    def _travelled(self, press: FoundPress) -> bool:
+    def _travelled(self, press: SegmentedPress) -> bool:
         """Test whether the tip moved while no row was recorded at the beginning of a press."""
         if self.height is None:
             return False
@@ -341,7 +341,7 @@ class _LogPresses:
         if self.held:
             notes.info(f"{self.held} rows are of a sensor that was read faster than it measures, or were written twice")
 
-    def row(self, press: FoundPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:
+    def row(self, press: SegmentedPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:
         """Return a press's line in the log, and its fields."""
         steady = press.steady[LabelColumn.FIRST_VALUE :].copy()
         if self.height is not None:

@@ -22,7 +22,7 @@ from i2t.errors import NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware.base import CameraBase
 from i2t.hardware.clock import Clock
-from i2t.hardware.guarded import GuardedByPolling
+from i2t.hardware.guarded import PolledArm
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_to_vector
@@ -210,7 +210,7 @@ class SimulatedSkin(QueuedSkin):
             self.in_lab.recording = False
 
 
-class SimulatedArm(GuardedByPolling):
+class SimulatedArm(PolledArm):
     """An arm with guarded approaches (`i2t.hardware.protocols.GuardedArm`).
 
     Args:
@@ -243,7 +243,7 @@ class SimulatedArm(GuardedByPolling):
             )
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion, as in `GuardedByPolling.begin_line`."""
+        """Start a straight motion, as in `PolledArm.begin_line`."""
         with self.lab.lock:
             robot = self.lab.robot
             self.lab.contacts.look_ahead(robot.position, robot.rotation)  # even after a short standstill

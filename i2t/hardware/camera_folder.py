@@ -77,7 +77,7 @@ def read_view(path: str | Path) -> tuple[Camera, View]:
         raise ValueError(f"{files[0]}: {other_size(depth.shape, camera)} ({Path(path) / DESCRIPTION})")
     colour = (Path(path) / "colour" / files[0].name).with_suffix(".png")
     shape = (camera.height, camera.width)
-    pixels = read_image(colour, shape=shape, said_by="its depth", mode="RGB") if colour.parent.is_dir() else None
+    pixels = read_image(colour, shape=shape, required_by="its depth", mode="RGB") if colour.parent.is_dir() else None
     return camera, View(math.nan, depth, pixels)
 
 

@@ -121,7 +121,7 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
     for name, T_b_t in _poses(path / "poses.csv"):
         file = file_in(path / "images", name, path / "poses.csv")
         try:
-            image = read_image(file, shape=(camera.height, camera.width), said_by=DESCRIPTION, mode="RGB")
+            image = read_image(file, shape=(camera.height, camera.width), required_by=DESCRIPTION, mode="RGB")
         except OSError as error:
             raise ValueError(f"{file}: cannot be read ({error.strerror or error}); omit its pose") from error
         corners, pixels = board.find(image)

@@ -92,7 +92,7 @@ def require_plausible(rig: Rig, vertices: Float[Array, "v 3"] | None = None) -> 
     doubts = implausible(rig, vertices)
     if doubts:
         more = f" (and {len(doubts) - 1} more doubts)" if len(doubts) > 1 else ""
-        raise ValueError(f"{doubts[0]}{more}; --trust-rig accepts a rig that is merely unusual")
+        raise ValueError(f"{doubts[0]}{more}; --accept-unusual-rig accepts a rig that is merely unusual")
 
 
 def other_lens(rig: Camera, own: Camera, *, plausible: PlausibleRig = PlausibleRig()) -> str:

@@ -68,7 +68,7 @@ class EnvironmentConfig:
         """Errors of a press, without those of the sensor. Environments that differ in the latter alone share compiled
         programs, even if whole numbers differ.
         """
-        none = SimulationErrors.none()
+        none = SimulationErrors.error_free()
         return replace(self.errors, noise=none.noise, faults=none.faults)
 
 
@@ -98,7 +98,7 @@ class OutcomeTable(NamedTuple):
 
 
 class TouchBeliefs(NamedTuple):
-    """Predictions from which an environment computes its posterior (`i2t.recognition.known_pads`)."""
+    """Predictions from which an environment computes its posterior (`i2t.recognition.environment_beliefs`)."""
 
     predicted: PredictedTouch  # (pads, sites, objects, k)
     likelihood: Likelihood
@@ -386,7 +386,9 @@ class TouchEnvironment:
         if action.prediction is not None:
             return action.prediction
         if state.belief is None:
-            raise ValueError("an action without a prediction needs params.beliefs (i2t.recognition.known_pads)")
+            raise ValueError(
+                "an action without a prediction needs params.beliefs (i2t.recognition.environment_beliefs)"
+            )
         return jnp.log(jnp.maximum(beliefs.posterior(state.belief), beliefs.MIN_PROBABILITY))
 
     def _observe(self, state: EpisodeState, measured: TouchObservation, refused: Array) -> EnvironmentObservation:

@@ -302,7 +302,9 @@ POLICIES: dict[str, SitePolicy] = {
 
 def _belief(state: EpisodeState) -> belief.Belief:
     if state.belief is None:
-        raise ValueError("this policy needs an environment with beliefs; see i2t.recognition.known_pads.with_beliefs")
+        raise ValueError(
+            "this policy needs an environment with beliefs; see i2t.recognition.environment_beliefs.with_beliefs"
+        )
     return state.belief
 
 

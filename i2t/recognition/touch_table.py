@@ -33,7 +33,7 @@ from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.touches import SessionErrors, simulate_touch
 from i2t.skin.dipoles import linear_response
 from i2t.skin.elasticity import CELL_GRID
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 from i2t.types import Board, Pad, ReturnCode, Surface
 
 
@@ -55,7 +55,7 @@ def make_environment(
             None).
         sites: Number of sites, drawn from all objects equally, each safe on every object.
         pads: Number of pads.
-        first_pad: Number of the first pad (`i2t.skin.pad.numbered_pad`); the others follow it.
+        first_pad: Number of the first pad (`i2t.skin.pad.pad_from_seed`); the others follow it.
         board: Board below the skins; ReSkin's five chips by default.
         seed: Seed of the sites.
 
@@ -76,7 +76,7 @@ def make_environment(
     names = [item if isinstance(item, str) else f"object {i}" for i, item in enumerate(objects)]
     surfaces = prepare_surfaces([make_object(item).mesh if isinstance(item, str) else item for item in objects])
     pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, config=config)
-    skins = [numbered_pad(first_pad + i, board=board) for i in range(pads)]
+    skins = [pad_from_seed(first_pad + i, board=board) for i in range(pads)]
     return TouchEnvironment(config), environment_params(surfaces, skins, pool, config)
 
 

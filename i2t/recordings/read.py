@@ -39,7 +39,7 @@ from i2t.recordings.columns import (
     library_factor,
     value_columns,
 )
-from i2t.recordings.diagnose import Finding, correction_of, lag_rows, turn_board
+from i2t.recordings.diagnose import Finding, correction_of, lag_rows, rotate_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
     MAX_ROW_OFFSET_S,
@@ -301,7 +301,7 @@ def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -
         targets=targets,
         readings=correction.field * recording.readings,
         baseline=None if baseline is None else correction.field * baseline,
-        board=board if board is None or board_from_stage is None else turn_board(board, board_from_stage),
+        board=board if board is None or board_from_stage is None else rotate_board(board, board_from_stage),
     )
     if correction.lag:
         # The lag was estimated over rows with a known position.

@@ -77,7 +77,7 @@ class SimulationErrors:
     num_pose_errors: ClassVar[int] = 7  # the first fields, which are errors of poses
 
     @classmethod
-    def none(cls) -> "SimulationErrors":
+    def error_free(cls) -> "SimulationErrors":
         """Describe a lab without errors, whose sensor has no noise and no faults."""
         sensor: dict[str, Any] = {"noise": Noise.none(), "faults": Faults()}
         return cls(**{error.name: sensor.get(error.name, 0.0) for error in fields(cls)})
@@ -431,7 +431,7 @@ def simulate_touches(
         key: Random key.
         objects: Surfaces, each at the world's origin.
         pad: The skin, whose board determines the number of values in a reading. It softens from session to session.
-        errors: Errors of the lab; `SimulationErrors.none()` is a lab without errors.
+        errors: Errors of the lab; `SimulationErrors.error_free()` is a lab without errors.
         n: Number of touches on each object, or a list with the number for each.
         limits: Limits at which a press ends.
         sites: Limits of safe sites.
@@ -497,7 +497,7 @@ def _counts(objects: Sequence[Surface], n: int | Sequence[int]) -> list[int]:
     if not objects:
         raise ValueError("objects: the list is empty; give at least one surface")
     if isinstance(n, Sequence | np.ndarray) and not isinstance(n, str):
-        counts = [validation.count(f"n[{i}]", count, least=0) for i, count in enumerate(n)]
+        counts = [validation.count(f"n[{i}]", count, minimum=0) for i, count in enumerate(n)]
         if len(counts) != len(objects):
             raise ValueError(f"n: has {len(counts)} numbers for {len(objects)} objects; give one for each")
         validation.count("n, of all objects,", sum(counts))

@@ -53,7 +53,7 @@ def test_sites_keep_clear_of_a_piece_that_is_not_touched(tmp_path, capsys):
     assert sampler.top == pytest.approx(0.161)
     sites = np.stack([sampler.site(number).T_w_t for number in range(64)])
     assert np.abs(sites[:, 2, 3] - 0.01).max() < 1e-6  # none on the post, and none whose skin would meet it
-    assert np.linalg.norm(sites[:, :2, 3] - (0.02, 0), axis=1).min() > SiteLimits().half
+    assert np.linalg.norm(sites[:, :2, 3] - (0.02, 0), axis=1).min() > SiteLimits().half_edge
     both = begin(CollectArgs(out=tmp_path / "set", world=replace(world, largest_piece=False))).target
     assert highest_point(both, T_w_o) == pytest.approx(0.161)
     low = replace(Rig(), limits=replace(Rig().limits, upper=(1.0, 1.0, 0.2)))

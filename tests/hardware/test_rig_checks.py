@@ -56,7 +56,7 @@ def test_a_mistake_is_refused_in_one_sentence_or_left_to_the_first_touch(mistake
 
 def test_a_doubt_is_refused_with_the_way_round_it_and_a_mesh_in_another_unit_is_noticed(vertices):
     wrong = replace(Rig(), T_world_object=np.diag([1.0, -1.0, -1.0, 1.0]))
-    with pytest.raises(ValueError, match=r"below the table: is it upside down.*--trust-rig"):
+    with pytest.raises(ValueError, match=r"below the table: is it upside down.*--accept-unusual-rig"):
         require_plausible(wrong, vertices)
     (doubt,) = implausible(Rig(), 1e-3 * vertices)
     assert "check --unit" in doubt

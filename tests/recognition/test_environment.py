@@ -12,7 +12,7 @@ from helpers.environments import OBJECTS, SITES, random_environment
 from i2t.recognition.environment import EnvironmentConfig, TouchAction, record
 from i2t.simulation.touches import SimulationErrors
 
-QUIET = EnvironmentConfig(touches=4, errors=SimulationErrors.none())
+QUIET = EnvironmentConfig(touches=4, errors=SimulationErrors.error_free())
 
 
 def touch(site: int, logits=(0.0,) * OBJECTS) -> TouchAction:
@@ -97,7 +97,7 @@ def test_future_touches_do_not_change_past_readings():
 
 def test_press_errors_exclude_those_of_the_sensor():
     """Worlds that differ in these alone share what is compiled."""
-    none, usual = SimulationErrors.none(), SimulationErrors()
+    none, usual = SimulationErrors.error_free(), SimulationErrors()
     assert EnvironmentConfig(usual).press_errors == replace(usual, noise=none.noise, faults=none.faults)
     often = replace(usual, faults=replace(usual.faults, ambient_every=10))
     assert EnvironmentConfig(often).press_errors == EnvironmentConfig(usual).press_errors

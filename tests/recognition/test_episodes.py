@@ -1,4 +1,4 @@
-"""Recorded sessions as episodes: where the sites of touches lie, and what a touch that met air says."""
+"""Recorded sessions as episodes: where the sites of touches lie, and what a touch without contact says."""
 
 import inspect
 from unittest.mock import create_autospec

@@ -17,7 +17,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
 
 QUIET = EnvironmentConfig(
-    errors=SimulationErrors.none(), limits=replace(PressLimits(), overshoot=0.0), touches=3, law=None
+    errors=SimulationErrors.error_free(), limits=replace(PressLimits(), overshoot=0.0), touches=3, law=None
 )
 
 

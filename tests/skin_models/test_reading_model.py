@@ -84,7 +84,7 @@ def test_maps_and_left_out_errors_agree_with_the_dense_gaussian_process(touches,
         got = np.sum((newtons @ root[i]) ** 2, axis=1)
         np.testing.assert_allclose(got, wanted_variance.mean(1), rtol=2e-3)
     # One touch is left out; scale and unit are those of all touches.
-    errors, density = reading_model._left_out(system, weighted, posterior)
+    errors, density = reading_model._leave_one_out(system, weighted, posterior)
     assert reading_model._densities(system, AT.r, AT.v, [3.0, AT.a])[1] == density  # amplitudes do not interact
     assert density > reading_model._densities(system, AT.r, 1e3, [AT.a])[0]  # a model of nearly all noise explains less
     full = np.linalg.inv(_covariance(touches, maps, system.scale))
