@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from i2t.files.kinds import MESH_SUFFIXES
-from i2t.files.reading import why_no_touches
+from i2t.files.reading import explain_no_dataset
 from i2t.objects.named import require_object
 
 
@@ -25,7 +25,11 @@ def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> No
         raise ValueError(f"{flag} {path}: there is no such data set; check the name")
     if path.is_dir() and not any(path.iterdir()):
         raise ValueError(f"{flag} {path}: is an empty folder; name one that holds touches")
-    if path.is_file() and not (tables and path.suffix.lower() not in MESH_SUFFIXES) and (why := why_no_touches(path)):
+    if (
+        path.is_file()
+        and not (tables and path.suffix.lower() not in MESH_SUFFIXES)
+        and (why := explain_no_dataset(path))
+    ):
         raise ValueError(f"{flag} {why}")
 
 

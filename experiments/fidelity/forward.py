@@ -35,7 +35,7 @@ def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
     """
     names: tuple[LoadName, ...] = ("depth", "force")
     for name in names:
-        if recording.varies(name) and recording.known(name).mean() > 0.5:
+        if recording.varies(name) and recording.known_rows(name).mean() > 0.5:
             return name, recording.targets[name][:, 0]
     if recording.varies("force"):
         return "force", recording.targets["force"][:, 0]
@@ -47,8 +47,8 @@ def press_set(recording: SkinRecording, at_least: int = 10) -> LoadedPresses:
     one_tip(recording)
     name, load = load_of(recording)
     good, position = np.isfinite(load), np.zeros((len(recording), 2))
-    if recording.known("position").any():
-        good &= recording.known("position")
+    if recording.known_rows("position").any():
+        good &= recording.known_rows("position")
         position = recording.targets["position"]
     if name == "none" and not recording.varies("position"):
         raise CannotTellError("Neither position nor load is known and varies, so that nothing predicts a reading.")

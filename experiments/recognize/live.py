@@ -33,7 +33,7 @@ from experiments.recognize.plans import load_meshes, meshes_by_name
 from experiments.train.finished import find_pad_model
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
-from i2t.collect.recorder import touches_in
+from i2t.collect.recorder import list_touches
 from i2t.collect.settings import TouchSettings
 from i2t.collect.start import begin
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
@@ -189,7 +189,7 @@ def conclude(
     """Write down and say what was recognised; `true_object` is None for a real arm."""
     names, info = live.recognizer.names, live.infos[-1]
     p = np.stack([each.probability for each in live.infos])
-    source = read_touch(touches_in(args.out / "touches")[0]).touch.source
+    source = read_touch(list_touches(args.out / "touches")[0]).touch.source
     result = {
         "source": source,
         "pad_model": to_json(known),
@@ -234,5 +234,5 @@ def conclude(
 def refuse_used(out: Path) -> None:
     """Refuse a folder that holds the touches of another episode (ValueError)."""
     folder = out / "touches"
-    if folder.is_dir() and touches_in(folder):
+    if folder.is_dir() and list_touches(folder):
         raise ValueError(f"{out} holds the touches of another episode; choose another --out")

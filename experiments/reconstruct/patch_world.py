@@ -10,7 +10,7 @@ from experiments.reconstruct.arguments import PatchSizes
 from experiments.reconstruct.fitted_pad import fit_pad, press_all
 from i2t.objects import Mesh, catalogue, primitives
 from i2t.objects.drawing import disk, outline, rectangle
-from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
+from i2t.reconstruction.library import library_from_contacts, pad_to_size_classes, sample_contacts
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
 from i2t.reconstruction.press_models import predict_presses
 from i2t.rendering.render import prepare_surface
@@ -63,12 +63,12 @@ def make_parts(key: Array, sizes: PatchSizes) -> dict[str, Part]:
     """Shapes of each part, met at random safe sites."""
     counts = {"train": sizes.patches, "validation": sizes.validation, "test": sizes.test}
     meshes = {part: list_shapes(part, sizes.shapes) for part in counts}
-    sized = iter(to_few_sizes([prepare_surface(mesh) for some in meshes.values() for mesh in some]))
+    sized = iter(pad_to_size_classes([prepare_surface(mesh) for some in meshes.values() for mesh in some]))
     parts = {}
     for number, (part, count) in enumerate(counts.items()):
         surfaces = [next(sized) for _ in meshes[part]]
         contacts, objects = sample_contacts(jax.random.fold_in(key, number), surfaces, count)
-        parts[part] = Part(library_of(contacts, objects), contacts.height[: 0 if part == "train" else None])
+        parts[part] = Part(library_from_contacts(contacts, objects), contacts.height[: 0 if part == "train" else None])
     return parts
 
 

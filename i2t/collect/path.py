@@ -61,10 +61,10 @@ class TouchPath:
         Raises:
             UnreachableError: If a goal of its touch, or the path to it, is outside the box.
         """
-        if why := self.why_not(site):
+        if why := self.explain_unreachable(site):
             raise UnreachableError(why)
 
-    def why_not(self, site: Site, looks: bool = True) -> str:
+    def explain_unreachable(self, site: Site, looks: bool = True) -> str:
         """Explain why a site cannot be reached.
 
         Args:

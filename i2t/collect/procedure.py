@@ -15,9 +15,9 @@ callable, `choose(history) -> site`, chooses the next site. Numbers are those of
 them, except where `TouchSettings` gives a reason.
 
 All skins on the tool are read, and each may stop an approach. A skin has felt a press if the part of its change that
-differs between its chips exceeds half of what stops a press. A press that a skin did not feel counts as no
-contact of that skin, whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one force for
-all skins: it is assigned to a skin if no other felt the press, and is unknown (NaN) otherwise.
+differs between its chips exceeds half of what stops a press. A press that a skin did not feel counts as no contact of
+that skin, whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one
+force for all skins: it is assigned to a skin if no other felt the press, and is unknown (NaN) otherwise.
 
 Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
@@ -33,7 +33,7 @@ import numpy as np
 from i2t.collect.path import TouchPath
 from i2t.collect.recorder import EventLog, Recorder
 from i2t.collect.settings import TouchSettings
-from i2t.collect.stopping import StopCondition, felt, onset_distance, press_samples
+from i2t.collect.stopping import StopCondition, is_felt, onset_distance, press_samples
 from i2t.collect.touch import (
     TOOL,
     ChooseSite,
@@ -276,7 +276,7 @@ class Procedure:
         for state in states:
             log.state(state)
         self._check_alive(log, period)
-        felt_by = [on_tool.name for on_tool in self.skins if felt(changes[on_tool.name], on_tool.board, settings)]
+        felt_by = [on_tool.name for on_tool in self.skins if is_felt(changes[on_tool.name], on_tool.board, settings)]
         return HeldPress(result, log, period, ambient, states, changes, felt_by or [TOOL])
 
     def _check_alive(self, log: EventLog, period: tuple[float, float]) -> None:

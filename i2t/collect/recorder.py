@@ -214,8 +214,8 @@ class Recorder:
             raise StorageError(
                 f"{self.folder} is being written by another collection; end that one, or choose another folder"
             ) from None
-        saved = touches_in(self.folder)
-        self._newest = written_at(saved[-1]) if saved else 0.0
+        saved = list_touches(self.folder)
+        self._newest = touch_time(saved[-1]) if saved else 0.0
 
     def close(self) -> None:
         """Release the folder, without raising an error."""
@@ -443,7 +443,7 @@ def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: S
 # A folder of touches
 
 
-def touches_in(folder: Path) -> list[Path]:
+def list_touches(folder: Path) -> list[Path]:
     """List the touches recorded in a folder, in the order of time.
 
     Args:
@@ -455,7 +455,7 @@ def touches_in(folder: Path) -> list[Path]:
     return sorted(folder.glob("touch-*.h5"))
 
 
-def written_at(path: Path) -> float:
+def touch_time(path: Path) -> float:
     """Read the time in a touch's name.
 
     Args:

@@ -27,7 +27,7 @@ class Offset(NamedTuple):
     angle_std: float  # rad
 
     @property
-    def certain(self) -> bool:
+    def significant(self) -> bool:
         """Whether the offset is significant, beyond three standard deviations."""
         return self.distance > 3 * self.distance_std or self.angle > 3 * self.angle_std
 
@@ -73,7 +73,7 @@ def describe_offsets(
     if not np.median(estimate.view_residual) <= max_view_residual:
         return "the views fit the mesh at no pose near the believed one: look for a wrong mesh, unit, pose or hand-eye"
     placed, camera = offsets(estimate, here.touches.T_w_o[0])
-    advice = "; calibrate the rig again (docs/hardware.md)" if placed.certain or camera.certain else ""
+    advice = "; calibrate the rig again (docs/hardware.md)" if placed.significant or camera.significant else ""
     return f"by these touches, the object is {placed} from its pose in the rig, and the camera {camera}{advice}"
 
 

@@ -204,7 +204,7 @@ class _Session:
         while len(self.done) < self.args.touches:
             site = self.sampler.next(self.tried)
             self.tried.add(site.number)
-            why = self.procedure.path.why_not(site)
+            why = self.procedure.path.explain_unreachable(site)
             if not why:
                 return site
             self.unreachable += 1

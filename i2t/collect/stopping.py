@@ -154,7 +154,7 @@ def press_samples(
     return readings, np.interp(samples[:, 0], [state.time for state in states], before)
 
 
-def felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -> bool:
+def is_felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -> bool:
     """Test whether a skin has felt a press.
 
     Args:

@@ -41,7 +41,7 @@ from i2t.recordings.columns import (
 from i2t.recordings.diagnose import corrected_presses, find_depth_sign, first_contact
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.recordings.presses import Presses, join_presses
-from i2t.recordings.tables import TextTable, names_in, read_text_table, sound_rows
+from i2t.recordings.tables import TextTable, names_in, read_text_table, valid_rows
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
 
@@ -143,11 +143,11 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
         required[:, end + len(ambient) :] = False
         return required
 
-    rows, numbers = sound_rows(source, header, table.rows, columns, needed, notes)
-    answered = notes.keep_heard(
+    rows, numbers = valid_rows(source, header, table.rows, columns, needed, notes)
+    answered = notes.select_answered(
         _silent(source, numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes)
     )
-    notes.require_heard(
+    notes.require_answers(
         source, "check the board's cable and record again, or empty the fields of a chip that is missing"
     )
     rows, numbers = [row for row, kept in zip(rows, answered, strict=True) if kept], numbers[answered]

@@ -67,7 +67,7 @@ def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, 
         silent_ambient[:] = False
         ambient = np.where(np.isnan(ambient), 0, ambient)
     require_ambient(path, silent, silent_ambient, "record it again, or write zeros for all chips to subtract nothing")
-    notes.keep_heard(silent | silent_ambient)
+    notes.select_answered(silent | silent_ambient)
     difference = np.full(means.shape, np.nan)
     difference[sound] = means[sound] - ambient[sound]
     return difference, np.array([_time(t) for t in items])

@@ -29,7 +29,7 @@ from i2t.convert.log_rows import LabelColumn, LogRows, TimedRows, on_one_clock
 from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
-from i2t.recordings.clocks import pause_of
+from i2t.recordings.clocks import pause_threshold
 from i2t.recordings.columns import FORCE, HEIGHT_COLUMNS, PLACES, TEXT_COLUMNS, TIME, field_columns
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
@@ -42,7 +42,7 @@ from i2t.recordings.segmentation import (
     open_recording,
     segmentation_rules,
 )
-from i2t.recordings.tables import TableRows, TextTable, open_text_table, sound_rows
+from i2t.recordings.tables import TableRows, TextTable, open_text_table, valid_rows
 from i2t.runtime.progress import progress
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board
@@ -92,14 +92,14 @@ class _Search:
     def take(self, rows: LogRows, step: float) -> None:
         """Search presses in further rows of a clock with this step (s), without those of silent chips."""
         self.end = float(rows.time[-1]) - self.origin
-        rows = rows.pick(rows.complete)
+        rows = rows.select(rows.complete)
         if not len(rows.time):
             return
         order = 1e-6 * step * np.arange(self.rows, self.rows + len(rows.time))  # of rows that share a time
         rows = rows._replace(time=rows.time - self.origin + order)
         self.rows += len(rows.time)
         self.head = rows.readings[: _RULES.head_rows].copy() if self.head is None else self.head
-        self.tail = rows.pick(slice(-_RULES.head_rows, None))
+        self.tail = rows.select(slice(-_RULES.head_rows, None))
         if self.recording is not None:
             self.recording, more = extend_recording(self.recording, rows.time, rows.readings, rows.labels)
             self.presses += more
@@ -246,7 +246,7 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
         log_presses.add(search)
     for note in table.notes:  # again, because notes are added until the last row is read
         notes.info(note)
-    notes.require_heard(source)
+    notes.require_answers(source)
     if notes.damaged_rows and not log_presses.rows:
         raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
     if not log_presses.presses:
@@ -379,11 +379,11 @@ def _rows(
     with progress(desc=source.name, unit="row", unit_scale=True) as bar:
         while some := list(islice(table.rows, log_rows.ROWS_READ_AT_ONCE)):
             bar.update(len(some))
-            rows, numbers = sound_rows(source, table.header, some, wanted, partial(_needed, timed=first), notes)
+            rows, numbers = valid_rows(source, table.header, some, wanted, partial(_needed, timed=first), notes)
             if not rows:
                 continue
             readings = without_silent_chips(numbers[:, first:end])
-            notes.keep_heard(np.isnan(readings).reshape(len(rows), -1, AXES_OF_CHIP).any(2))
+            notes.select_answered(np.isnan(readings).reshape(len(rows), -1, AXES_OF_CHIP).any(2))
             codes = np.zeros(len(rows))
             if which:
                 names = (tuple(cells[i].strip() for i in which) for _, cells in rows)
@@ -406,18 +406,18 @@ def _search_parts(pieces: "Iterator[TimedRows]", columns: list[str], names: list
     for piece in pieces:
         rows, complete = piece.rows, piece.rows.complete
         complete_at = np.fmax.accumulate(np.concatenate([[last_complete], np.where(complete, rows.time, np.nan)]))
-        silences = np.flatnonzero(complete & (rows.time - complete_at[:-1] > pause_of(piece.step)))
+        silences = np.flatnonzero(complete & (rows.time - complete_at[:-1] > pause_threshold(piece.step)))
         begins = {*np.flatnonzero(piece.begins).tolist(), *silences.tolist()}
         pads = [name[columns.index("pad")] if "pad" in columns else "" for name in names]
         others, pad = _other_pads(rows, pads, pad)
         for start, end in pairwise(sorted({0, *begins, *others, len(rows.time)})):
-            part = rows.pick(slice(start, end))
+            part = rows.select(slice(start, end))
             if search is not None and start in others:
                 search.finish()
                 yield search
                 search = None
             if search is not None and start in begins:
-                if search.continues_press(part.pick(part.complete)):
+                if search.continues_press(part.select(part.complete)):
                     search.origin = float(part.time[0]) - search.end - piece.step
                 else:
                     search.finish()

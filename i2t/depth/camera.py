@@ -531,14 +531,14 @@ def check_image(depth: Any, camera: Camera) -> None:
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: is a {type(camera).__name__}; give an i2t.Camera")
     if depth.shape != (camera.height, camera.width):
-        raise ValueError(f"depth: {other_size(depth.shape, camera)}")
+        raise ValueError(f"depth: {wrong_size_message(depth.shape, camera)}")
     if depth.dtype.kind != "f":
         raise ValueError(
             f"depth: holds {depth.dtype}; give metres as floats (read_depth, or numbers times their scale)"
         )
 
 
-def other_size(shape: tuple[int, ...], camera: Camera) -> str:
+def wrong_size_message(shape: tuple[int, ...], camera: Camera) -> str:
     """Word the message for an image of another size than its camera's.
 
     Args:

@@ -97,7 +97,7 @@ class SkinInLab:
         if not self._noise:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
-        reading = self.contact_model.at_rest(rotation) + self.contact_model.reading + noise
+        reading = self.contact_model.reading_at_rest(rotation) + self.contact_model.reading + noise
         self.samples.append(StreamRow(self.number, now, np.rint(reading / self._steps) * self._steps, celsius))
         self.number += 1
 

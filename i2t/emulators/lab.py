@@ -34,7 +34,7 @@ from i2t.skin.boards import DEFAULT_BOARD, make_board
 if TYPE_CHECKING:
     from i2t.emulators.scene import ToolContactModel
 
-started = partial(processes.started, "i2t.emulators.lab")  # takes options; yields a line and the process
+run_lab = partial(processes.run_emulator, "i2t.emulators.lab")  # takes options; yields a line and the process
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,9 +77,9 @@ def _contacts(args: EmulatedLabArgs, rig: Rig, stack: ExitStack) -> "ToolContact
 
     def model(number: int, link: Path, board: str) -> SkinContactModel:
         scene = make_scene(args.world, rig, board, number)
-        scene.ahead(rig.T_base_world @ rig.T_world_object)  # compiled before a motion waits for it
+        scene.line_ahead(rig.T_base_world @ rig.T_world_object)  # compiled before a motion waits for it
         named = ("--link", str(link), "--board", board)
-        _, process = stack.enter_context(reskin_board.started("--field", *named))
+        _, process = stack.enter_context(reskin_board.run_board("--field", *named))
         T_tool_skin = rig.skins[number - 1].T_tool_skin if number else None
         return SkinContactModel(scene, wait=False, T_tool_skin=T_tool_skin, to=_board_address(process))
 

@@ -142,7 +142,7 @@ class ObjectScene:
         self._middle = (corners.min(0) + corners.max(0)) / 2
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
-    def near(self, position: Array) -> bool:
+    def is_near(self, position: Array) -> bool:
         """Test whether the object may be within a line's reach.
 
         Args:
@@ -153,7 +153,7 @@ class ObjectScene:
         """
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
-    def ahead(self, T_b_t: Array) -> ContactLine:
+    def line_ahead(self, T_b_t: Array) -> ContactLine:
         """Compute the line from a pose along tool z, with the contact of the skin on it.
 
         Args:
@@ -245,10 +245,10 @@ class SkinContactModel:
             wrench[:3] = skin_rotation @ [0.0, 0.0, -force]
             wrench[3:] = skin_rotation @ [-force * y, force * x, 0.0] + np.cross(skin_position - position, wrench[:3])
         if self._to and self._socket:
-            self._send(self._socket, self._to, self.at_rest(rotation) + self.reading)
+            self._send(self._socket, self._to, self.reading_at_rest(rotation) + self.reading)
         return wrench
 
-    def at_rest(self, rotation: Array) -> Array:
+    def reading_at_rest(self, rotation: Array) -> Array:
         """Compute the reading of a skin without contact: its own field and the room's.
 
         Args:
@@ -269,14 +269,14 @@ class SkinContactModel:
             rotation: `(3, 3)` rotation of the tool in the base.
         """
         skin_position, skin_rotation = self._skin_pose(position, rotation)
-        if not self.scene.near(skin_position):
+        if not self.scene.is_near(skin_position):
             return
         along = None if self._line is None else self._line.distance_along(skin_position, skin_rotation)
         if self._line is not None and along is not None and self._line.covers(along):
             return
         T_b_s = transform(skin_rotation, skin_position)
         if self._executor is None:
-            self._line = self.scene.ahead(T_b_s)
+            self._line = self.scene.line_ahead(T_b_s)
         elif self._pending is None:
             self._pending = self._executor.submit(self.scene.ahead, T_b_s)
         else:

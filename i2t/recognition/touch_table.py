@@ -23,7 +23,7 @@ from i2t.recognition.environment import (
     OutcomeTable,
     TabulatedTouches,
     TouchEnvironment,
-    advance_from,
+    advance_along_approach,
 )
 from i2t.recognition.site_pool import SitePool, prepare_surfaces, safe_sites, sample_sites
 from i2t.rendering.ops import element
@@ -159,7 +159,7 @@ def _touch_all(
                 session=SessionErrors(T_w_o[row], jnp.eye(4)), pad=pad, errors=config.errors,
                 limits=config.limits, law=config.law, response=response,
             )  # fmt: skip
-            advance = advance_from(T_w_site, touched.T_w_t)
+            advance = advance_along_approach(T_w_site, touched.T_w_t)
             return TabulatedTouches(touched.reading, touched.force, advance, touched.code != ReturnCode.AIR)
 
         return jax.vmap(press)(params.pads, params.response)

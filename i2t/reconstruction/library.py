@@ -27,7 +27,7 @@ from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.patches.views import centre
 from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
-from i2t.runtime.batching import filled_batches, map_batches, spread
+from i2t.runtime.batching import filled_batches, map_batches, map_on_devices
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.site_limits import SiteLimits
@@ -86,7 +86,7 @@ def build_library(
     Raises:
         ValueError: No shape is given, or no shape can be touched.
     """
-    return library_of(*sample_contacts(key, surfaces, count, tilt=tilt, limits=limits))
+    return library_from_contacts(*sample_contacts(key, surfaces, count, tilt=tilt, limits=limits))
 
 
 def sample_contacts(
@@ -116,7 +116,7 @@ def sample_contacts(
         raise ValueError("a library needs at least one shape and one patch; give meshes, and a count above 0")
     per_shape = -(-count // len(surfaces))
     parts, objects = [], []
-    for i, surface in enumerate(to_few_sizes(surfaces)):
+    for i, surface in enumerate(pad_to_size_classes(surfaces)):
         key_shape = jax.random.fold_in(key, i)
         rounds = [
             jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, tilt, limits))
@@ -133,7 +133,7 @@ def sample_contacts(
     return jax.tree.map(lambda field: field[kept], contacts), np.concatenate(objects)[kept]
 
 
-def library_of(contacts: FirstContacts, objects: np.ndarray) -> PatchLibrary:
+def library_from_contacts(contacts: FirstContacts, objects: np.ndarray) -> PatchLibrary:
     """Press a nominal layer onto each of the given contacts.
 
     Args:
@@ -186,11 +186,11 @@ def in_batches(
         Results of the function for all rows, on the host.
     """
     batches = filled_batches(np.arange(len(rows[0])), _CONFIG.batch_size)
-    parts = spread(function, (tuple(values[batch] for values in rows) for batch in batches), shared=shared)
+    parts = map_on_devices(function, (tuple(values[batch] for values in rows) for batch in batches), shared=shared)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
 
 
-def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
+def pad_to_size_classes(surfaces: Sequence[Surface]) -> list[Surface]:
     """Pad surfaces to two size classes, so that only two programs are compiled.
 
     Args:

@@ -31,11 +31,11 @@ from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry, validation
 from i2t.contact.approach import FirstContact, facing_surface, meet
-from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
+from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_at_stop, press_to_stop
 from i2t.patches.dimensions import REACH, WIDE_PIXELS, WIDE_WINDOW
 from i2t.patches.views import WideView, camera_view, centre, pixels_on_skin
 from i2t.rendering.render import render_heights, stack_surfaces
-from i2t.runtime.batching import select_rows, spread
+from i2t.runtime.batching import map_on_devices, select_rows
 from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
 from i2t.simulation import sites as touch_sites
 from i2t.skin import faults
@@ -259,7 +259,7 @@ def _press(
     if law is not None and limits.final != GRID:
         finer = facing_surface(surface, contact.T_w_t, limits.final)
         deeper = stop.indentation + facing.nearest - finer.nearest  # the finer grid may see a nearer point
-        stop = press_finally(pad, finer.depth, deeper, stop, final=limits.final, law=law, response=response)
+        stop = press_at_stop(pad, finer.depth, deeper, stop, final=limits.final, law=law, response=response)
     # The grid of the pad meets a point between its cells late. This distance is included, so that nearest and depth
     # agree.
     hit = contact.hit
@@ -474,7 +474,7 @@ def simulate_touches(
             yield jax.random.fold_in(key, session), surface, jnp.int32(presses)
             presses += kept
 
-    results = spread(
+    results = map_on_devices(
         _simulate(len(sessions)),
         calls(),
         shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final), camera),

@@ -133,7 +133,7 @@ class PadFit(NamedTuple):
         Raises:
             SerializationError: The file cannot be written.
         """
-        serialization.save(path, FILE_KIND, self.pad, about, beside=_FitRecord(*self[1:]))
+        serialization.save(path, FILE_KIND, self.pad, about, extra=_FitRecord(*self[1:]))
 
 
 class _FitRecord(NamedTuple):

@@ -18,20 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from i2t.errors import require_extra, why_missing
+from i2t.errors import explain_missing_extra, require_extra
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.view.contents import Contents, DepthImage, Events, Field, Item, Numbers, Poses, camera_of, items, span
 
 NEEDS_RERUN = "a Rerun recording"  # purpose of the package, for messages
 
 
-def why_no_recording() -> str:
+def explain_no_recording() -> str:
     """Explain why no recording can be written here.
 
     Returns:
         One sentence with the remedy, or an empty string if a recording can be written.
     """
-    why = why_missing("rerun", NEEDS_RERUN)
+    why = explain_missing_extra("rerun", NEEDS_RERUN)
     return why and f"{why}, or pass --html alone"
 
 

@@ -98,7 +98,7 @@ def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
     data = dataset.load_dataset(tmp_path / "set")
     assert (len(data), len(data.sessions)) == (2, 1)
     np.testing.assert_array_equal(data.touches.reading[:1], touches.reading)
-    assert [recorder.site_number_of(path) for path in recorder.touches_in(tmp_path / "set")] == [0, 1]
+    assert [recorder.site_number_of(path) for path in recorder.list_touches(tmp_path / "set")] == [0, 1]
     code, output = run(touches=2)
     assert code == 0
     assert "there already" in output
@@ -123,7 +123,7 @@ def test_a_defective_skin_stops_sessions_and_dry_runs(tmp_path, rig, capsys, mon
     options = ["--out", str(tmp_path / "set"), "--rig", str(rig), "--touches", "1"]
     assert command.main(options) == 1
     assert "skins: the simulated skin: chip 2" in capsys.readouterr().err
-    assert not (tmp_path / "set").exists() or not recorder.touches_in(tmp_path / "set")
+    assert not (tmp_path / "set").exists() or not recorder.list_touches(tmp_path / "set")
     assert command.main([*options, "--dry-run"]) == 1
     assert "BAD       skins: the simulated skin: chip 2" in capsys.readouterr().out
 

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.contact.press import PressLimits, pad_response, press_finally, press_to_stop, stop_load
+from i2t.contact.press import PressLimits, pad_response, press_at_stop, press_to_stop, stop_load
 from i2t.skin.contact import FINE_GRID, GRID
 from i2t.skin.pad import Press, friction_response, press, press_force, sample_pad
 from i2t.types import Pad, ReturnCode
@@ -80,7 +80,7 @@ def test_the_final_press_is_that_of_all_its_dipoles(name, pad):
         "two tips": np.minimum(np.hypot(x - 6e-3, y), np.hypot(x + 6e-3, y) + 0.3e-3),
     }[name]
     end = stop(pad, jnp.float32(SHAPES[name]), 0.0)
-    quick = jax.jit(lambda pad, height, end: press_finally(pad, height, end.indentation, end, final=FINE_GRID))
+    quick = jax.jit(lambda pad, height, end: press_at_stop(pad, height, end.indentation, end, final=FINE_GRID))
     final = quick(pad, jnp.float32(fine), end)
     whole = press(pad, jnp.float32(fine), end.indentation, grid=FINE_GRID)
     np.testing.assert_allclose(final.force, whole.force, rtol=1e-4)

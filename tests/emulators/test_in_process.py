@@ -44,7 +44,7 @@ def test_a_line_over_a_dome_follows_the_physics_between_its_loads(scene):
     loads that grow by 1.85, straight pieces of a force that grows as travel to the power 1.5 are off by up to 4 %.
     """
     start = pose(0.4, 0.0, 0.07)
-    line = scene.ahead(start)
+    line = scene.line_ahead(start)
     np.testing.assert_allclose(line.first, 0.07 - 0.03, atol=0.05e-3)  # chords of the mesh and cells of the grid
     T_o_t = jnp.asarray(np.linalg.inv(scene.T_b_o) @ start, jnp.float32)
     loads = TABULATED_LOADS_N * np.sqrt(TABULATED_LOADS_N[1] / TABULATED_LOADS_N[0])
@@ -57,7 +57,7 @@ def test_a_line_over_a_dome_follows_the_physics_between_its_loads(scene):
     # A softer mount sinks by force through stiffness.
     hard, scene.stiffness = scene.stiffness, 2e3
     try:
-        soft = scene.ahead(start)
+        soft = scene.line_ahead(start)
     finally:
         scene.stiffness = hard
     np.testing.assert_allclose(soft.past_contact - line.past_contact, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
@@ -71,7 +71,7 @@ def stand(model, x, z, turned=DOWN):
 
 @pytest.mark.full
 def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
-    line = scene.ahead(pose(0.5, 0.0, 0.07))
+    line = scene.line_ahead(pose(0.5, 0.0, 0.07))
     assert line.first == np.inf
     assert line.contact_at(0.1)[0] == 0.0
     assert line.distance_along(np.array([0.5, 0.0, 0.05]), DOWN) == pytest.approx(0.02)
@@ -166,7 +166,7 @@ def test_a_sample_is_the_nearest_count_of_the_converter():
     skin = SkinInLab(SpringPlane(HEIGHT, 10e3, GAIN, NOISY, boards.reskin_board()))
     skin.recording, skin._noise = True, [(np.zeros(15), np.zeros(5))]
     skin.measure(0.0, np.eye(3))
-    exact = skin.contact_model.at_rest(np.eye(3)) + skin.contact_model.reading
+    exact = skin.contact_model.reading_at_rest(np.eye(3)) + skin.contact_model.reading
     assert (abs(skin.samples[0][2] - exact) <= np.tile([0.0751, 0.0751, 0.1211], 5)).all()
 
 

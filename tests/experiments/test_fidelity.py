@@ -308,8 +308,8 @@ def test_what_is_held_out_is_never_fitted_to():
     assert set(rows) == {heads.RANDOM_SPLIT, heads.GROUP_SPLIT, heads.LATER_SPLIT}
     assert rows[heads.LATER_SPLIT].tolist() == [False] * 72 + [True] * 18
     masked = heads._known_of(SKIN, "depth", np.arange(10))
-    assert masked.known("depth").sum() == 10
-    assert SKIN.known("depth").all()
+    assert masked.known_rows("depth").sum() == 10
+    assert SKIN.known_rows("depth").all()
 
 
 def test_heads_are_fitted_by_one_command(tmp_path, capsys):

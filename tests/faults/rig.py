@@ -29,7 +29,7 @@ from i2t.geometry import contact_frame, inverse, nearest_rigid
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import ArmState, View
 from i2t.hardware.rig import Rig
-from i2t.hardware.rig_checks import other_lens, require_plausible
+from i2t.hardware.rig_checks import compare_lens, require_plausible
 from i2t.objects.solids import Object
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.simulation.site_limits import SiteLimits
@@ -167,7 +167,7 @@ def try_rig(wrong: Rig, name: str, seed: int = 0, right: Rig | None = None) -> F
         require_plausible(wrong, mesh.vertices)
     except ValueError as error:
         return Found("plausibility", str(error))
-    if different := other_lens(wrong.camera, right.camera):
+    if different := compare_lens(wrong.camera, right.camera):
         return Found("lens", different)
     try:
         sampler = SiteSampler(Object(name, mesh, "file"), wrong.T_world_object, SiteLimits(), seed, name)

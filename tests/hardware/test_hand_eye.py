@@ -146,7 +146,7 @@ def view(T_b_t, drawing, rng):
 def taken(tmp_path_factory):
     """A folder that `capture` has made of nine views, from a camera and an arm that report what they would."""
     rng = np.random.default_rng(4)
-    drawing = Image.fromarray(BOARD.drawn(EDGE / (1e3 * BOARD.square)))
+    drawing = Image.fromarray(BOARD.image(EDGE / (1e3 * BOARD.square)))
     T_c_colour = pose([0.0, 0.01, 0.0], [0.015, 0.0, 0.0])
     poses = list(tools(8, rng))
     poses.insert(4, poses[0] @ pose([1.5, 0, 0], [0, 0, 0]))  # looks away: no board

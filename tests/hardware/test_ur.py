@@ -147,7 +147,7 @@ def test_a_motion_is_made_under_a_fed_watchdog_only():
         exit_timeout=2,
     )
     worker = rtde_worker.Worker(theirs, library, library, limits)
-    worker.observe()
+    worker.send_new_state()
     motion = {"pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
     heartbeat, move = {"heartbeat": True}, {"command": "move", "id": 1, "arguments": motion}
 

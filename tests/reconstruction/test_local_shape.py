@@ -9,7 +9,7 @@ import i2t
 from i2t.contact.press import PressLimits
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.reconstruction import infer_patch
-from i2t.reconstruction.library import library_of, sample_contacts
+from i2t.reconstruction.library import library_from_contacts, sample_contacts
 from i2t.reconstruction.local_shape import (
     _at_force,
     _blurred,
@@ -141,7 +141,7 @@ def test_predicted_readings_equal_those_of_the_full_physics():
     surface = i2t.prepare_surface(i2t.make_object("stamp-cross").mesh)
     contacts, objects = sample_contacts(jax.random.key(0), [surface], 3)
     pad = i2t.sample_pad(jax.random.key(1))
-    model = predict_presses(pad, library_of(contacts, objects))
+    model = predict_presses(pad, library_from_contacts(contacts, objects))
 
     def press(T):
         heights = render_heights(surface, jnp.linalg.inv(T), PAD_WINDOW, 40)

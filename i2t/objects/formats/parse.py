@@ -19,7 +19,7 @@ from i2t.objects.formats.obj import read_obj
 from i2t.objects.formats.off import read_off
 from i2t.objects.formats.ply import read_ply
 from i2t.objects.formats.stl import read_stl
-from i2t.objects.formats.text import unreadable
+from i2t.objects.formats.text import unreadable_file
 
 
 def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
@@ -44,7 +44,7 @@ def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
         raise
     except Exception as error:  # an error of a parser is caused by the file
         reason = " ".join(f"{type(error).__name__} {error}".split())[:300]
-        raise unreadable(path, reason, "export it again") from error
+        raise unreadable_file(path, reason, "export it again") from error
     ignored = tuple(text for text in ignored if text)
     if not len(faces):
         others = f" but {' and '.join(ignored)}" if ignored else ""

@@ -58,8 +58,15 @@ from i2t.skin_models.tip_gp.leave_one_out import (
     spatial_parts,
     ungrouped,
 )
-from i2t.skin_models.tip_gp.members import NO_BOARD, Components, join_members, on_boards, take_members, with_previous
-from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior, with_plain
+from i2t.skin_models.tip_gp.members import (
+    NO_BOARD,
+    Components,
+    add_previous_session,
+    join_members,
+    kernels_on_boards,
+    take_members,
+)
+from i2t.skin_models.tip_gp.prior import KernelPrior, add_plain_members, load_prior
 from i2t.types import in_one_line
 
 
@@ -323,11 +330,15 @@ def _unweighted_members(
     presses = presses._replace(loads=loads)
     parts = []
     for column, kind in enumerate(load_kinds or ("force",)):
-        kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
-        parts.append(on_boards(kernels, log_share, column, 0 if chip_positions is None else len(chip_positions)))
+        kernels, log_share = add_plain_members(
+            prior, kind, presses.position, loads[:, column] / typical[column], readings
+        )
+        parts.append(
+            kernels_on_boards(kernels, log_share, column, 0 if chip_positions is None else len(chip_positions))
+        )
     components = join_members(*parts)
     if presses.previous_mean is not None:
-        components = with_previous(components)
+        components = add_previous_session(components)
     return _unweighted(presses, readings, components, typical, chip_positions)
 
 
