@@ -278,7 +278,7 @@ class SkinContactModel:
         if self._executor is None:
             self._line = self.scene.line_ahead(T_b_s)
         elif self._pending is None:
-            self._pending = self._executor.submit(self.scene.ahead, T_b_s)
+            self._pending = self._executor.submit(self.scene.line_ahead, T_b_s)
         else:
             self._repeats = 0  # try again once the pending line is known
 

@@ -68,13 +68,11 @@ class ReadingLog:
         Returns:
             `(n,)` mask of the rows in which all chips answered.
         """
-        heard = np.asarray(~silent.any(1))
-        self.answered_rows, self.silent_rows = (
-            self.answered_rows + int(heard.sum()),
-            self.silent_rows + int((~heard).sum()),
-        )
+        answered = np.asarray(~silent.any(1))
+        self.answered_rows += int(answered.sum())
+        self.silent_rows += int((~answered).sum())
         self.silent_chips.update(dict(enumerate(silent.sum(0).tolist())))
-        return heard
+        return answered
 
     def require_answers(self, source: object, remedy: str = "check the board's cable, and record again") -> None:
         """Refuse a source in which some chip is silent in every row.

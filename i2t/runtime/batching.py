@@ -3,9 +3,9 @@
 Bulk work (simulated touches, predicted touches, beliefs along episodes, members of an ensemble) consists of many calls
 of a compiled function with arguments of the same shapes. On a GPU `map_on_devices` makes them in turn, as a loop would.
 On a CPU it makes a few at a time in threads, because a call keeps two cores busy for only half of the time. On n
-devices it makes n at a time: their arguments are stacked on a mesh with a single axis, and each device runs the program of a
-single device on arrays of the same shapes. Results therefore do not depend on the number of devices or threads, and
-devices exchange nothing.
+devices it makes n at a time: their arguments are stacked on a mesh with a single axis, and each device runs the program
+of a single device on arrays of the same shapes. Results therefore do not depend on the number of devices or threads,
+and devices exchange nothing.
 """
 
 import os

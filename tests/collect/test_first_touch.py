@@ -257,7 +257,7 @@ def test_right_rigs_over_thin_small_and_shiny_objects_pass(number):
     *(("object 7 mm aside", place, "slow touch of the side met") for place in (0, 1)),
     *(("TCP 7 mm aside", place, "two looks at a site") for place in (0, 2)),
 ])  # fmt: skip
-def test_a_displaced_object_is_found_at_a_side_and_a_displaced_tcp_by_the_turned_look(what, place, sentence):
+def test_a_displaced_object_is_found_at_a_side_and_a_displaced_tcp_by_the_rotated_look(what, place, sentence):
     aside = [wrong for wrong in WRONG_RIGS if what in wrong[0].name]
     assert sentence in try_mistake(*aside[place]).sentence
 

@@ -87,13 +87,13 @@ def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_boar
 
 
 @pytest.mark.full
-def test_a_wrong_baud_rate_is_said():
+def test_a_wrong_baud_rate_is_reported():
     search = BoardSearch(first_frame_timeout=0.3, startup_time=0.0)
     with run_board("--baud", "460800") as (port, _), pytest.raises(DeviceError, match=r"at 9600 baud .* the baud rate"):
         ReSkin(port, 9600, search=search).connect()
 
 
-def test_what_cannot_be_opened_says_why(tmp_path):
+def test_a_port_that_cannot_be_opened_is_reported_with_the_reason(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with run_board() as (port, _), ReSkin(port):
         calls = [
@@ -199,7 +199,7 @@ def test_a_forbidden_port_names_its_group_and_what_is_missing(monkeypatch, group
     assert words in serial_port.explain_no_access("/dev/ttyACM0")
 
 
-def test_the_queue_lets_go_of_the_oldest():
+def test_a_full_queue_drops_the_oldest_samples():
     with run_board("--rate", "2000") as (port, _), ReSkin(port, rate=2000.0, capacity=50) as skin:
         skin.since(-1)
         first = skin.read(1, PATIENCE).number[-1]
@@ -280,7 +280,7 @@ def feel(process, field) -> None:
         out.sendto(np.asarray(field, "<f4").tobytes(), (host, int(number)))
 
 
-def test_what_was_sent_to_nobody_is_not_read():
+def test_bytes_sent_before_opening_are_not_read():
     """A board that talked for a second to a port that nobody read has filled its buffer with the past."""
     with run_board("--field", "--noise", "0") as (port, process):
         holder = os.open(port, os.O_RDWR | os.O_NOCTTY)

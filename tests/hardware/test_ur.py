@@ -238,7 +238,7 @@ def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start
         assert 0.09 < status(host)["fastest"] <= 0.1 * (1 + 1e-9)
 
 
-def test_what_is_beyond_the_limits_is_refused_before_anything_is_sent(above):
+def test_goals_beyond_the_limits_are_refused_before_anything_is_sent(above):
     host, arm = above
     commands = status(host)["commands"]
     goals = (arm.go, (pose(0.7, 0.0, 0.3),), "outside the box"), (arm.move, (pose(np.nan, 0.0, 0.3),), "finite")

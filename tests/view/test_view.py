@@ -118,7 +118,7 @@ def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, caps
     assert (tmp_path / "out" / "session.html").exists()
 
 
-def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
+def test_invalid_mesh_options_are_refused(session, tmp_path, capsys):
     for options, why in (
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
         ([str(session), "--unit", "cm"], "no effect without --mesh"),
