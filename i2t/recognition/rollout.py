@@ -138,8 +138,8 @@ def episodes_of(episodes: RunningEpisodes) -> Episodes:
     e, count = len(states.object), int(states.num_touched[0])
     parts = filled_batches(np.arange(e), EPISODE_BATCH)
     calls = ((select_rows(states, rows),) for rows in parts)
-    parts = map_on_devices(_read, calls, shared=(params.pads, episodes.environment.config))
-    read = np.concatenate(list(parts))[:e, :count]
+    readings = map_on_devices(_read, calls, shared=(params.pads, episodes.environment.config))
+    read = np.concatenate(list(readings))[:e, :count]
     site, touches = np.asarray(states.site[:, :count]), jax.tree.map(lambda x: x[:, :count], states.outcomes)
     advanced = advance_along_approach(np.asarray(params.T_w_site)[site], touches.T_w_t).astype(np.float32)
     seen = TouchObservation(*map(jnp.asarray, (read, touches.force, advanced, touches.contact)))
