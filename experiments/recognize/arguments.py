@@ -84,7 +84,7 @@ class DatasetArgs(RunOptions):
 class LiveArgs:
     """Recognise an object with an arm."""
 
-    FORMER_NAMES: ClassVar = FORMER_NAMES
+    FORMER_NAMES: ClassVar = FORMER_NAMES | {"--worn-pad": "--pad-file"}
 
     out: Path = Path("runs/live")  # folder of touches/, result.json and story/
     pad_model: Path = Path("runs/train")  # of this skin: folder of a run of experiments.train, a file, or nominal

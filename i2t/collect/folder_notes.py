@@ -26,6 +26,7 @@ from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 
 NOTES_FILE = ".collection.json"
+_SITE_LIMITS_BEFORE = {"half": "half_edge"}  # names in notes of earlier versions, with those of today
 
 
 def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
@@ -58,10 +59,12 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
     path = folder / NOTES_FILE
     try:
         notes = dict(read_json(path, 2**26))
+        if "sites" in notes:
+            notes["sites"] = {_SITE_LIMITS_BEFORE.get(limit, limit): value for limit, value in notes["sites"].items()}
         return notes | {"session": str(notes["session"])}
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError, LookupError) as error:
+    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
         reason = str(error).removeprefix(f"{path}: ")
         raise DataError(f"{path}: cannot be read ({reason}); restore it from a copy, or pass another --out") from error
 

@@ -200,9 +200,10 @@ def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
         assert sentence in line
 
 
-def test_a_folder_of_an_earlier_version_is_resumed_with_its_pad(tmp_path):
+def test_a_folder_of_an_earlier_version_is_resumed_with_its_pad_and_site_limits(tmp_path):
     args = CollectArgs(out=tmp_path)
     begun = {key: value for key, value in begin(args).notes.items() if key != "pad-name"}
+    begun["sites"] = {"half" if limit == "half_edge" else limit: value for limit, value in begun["sites"].items()}
     folder_notes.write_notes(tmp_path, begun)
     assert begin(replace(args, pad_name="red")).notes["pad-name"] == "red"  # nobody knows
     random = random_touches.make(1)
