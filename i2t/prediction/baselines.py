@@ -285,14 +285,14 @@ def best_option(
     if fold.max() == 0:  # nothing can be held out of a single touch
         return options[0], y - y.mean(0)
 
-    def left_out(option: Option) -> np.ndarray:
+    def held_out_errors(option: Option) -> np.ndarray:
         """Compute the errors of each fold, predicted from all other folds."""
         error = np.empty_like(y)
         for held_out in (fold == i for i in np.unique(fold)):
             error[held_out] = y[held_out] - method(x[~held_out], y[~held_out], x[held_out], option)
         return error
 
-    errors = [left_out(option) for option in options]
+    errors = [held_out_errors(option) for option in options]
     best = int(np.argmin([(error**2).sum() for error in errors]))
     return options[best], errors[best]
 

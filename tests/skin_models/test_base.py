@@ -147,6 +147,9 @@ def test_a_fitted_pad_loads_as_a_pad_and_a_pad_alone_is_not_a_fit(pressed, tmp_p
     fitted = model.fit(None, data)
     fitted.save(tmp_path / "pad.npz")
     np.testing.assert_array_equal(i2t.load_pad(tmp_path / "pad.npz").magnetization, fitted.pad.magnetization)
+    with np.load(tmp_path / "pad.npz") as arrays:  # names in the file stay, because earlier files are read
+        np.testing.assert_array_equal(arrays["left_out"], fitted.leave_one_out)
+        np.testing.assert_array_equal(arrays["left_out_places"], fitted.leave_one_place_out)
     i2t.save_pad(tmp_path / "alone.npz", fitted.pad)
     with pytest.raises(
         SerializationError, match=r"alone\.npz: holds a pad without its fit; read it with i2t\.load_pad"

@@ -114,7 +114,7 @@ def test_presses_that_are_not_finite_are_refused():
 
 
 @pytest.mark.parametrize("group", [None, np.array([2, 0, 1, 0, 2, 2])], ids=["presses", "places"])
-def test_left_out_predictions_agree_with_refitting(group):
+def test_leave_one_out_predictions_agree_with_refitting(group):
     rng = np.random.default_rng(3)
     phi, y, noise = rng.normal(size=(6, 15, 20)), rng.normal(size=(6, 15)), 0.5
     whole = bayesian_linear_regression(phi, y, noise, group=group)

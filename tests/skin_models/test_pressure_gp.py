@@ -101,7 +101,7 @@ def test_the_system_of_many_similar_touches_is_factored_in_double_precision():
     )
 
 
-def test_left_out_errors_agree_with_a_process_without_the_touch():
+def test_leave_one_out_errors_agree_with_a_process_without_the_touch():
     rng = np.random.default_rng(1)
     touches = spots(rng, 20)
     readings = rng.normal(scale=20, size=(20, CHANNELS)).astype(np.float32)

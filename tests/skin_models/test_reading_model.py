@@ -69,7 +69,7 @@ def dense(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray, at: Cont
     return mean.reshape(m, CHANNELS), variance.reshape(m, CHANNELS)
 
 
-def test_maps_and_left_out_errors_agree_with_the_dense_gaussian_process(touches, maps):
+def test_maps_and_leave_one_out_errors_agree_with_the_dense_gaussian_process(touches, maps):
     system = reading_model._system(touches, maps, DISCREPANCY)
     weighted = reading_model._weigh(system, AT.r, AT.v)
     posterior = reading_model._posterior(weighted, AT.a)
