@@ -52,7 +52,7 @@ def test_an_unsafe_touch_moves_nothing_and_costs_a_step(begun):
         assert obs.refused
         assert not obs.contact
         assert not np.any(obs.reading)
-        np.testing.assert_array_equal(after.made.T_w_t, state.outcomes.T_w_t)
+        np.testing.assert_array_equal(after.outcomes.T_w_t, state.outcomes.T_w_t)
         assert after.num_refused == state.num_refused + 1
         assert reward == pytest.approx(float(before) - QUIET.refusal_cost)
 
