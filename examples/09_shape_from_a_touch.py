@@ -10,7 +10,7 @@ import numpy as np
 
 import i2t
 from i2t.contact.press import PressLimits
-from i2t.reconstruction import build_library, imagine_presses, infer_patch, sample_contacts
+from i2t.reconstruction import build_library, infer_patch, predict_presses, sample_contacts
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
@@ -22,7 +22,7 @@ def main(patches: int = 512, presses: int = 16) -> tuple[float, float]:
     """Press a star and infer what was met: mean error (mm) of the depth after a press, and before it."""
     pad = i2t.sample_pad(jax.random.key(1))
     library = build_library(jax.random.key(2), [i2t.prepare_surface(i2t.make_object(n).mesh) for n in KNOWN], patches)
-    model = imagine_presses(pad, library)  # what this skin would read at each patch of the library
+    model = predict_presses(pad, library)  # what this skin would read at each patch of the library
 
     star = i2t.prepare_surface(i2t.make_object("star").mesh)
     contacts, _ = sample_contacts(jax.random.key(3), [star], presses)

@@ -99,7 +99,7 @@ EXTRAS = {  # keyed by the name to import
 }
 
 
-def why_missing(module: str, need: str) -> str:
+def explain_missing_extra(module: str, need: str) -> str:
     """Explain which extra installs a missing package. The package is not imported.
 
     Args:
@@ -120,12 +120,12 @@ def require_extra(module: str, need: str) -> None:
 
     Args:
         module: Name of the module, one of `EXTRAS`.
-        need: What needs the package, as for `why_missing`.
+        need: What needs the package, as for `explain_missing_extra`.
 
     Raises:
         MissingExtraError: The package is not installed.
     """
-    if message := why_missing(module, need):
+    if message := explain_missing_extra(module, need):
         raise MissingExtraError(message)
 
 

@@ -27,7 +27,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, Float, Int, Key, PyTree
 
-from i2t.runtime.batching import spread_rows
+from i2t.runtime.batching import map_rows_on_devices
 from i2t.types import in_one_line
 
 Tree = TypeVar("Tree")
@@ -237,7 +237,7 @@ def compiled(
 
 
 def _spread(program: Callable, state: TrainState, *shared: Batch | None) -> tuple[TrainState, EpochInfo]:
-    result: tuple[TrainState, EpochInfo] = spread_rows(program, (state,), shared=shared)
+    result: tuple[TrainState, EpochInfo] = map_rows_on_devices(program, (state,), shared=shared)
     return result
 
 

@@ -114,14 +114,16 @@ def _is_last_row(row: np.ndarray) -> bool:
     return bool(np.abs(row - [0, 0, 0, 1]).max() <= LAST_ROW_TOLERANCE)
 
 
-def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, above: int | float = -math.inf) -> None:
+def number(
+    name: str, value: Any, hint: str, *, minimum: int | float = -math.inf, above: int | float = -math.inf
+) -> None:
     """Refuse anything but a single finite number within a range. A traced number is accepted.
 
     Args:
         name: Name of the argument, for the message.
         value: The argument.
         hint: What to give instead, for the message.
-        least: Smallest number that is allowed.
+        minimum: Smallest number that is allowed.
         above: Number that the argument must exceed.
 
     Raises:
@@ -133,7 +135,7 @@ def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, 
     array = numbers(name, value, hint)
     if array.ndim != 0:
         raise ValueError(f"{name}: has the shape {array.shape}, and one number is meant; give {hint}")
-    if not (math.isfinite(array) and array >= least and array > above):
+    if not (math.isfinite(array) and array >= minimum and array > above):
         raise ValueError(f"{name}: is {array:g}; give {hint}")
 
 
@@ -164,29 +166,29 @@ def forces(name: str, value: Any, *, measured: bool = False) -> np.ndarray:
     return array
 
 
-def count(name: str, value: Any, *, least: int = 1) -> int:
+def count(name: str, value: Any, *, minimum: int = 1) -> int:
     """Check a whole number.
 
     Args:
         name: Name of the argument, for the message.
         value: The argument.
-        least: Smallest number that is allowed.
+        minimum: Smallest number that is allowed.
 
     Returns:
         The number as an int.
 
     Raises:
         TypeError: The argument is not a whole number.
-        ValueError: The number is smaller than `least`.
+        ValueError: The number is smaller than `minimum`.
     """
     try:
         whole = operator.index(value)
     except TypeError:
         whole = None
     if whole is None or isinstance(value, bool | np.bool_):
-        raise TypeError(f"{name}: is {_short(value)}, and no whole number; give one from {least}")
-    if whole < least:
-        raise ValueError(f"{name}: is {whole}; give a whole number from {least}")
+        raise TypeError(f"{name}: is {_short(value)}, and no whole number; give one from {minimum}")
+    if whole < minimum:
+        raise ValueError(f"{name}: is {whole}; give a whole number from {minimum}")
     return whole
 
 

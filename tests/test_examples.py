@@ -32,7 +32,7 @@ def _load(number: int) -> ModuleType:
     return module
 
 
-def test_none_writes_into_the_checkout_but_into_its_folder_of_runs():
+def test_examples_write_only_into_the_folder_of_runs():
     for path in EXAMPLES:
         for argument in re.findall(r"def main\((.*?)\) ->", path.read_text(), re.S):
             for name in re.findall(r'(?:out|path): str = "([^"]+)"', argument):
@@ -128,7 +128,7 @@ def test_a_surface_grows_under_touches():
 
 
 @pytest.mark.full
-def test_a_press_tells_of_the_surface():
+def test_a_press_improves_the_estimated_depth():
     after, before = _load(9).main()  # with fewer patches none of them may be like what was met
     assert after < 0.9 * before
 

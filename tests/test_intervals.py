@@ -140,7 +140,7 @@ def test_it_covers_clustered_rates_where_binomial_intervals_do_not(name, pads, p
 
 
 @pytest.mark.full
-def test_it_covers_crossed_pads_and_objects():
+def test_the_interval_covers_crossed_pads_and_objects():
     covered, trials = 0, 200
     for trial in range(trials):
         rng = np.random.default_rng(trial)
@@ -228,7 +228,7 @@ def test_it_covers_rates_near_certainty_of_a_few_labels():
 @pytest.mark.parametrize("repeats", [5, 30])
 @pytest.mark.parametrize("alike", [0.02, 0.2, 0.6])
 @pytest.mark.parametrize("rate", [0.97, 0.99, 0.998])
-def test_it_covers_rates_near_certainty(labels, repeats, alike, rate):
+def test_the_interval_covers_rates_near_certainty(labels, repeats, alike, rate):
     assert coverage(rate, alike, labels, repeats, 3000) > 0.94
 
 

@@ -15,7 +15,7 @@ from i2t.errors import SerializationError
 from i2t.models import READY_MODELS, model_card, ready_path
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import make_board, name_of_board, same_board
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 from i2t.skin_models.pad_model import load_pad_model
 from tools.ready_models import GRID_PLACES, GRID_TRAVELS, main
 
@@ -139,7 +139,7 @@ def test_the_ready_predictor_imagines_touches(tmp_path, monkeypatch, capsys):
 def test_the_ready_predictor_is_as_good_as_its_card_says():
     """On new simulated touches of an object that it has not seen, with the pad and the errors of its training."""
     surface = i2t.prepare_surface(i2t.make_object("hammer").mesh)
-    made = i2t.simulate_touches(jax.random.key(7), [surface], numbered_pad(0), SimulationErrors(), 36)
+    made = i2t.simulate_touches(jax.random.key(7), [surface], pad_from_seed(0), SimulationErrors(), 36)
     given = {"force": made.force, "nearest": made.nearest, "travel": made.travel, "view": made.view}
     reading = i2t.load_predictor("nominal").predict(made.patch, **given)
     truth = np.asarray(made.reading)

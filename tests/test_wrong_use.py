@@ -295,7 +295,7 @@ PATCHES: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("given", "said"), PATCHES, ids=[said for _, said in PATCHES])
-def test_a_patch_that_is_none_is_refused_in_one_sentence(predictor, given, said):
+def test_an_invalid_patch_is_refused_in_one_sentence(predictor, given, said):
     with pytest.raises(ValueError, match=re.escape(said)) as refused:
         predictor.predict(**given)
     assert "\n" not in str(refused.value)
@@ -317,7 +317,7 @@ def test_a_force_beyond_the_largest_of_training_is_warned_of_and_four_times_that
         trained.predict(FLAT, force=-1.0)
 
 
-def test_the_whole_patch_says_as_much_as_its_parts(predictor):
+def test_a_patch_given_whole_predicts_the_same_as_its_parts(predictor):
     """One, many, or a list of them; a distance that is unknown is none."""
     depth = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
     mask, view = np.arange(48 * 48).reshape(48, 48) < 2000, VIEW.copy()
@@ -344,7 +344,7 @@ def test_the_whole_patch_says_as_much_as_its_parts(predictor):
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1e-3])
-def test_a_depth_image_in_another_unit_is_no_touch(predictor, unit):
+def test_a_depth_image_in_another_unit_is_refused(predictor, unit):
     """The surface lies where the skin is; ten times as far, which the message says with the unit."""
     camera, stored = Camera(424, 240, 215.0, 215.0, 211.5, 119.5), np.full((240, 424), 1040, np.uint16)
     T_w_c, T_w_t = np.eye(4), np.eye(4)
@@ -439,7 +439,7 @@ def test_a_new_number_of_touches_asks_the_model_for_one_of_three_sizes(predictor
         np.testing.assert_array_equal(rows, np.minimum(np.arange(len(rows)), n - 1))
 
 
-def test_pixels_that_nobody_saw_widen_the_spread(monkeypatch, predictor):
+def test_unmeasured_pixels_widen_the_predicted_spread(monkeypatch, predictor):
     """As much as it matters whether something is there."""
     patch = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
     mask = np.ones((48, 48), bool)

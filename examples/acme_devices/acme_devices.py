@@ -10,7 +10,7 @@ import numpy as np
 
 from i2t.depth.camera import Camera
 from i2t.hardware.base import CameraBase
-from i2t.hardware.guarded import GuardedByPolling
+from i2t.hardware.guarded import PolledArm
 from i2t.hardware.plugins import DeviceSetup
 from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ArmState, CameraFeatures, View
@@ -21,7 +21,7 @@ from i2t.types import Array
 SOURCE = "simulated"  # of devices that are there: "real"
 
 
-class AcmeArm(GuardedByPolling):
+class AcmeArm(PolledArm):
     """Acme's arm, within the rig's limits."""
 
     name, source = "Acme's arm", SOURCE

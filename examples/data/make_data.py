@@ -16,7 +16,7 @@ from manifold3d import Manifold, OpType
 import i2t
 from i2t.objects.drawing import ball, mesh_from_solid
 from i2t.skin.elasticity import GRID
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 
 HERE = Path(__file__).parent
 RADIUS_MM, WALL_MM, HEIGHT_MM, SIDES = 26.0, 3.5, 60.0, 72  # of the mug
@@ -41,7 +41,7 @@ def mug() -> i2t.Mesh:
 
 def presses() -> list[list[str]]:
     """Rows of a table of presses of a ball on simulated pad 0, the names of the columns first."""
-    random, pad = np.random.default_rng(0), numbered_pad(0)
+    random, pad = np.random.default_rng(0), pad_from_seed(0)
     x, y = random.uniform(-6, 6, (2, PRESSES)).round(2)
     travel = random.uniform(0.1, 0.6, PRESSES).round(2)
 

@@ -21,7 +21,7 @@ from experiments.recognize import figures
 from i2t import viz
 from i2t.intervals import Estimate, rate_interval
 from i2t.recognition.environment import EnvironmentConfig, EnvironmentParams, TouchEnvironment
-from i2t.recognition.known_pads import with_beliefs
+from i2t.recognition.environment_beliefs import with_beliefs
 from i2t.recognition.rollout import POLICIES, rollout
 from i2t.recognition.touch_table import make_environment, tabulate
 

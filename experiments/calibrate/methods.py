@@ -5,12 +5,12 @@ from typing import TypeAlias
 
 import numpy as np
 
-from i2t.prediction.baselines import tuned
+from i2t.prediction.baselines import predict_with_best_option
 from i2t.prediction.metrics import nearest_neighbours
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
 from i2t.skin_models.tip_gp import plain as plain_gp
-from i2t.skin_models.tip_gp.left_out import limit_blas_threads
+from i2t.skin_models.tip_gp.leave_one_out import limit_blas_threads
 
 MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gaussian process"
 CALIBRATED = "i2t.calibrate"
@@ -28,7 +28,7 @@ def neighbours(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> 
     """k nearest presses in position and load, k by cross-validation."""
     x, at = recording.features(rows), recording.features(test)
     counts, each = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), np.arange(len(rows))
-    return tuned(nearest_neighbours, counts, x, recording.readings[rows], each, at=at)
+    return predict_with_best_option(nearest_neighbours, counts, x, recording.readings[rows], each, at=at)
 
 
 def plain(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
@@ -42,7 +42,7 @@ def plain(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.nd
 def calibrated(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Predictions of `i2t.calibrate` and their standard deviations."""
     known = recording.position[rows], recording.load[rows], recording.readings[rows]
-    calibration = calibrate(*known, load_kind=recording.load_kind, board=recording.own_board)
+    calibration = calibrate(*known, load_kind=recording.load_kind, board=recording.unnamed_board)
     return calibration.predict(recording.position[test], recording.load[test])
 
 

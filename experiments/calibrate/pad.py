@@ -54,8 +54,9 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     position, load_of_press = jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows])
     model = MagnetizationModel(parse_tip(tip), recording.by_force)
     fitted = model.fit(None, TipReadings(position, load_of_press, jnp.float32(readings), board))
-    square = fitted.left_out_places**2
-    r2, r2_places = (explained(readings, (error**2).sum(1)) for error in (fitted.left_out, fitted.left_out_places))
+    square = fitted.leave_one_place_out**2
+    errors = fitted.leave_one_out, fitted.leave_one_place_out
+    r2, r2_places = (explained(readings, (error**2).sum(1)) for error in errors)
     error_std = float(np.sqrt(np.mean(square)))
     layer = _ranges(fitted.posterior)
     about = {

@@ -19,7 +19,7 @@ from experiments.common.presets import choose_preset
 from experiments.common.runs import begin, write_json
 from i2t.runtime.progress import progress
 from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, geometry, join, signal_covariances, take
-from i2t.skin_models.tip_gp.left_out import Observed, condition_all, grouped, ungrouped
+from i2t.skin_models.tip_gp.leave_one_out import Observed, condition_all, grouped, ungrouped
 from i2t.skin_models.tip_gp.prior import PRIOR_FILE, KernelPrior, save_prior
 
 POPULATION_SEED = 101  # skins of other seeds are never seen by the search

@@ -132,8 +132,8 @@ def _fit(number: int, load: str, cfg: RecoveryPreset) -> dict[str, Any]:
     return {
         "inside": {name: _inside(fitted.posterior, known.layer, name) for name in names},
         "converged": bool(fitted.posterior.converged),
-        "r2": explained(readings, (fitted.left_out**2).sum(1)),
-        "r2_places": explained(readings, (fitted.left_out_places**2).sum(1)),
+        "r2": explained(readings, (fitted.leave_one_out**2).sum(1)),
+        "r2_places": explained(readings, (fitted.leave_one_place_out**2).sum(1)),
     }
 
 

@@ -129,7 +129,7 @@ def save_calibration(
         recording.load[rows],
         recording.readings[rows],
         load_kind=recording.load_kind,
-        board=recording.own_board,
+        board=recording.unnamed_board,
         metadata={
             "dataset": str(args.dataset),
             "source": dataset.source,

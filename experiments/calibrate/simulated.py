@@ -93,7 +93,7 @@ def _recording(skin: PressedSkinOfKind, load: str) -> LoadedPresses:
     kind: LoadName = "force" if load == "force" else "travel"
     board = eflesh_board() if skin.kind == "lattice" else reskin_board()
     return LoadedPresses(
-        skin.position, skin.force if kind == "force" else skin.travel, skin.readings, kind, own_board=board
+        skin.position, skin.force if kind == "force" else skin.travel, skin.readings, kind, unnamed_board=board
     )
 
 

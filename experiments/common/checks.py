@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from i2t.files.kinds import MESH_SUFFIXES
-from i2t.files.reading import why_no_touches
+from i2t.files.reading import explain_no_dataset
 from i2t.objects.named import require_object
 
 
@@ -25,17 +25,21 @@ def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> No
         raise ValueError(f"{flag} {path}: there is no such data set; check the name")
     if path.is_dir() and not any(path.iterdir()):
         raise ValueError(f"{flag} {path}: is an empty folder; name one that holds touches")
-    if path.is_file() and not (tables and path.suffix.lower() not in MESH_SUFFIXES) and (why := why_no_touches(path)):
+    if (
+        path.is_file()
+        and not (tables and path.suffix.lower() not in MESH_SUFFIXES)
+        and (why := explain_no_dataset(path))
+    ):
         raise ValueError(f"{flag} {why}")
 
 
-def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, catalogue: bool = True) -> None:
+def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2, catalogue: bool = True) -> None:
     """Refuse objects that do not exist, that share a name, or that are too few.
 
     Args:
         paths: Values of --objects: names of the catalogue or mesh files; empty if the option was omitted.
         unit: Unit of the files' lengths.
-        least: Minimum number of objects.
+        minimum: Minimum number of objects.
         catalogue: Whether names of the catalogue are allowed.
 
     Raises:
@@ -47,7 +51,7 @@ def require_objects(paths: Sequence[Path], unit: str | None, *, least: int = 2, 
         return
     for path in paths:
         require_object(str(path), unit, flag="--objects", catalogue=catalogue)
-    if len(paths) < least:
+    if len(paths) < minimum:
         raise ValueError("--objects needs at least two objects to tell apart")
     seen: dict[str, Path] = {}
     for path in paths:

@@ -16,10 +16,10 @@ from jaxtyping import Bool, Float, Int
 
 from i2t.errors import DataError, did_you_mean
 from i2t.recordings.cells import parse_number
-from i2t.recordings.columns import FIELD_STEM, beginning_of
+from i2t.recordings.columns import FIELD_STEM, describe_header
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.samples import first_samples, mean_samples
-from i2t.recordings.tables import open_text_table, sound_rows
+from i2t.recordings.tables import open_text_table, valid_rows
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
@@ -197,7 +197,7 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
     header, rows, notes = open_text_table(path, as_named=True, texts=special)
     if missing := [name for name in special if name not in header]:
         remedy = did_you_mean(missing[0], header, "name one of its columns")
-        raise DataError(f"{path}: there is no column {missing[0]} ({beginning_of(header)}); {remedy}")
+        raise DataError(f"{path}: there is no column {missing[0]} ({describe_header(header)}); {remedy}")
     kept = [i for i, name in enumerate(header) if name not in special]
     if twice := next((name for name in header if header.count(name) > 1 and name not in ignore), ""):
         raise DataError(f"{path}: column {twice} stands twice in the first line; rename one")
@@ -205,7 +205,7 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
         raise DataError(f"{path}: no column is left for the reading; leave out fewer")
     log, columns = ReadingLog(skip_bad=False), tuple(header[i] for i in kept)
     remedy = "correct or remove the row, or leave the column out (--ignore)"
-    sound, reading = sound_rows(path, header, rows, columns, np.ones_like, log, bound=MAX_VALUE, remedy=remedy)
+    sound, reading = valid_rows(path, header, rows, columns, np.ones_like, log, bound=MAX_VALUE, remedy=remedy)
     if not sound:
         raise DataError(f"{path}: holds no row below the names of its columns; give one a touch")
     names = (label, group, touch)
@@ -214,8 +214,8 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
         for line, cells in sound
     ]
     log.lines += notes
-    heard = log.keep_heard(_silent(columns, reading))
-    log.require_heard(path)
+    heard = log.select_answered(_silent(columns, reading))
+    log.require_answers(path)
     labels, groups, touches = zip(*(row for row, keep in zip(texts, heard, strict=True) if keep), strict=True)
     return _Part(list(labels), list(groups), list(touches), columns, reading[heard], log.sentences())
 
@@ -295,22 +295,22 @@ def with_outliers(p: Float[np.ndarray, "n labels"]) -> Float[np.ndarray, "n labe
     return (1 - OUTLIERS) * p + OUTLIERS / p.shape[1]
 
 
-def require_rows(table: ReadingTable, least: int, path: Path) -> None:
+def require_rows(table: ReadingTable, minimum: int, path: Path) -> None:
     """Refuse a table with too few rows of a label in a group, or with a group of one label.
 
     Args:
         table: Any.
-        least: How many rows are enough.
+        minimum: Minimum number of rows of a label in a group.
         path: Of the file, or the first one, for messages.
 
     Raises:
         DataError: There are fewer.
     """
     for rows in rows_of_labels(table):
-        if len(rows) < least:
+        if len(rows) < minimum:
             label, group = table.labels[table.label[rows[0]]], table.groups[table.group[rows[0]]]
             raise DataError(
-                f"{path}: label {label} has {len(rows)} of the {least} rows that are needed in group {group}; add "
+                f"{path}: label {label} has {len(rows)} of the {minimum} rows that are needed in group {group}; add "
                 "some, remove the label, or take larger groups"
             )
     for i, name in enumerate(table.groups):

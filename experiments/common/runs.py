@@ -20,6 +20,7 @@ from i2t.cli.options import require_writable
 from i2t.files.writing import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
+FORMER_SETTINGS = {"half": "half_edge", "looked_from": "tool_offset_at_capture", "worn_pad": "pad_file"}
 LOG = ".log"  # extension of a worker's log (`experiments.common.tasks`)
 PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # packages whose versions config.json lists
 # Nested dict of arrays: results of an experiment for one pad and seed. Its keys are names of methods and conditions,
@@ -89,7 +90,7 @@ def begin(args: Any, experiment: Any) -> None:
     path = out / CONFIG
     check_out(args, out)
     if path.exists() and not args.overwrite:
-        before = json.loads(path.read_text())
+        before = json.loads(path.read_text(), object_hook=_with_new_names)
         same = json.loads(json.dumps(config, default=str))
         if {"files": {}, **before, "versions": None, "kind": None} != {**same, "versions": None, "kind": None}:
             raise ValueError(f"{out} was begun with other settings or data ({path}); pass those, or --overwrite")
@@ -100,6 +101,11 @@ def begin(args: Any, experiment: Any) -> None:
     _BEGUN[place] = [parent for parent in place.parents if not parent.exists()]
     place.mkdir(parents=True, exist_ok=True)
     write_json(path, config)
+
+
+def _with_new_names(values: dict[str, Any]) -> dict[str, Any]:
+    """Replace names of settings of earlier versions."""
+    return {FORMER_SETTINGS.get(name, name): value for name, value in values.items()}
 
 
 def check_out(args: Any, out: Path) -> None:

@@ -99,7 +99,7 @@ def pushing_presses(presses: LoadedPresses, board: Board | None) -> LoadedPresse
     load, kind = np.maximum(presses.load, 0), presses.load_kind
     if kind == "none":
         load, kind = np.full(len(load), ASSUMED_TRAVEL_M), "travel"
-    return presses._replace(position=at, load=load, load_kind=kind, own_board=own)
+    return presses._replace(position=at, load=load, load_kind=kind, unnamed_board=own)
 
 
 def compare_with_baselines(split: str, errors: ErrorCurves) -> str:

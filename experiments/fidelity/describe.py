@@ -63,7 +63,7 @@ def check(recording: SkinRecording, section: Section, findings: list[Finding]) -
 def _known(recording: SkinRecording, numbers: dict) -> list[list[str]]:
     rows, numbers["known"] = [["target", "rows", "from", "to", "unit"]], {}
     for name, kind in TARGETS.items():
-        known = recording.known(name)
+        known = recording.known_rows(name)
         ends = ["-", "-"]
         if known.any():
             values = kind.scale * recording.targets[name][known]
@@ -137,7 +137,7 @@ def _check_channels(recording: SkinRecording, found: list[str], numbers: dict) -
 
 def _check_targets(recording: SkinRecording, found: list[str], numbers: dict) -> None:
     for name in ("travel", "force", "position"):
-        if recording.known(name).any() and not recording.varies(name):
+        if recording.known_rows(name).any() and not recording.varies(name):
             found.append(f"All rows have one {name}, so that it does not show how readings change with it.")
     back = (np.diff(recording.time) < 0) & (np.diff(recording.session) == 0)
     numbers["rows_back_in_time"] = int(back.sum())
@@ -180,7 +180,7 @@ def _noise_in_air(recording: SkinRecording) -> float:
 def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) -> None:
     one_tip(recording)
     name, load = load_of(recording)
-    rows = recording.known("position") & np.isfinite(load)
+    rows = recording.known_rows("position") & np.isfinite(load)
     if rows.sum() < 2:
         raise CannotTellError("Repeated rows and changes are looked for where positions and loads are known.")
     position = recording.targets["position"][rows]
@@ -192,9 +192,9 @@ def _check_presses(recording: SkinRecording, found: list[str], numbers: dict) ->
 def _check_unknowns(recording: SkinRecording, found: list[str], section: Section, findings: list[Finding]) -> None:
     """Height zero, lag, signs, units and the board's place, as `i2t.recordings.diagnose` estimates them."""
     one_tip(recording)
-    if recording.known("position").any():
+    if recording.known_rows("position").any():
         findings += diagnose(recording.presses(), recording.board)
-    elif recording.known("force").any():
+    elif recording.known_rows("force").any():
         findings.append(find_force_sign(recording.targets["force"][:, 0], recording.readings))
     else:
         raise CannotTellError("What a recording does not say of itself is estimated where positions are known.")

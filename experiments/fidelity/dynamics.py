@@ -176,7 +176,7 @@ def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
     one_tip(recording)
     name: str
     name, load = load_of(recording)
-    if name == "none" and recording.varies("shear") and recording.known("position").all():
+    if name == "none" and recording.varies("shear") and recording.known_rows("position").all():
         position = recording.targets["position"]
         _, first, of = np.unique(recording.session, return_index=True, return_inverse=True)
         name, load = "slide", np.linalg.norm(position - position[first[of.ravel()]], axis=1)  # from where it began

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from experiments.fidelity.sections import CannotTellError
-from i2t.recordings.diagnose.smooth import left_out
+from i2t.recordings.diagnose.smooth import leave_one_out
 from i2t.recordings.presses import LoadedPresses, LoadName
 from i2t.recordings.read import SkinRecording
 
@@ -35,7 +35,7 @@ def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
     """
     names: tuple[LoadName, ...] = ("travel", "force")
     for name in names:
-        if recording.varies(name) and recording.known(name).mean() > 0.5:
+        if recording.varies(name) and recording.known_rows(name).mean() > 0.5:
             return name, recording.targets[name][:, 0]
     if recording.varies("force"):
         return "force", recording.targets["force"][:, 0]
@@ -47,8 +47,8 @@ def press_set(recording: SkinRecording, at_least: int = 10) -> LoadedPresses:
     one_tip(recording)
     name, load = load_of(recording)
     good, position = np.isfinite(load), np.zeros((len(recording), 2))
-    if recording.known("position").any():
-        good &= recording.known("position")
+    if recording.known_rows("position").any():
+        good &= recording.known_rows("position")
         position = recording.targets["position"]
     if name == "none" and not recording.varies("position"):
         raise CannotTellError("Neither position nor load is known and varies, so that nothing predicts a reading.")
@@ -77,7 +77,7 @@ def choose_simple_gp(presses: LoadedPresses, known: np.ndarray) -> tuple[float, 
     centred = y - y.mean(0)
 
     def error(settings: tuple[float, ...]) -> float:
-        return float(np.sum(left_out(_covariance(settings, x), centred).error ** 2))
+        return float(np.sum(leave_one_out(_covariance(settings, x), centred).error ** 2))
 
     if len(some) <= GP_SELECTION_ROWS // 3:
         return min(product(*GP_SETTINGS), key=error)
@@ -96,7 +96,7 @@ def predicted_from_others(presses: LoadedPresses, limit: int) -> tuple[np.ndarra
     settings = choose_simple_gp(presses, rows)
     rows = np.sort(rows)
     y = presses.readings[rows]
-    return rows, y - left_out(_covariance(settings, presses.coordinates[rows]), y - y.mean(0)).error
+    return rows, y - leave_one_out(_covariance(settings, presses.coordinates[rows]), y - y.mean(0)).error
 
 
 def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:

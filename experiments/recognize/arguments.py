@@ -84,7 +84,7 @@ class DatasetArgs(RunOptions):
 class LiveArgs:
     """Recognise an object with an arm."""
 
-    FORMER_NAMES: ClassVar = FORMER_NAMES
+    FORMER_NAMES: ClassVar = FORMER_NAMES | {"--worn-pad": "--pad-file"}
 
     out: Path = Path("runs/live")  # folder of touches/, result.json and story/
     pad_model: Path = Path("runs/train")  # of this skin: folder of a run of experiments.train, a file, or nominal
@@ -95,7 +95,7 @@ class LiveArgs:
     prior_unknown: float = 0.0  # probability beforehand that it is none of the objects
     num_surrogates: int = 16  # objects like those known, that stand for what else it might be then
     max_touches: Count = 10
-    min_touches: Count = 3  # before it may end because it is sure: one touch that met air can be, and convinces nobody
+    min_touches: Count = 3  # before it may end because it is sure: one touch without contact can already be sure
     max_error_probability: Probability = 0.05  # ends when the most probable object is wrong with at most this
     num_sites: Count = 24  # of each object, to choose among
     num_particles: Count = 64  # poses of each object
@@ -103,7 +103,7 @@ class LiveArgs:
     skin: Annotated[SkinArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=SkinArgs)
     camera: Annotated[CameraArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=CameraArgs)
     pad_name: str | None = None  # of a real skin, as it was collected; "skin" by default
-    worn_pad: Path | None = None  # a pad on disk, for simulated and emulated skins
+    pad_file: Path | None = None  # a pad on disk, for simulated and emulated skins
     rig: Path | None = None  # calibration of the lab; says where the object is believed to stand, and how surely
     seed: Seed = 0
 
@@ -113,17 +113,17 @@ class LiveArgs:
         return self.arm.kind not in NOT_REAL
 
     @property
-    def worn(self) -> str:
+    def mounted_pad(self) -> str:
         """Name of the skin that touches, as a collection would have it."""
         if self.skin.kind not in NOT_REAL:
             return self.pad_name or "skin"
-        return self.pad_name or (f"simulated, {self.worn_pad.stem}" if self.worn_pad else "simulated pad 0")
+        return self.pad_name or (f"simulated, {self.pad_file.stem}" if self.pad_file else "simulated pad 0")
 
     def check(self) -> None:
         """Refuse what does not go together, and files that are not there."""
-        if self.worn_pad and self.skin.kind not in NOT_REAL:
+        if self.pad_file and self.skin.kind not in NOT_REAL:
             raise ValueError(
-                f"--worn-pad is for simulated and emulated skins, and --skin is {self.skin.kind}; leave it out"
+                f"--pad-file is for simulated and emulated skins, and --skin is {self.skin.kind}; leave it out"
             )
         if self.true_object and self.real:
             raise ValueError(f"--true-object is for arms that are not real, and --arm is {self.arm.kind}; pass --truth")
@@ -135,7 +135,7 @@ class LiveArgs:
             device.check()
         require_objects(self.objects, self.unit)
         require_pad_model(self.pad_model)
-        require_path("--worn-pad", self.worn_pad)
+        require_path("--pad-file", self.pad_file)
         require_path("--rig", self.rig, "file")
         self._check_true_object()
 

@@ -8,7 +8,7 @@
 
 Every skin differs, so --pad-model must be of the skin that touches, by its name in data sets and by its board: the
 folder of a run of `experiments.train`, or a file. Any other is refused before anything moves. A
-simulated or emulated skin is "simulated pad 0", that of `experiments.train`, unless --worn-pad names another; a real
+simulated or emulated skin is "simulated pad 0", that of `experiments.train`, unless --pad-file names another; a real
 one is called --pad-name, as it was collected. The next touch is the one that is expected to tell most
 (`i2t.recognition.recognizer`), among sites that are safe on what may be there; where ten draws of candidates have none,
 the run stops and says so. It ends when the most probable object is wrong with at most --max-error-probability, but
@@ -33,7 +33,7 @@ from experiments.recognize.plans import load_meshes, meshes_by_name
 from experiments.train.finished import find_pad_model
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
-from i2t.collect.recorder import touches_in
+from i2t.collect.recorder import list_touches
 from i2t.collect.settings import TouchSettings
 from i2t.collect.start import begin
 from i2t.collect.touch import Site, SiteOutcome, TouchResult
@@ -73,7 +73,7 @@ def run(args: LiveArgs) -> dict[str, Any]:
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
     _, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
     known = load_pad_model(find_pad_model(args.pad_model)[0])
-    require_skin(known, [args.worn], worn_board(args, known.board), f"--skin {args.skin.kind}")
+    require_skin(known, [args.mounted_pad], mounted_board(args, known.board), f"--skin {args.skin.kind}")
     print(describe(known))
     recognizer = ObjectRecognizer(
         key_sites, known.model, meshes, T_w_o=np.asarray(rig.T_world_object),
@@ -92,14 +92,14 @@ def run(args: LiveArgs) -> dict[str, Any]:
     return conclude(args, live, meshes, known, standing)
 
 
-def worn_board(args: LiveArgs, expected: Board) -> Board:
+def mounted_board(args: LiveArgs, expected: Board) -> Board:
     """The board that a command line names; that of another package's skin shows with its first touch."""
     skin = args.skin
     if skin.kind == "simulated":
-        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad, skin.board).board))
+        return Board(*(np.asarray(part) for part in read_pad(args.pad_file, skin.board).board))
     name = skin.board or boards.DEFAULT_BOARD
-    if skin.kind == "emulated" and args.worn_pad:
-        return Board(*(np.asarray(part) for part in read_pad(args.worn_pad, name).board))
+    if skin.kind == "emulated" and args.pad_file:
+        return Board(*(np.asarray(part) for part in read_pad(args.pad_file, name).board))
     return boards.make_board(name) if skin.kind in ("reskin", "emulated") else expected
 
 
@@ -115,10 +115,10 @@ def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | Non
         arm=args.arm,
         skin=args.skin,
         camera=args.camera,
-        world=WorldArgs(sources.get(there, there), args.unit or "mm", pad=args.worn_pad, seed=args.seed),
+        world=WorldArgs(sources.get(there, there), args.unit or "mm", pad=args.pad_file, seed=args.seed),
         lab=LabArgs(args.rig),
         name=args.truth or "unknown",
-        pad_name=args.worn,
+        pad_name=args.mounted_pad,
         skip_first_touch=True,  # nobody knows what stands there, so that it would contradict any mesh
         settings=TouchSettings(skin_change=RecognizerConfig.skin_change, overtravel=RecognizerConfig.overtravel),
     )
@@ -177,7 +177,7 @@ class LiveEpisode:
         self.would_meet.append(would_meet)
         names, best = self.recognizer.names, np.argsort(-info.probability)[:3]
         met = ", ".join(f"{names[i]} {would_meet[i]:.0%}" for i in best)
-        print(f"  {'met something' if contact else 'met air'}; poses in which it would be met: {met}")
+        print(f"  {'contact' if contact else 'no contact'}; poses in which it would be met: {met}")
         unknown = f"; unknown object {info.unknown:.1%}" if self.recognizer.config.prior_unknown else ""
         believed = ", ".join(f"{names[i]} {info.probability[i]:.1%} (before {before[i]:.1%})" for i in best)
         print(f"  believed: {believed}{unknown}", flush=True)
@@ -189,11 +189,11 @@ def conclude(
     """Write down and say what was recognised; `true_object` is None for a real arm."""
     names, info = live.recognizer.names, live.infos[-1]
     p = np.stack([each.probability for each in live.infos])
-    source = read_touch(touches_in(args.out / "touches")[0]).touch.source
+    source = read_touch(list_touches(args.out / "touches")[0]).touch.source
     result = {
         "source": source,
         "pad_model": to_json(known),
-        "skin": args.worn,
+        "skin": args.mounted_pad,
         "objects": names,
         "recognised": info.name,
         "probability": info.confidence,
@@ -234,5 +234,5 @@ def conclude(
 def refuse_used(out: Path) -> None:
     """Refuse a folder that holds the touches of another episode (ValueError)."""
     folder = out / "touches"
-    if folder.is_dir() and touches_in(folder):
+    if folder.is_dir() and list_touches(folder):
         raise ValueError(f"{out} holds the touches of another episode; choose another --out")

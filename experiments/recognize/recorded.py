@@ -22,7 +22,7 @@ from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.plans import load_meshes, meshes_by_name
 from experiments.train.finished import find_pad_model
 from i2t import dataset as data
-from i2t.dataset import Dataset, source_words
+from i2t.dataset import Dataset, source_phrase
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh, catalogue
@@ -81,7 +81,7 @@ def run(args: DatasetArgs) -> dict[str, Any]:
     print(describe(known))
     for correction in corrections:
         print(f"note: {correction}")
-    print(f"{args.dataset} ({source_words(recorded.source)}): {sessions.describe()}")
+    print(f"{args.dataset} ({source_phrase(recorded.source)}): {sessions.describe()}")
     if len(recorded) < len(loaded):
         print(
             f"{len(loaded)} recorded touches are samples of {len(recorded)}: those within 1 s at one "

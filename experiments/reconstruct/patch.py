@@ -64,7 +64,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
     key_parts, key_presses, _ = jax.random.split(jax.random.key(args.seed), 3)  # as many as results were made with
     parts = make_parts(key_parts, sizes)
     library = jax.tree.map(jnp.asarray, parts["train"].library)
-    errors = SimulationErrors.none() if args.exact else SimulationErrors()
+    errors = SimulationErrors.error_free() if args.exact else SimulationErrors()
     trials = press_parts(key_presses, parts, library, sizes, errors)
     likelihood = choose_likelihood(trials["validation"], library)
     trials = {name: [trial.with_likelihood(likelihood) for trial in some] for name, some in trials.items()}

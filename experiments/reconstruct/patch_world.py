@@ -10,14 +10,14 @@ from experiments.reconstruct.arguments import PatchSizes
 from experiments.reconstruct.fitted_pad import fit_pad, press_all
 from i2t.objects import Mesh, catalogue, primitives
 from i2t.objects.drawing import disk, outline, rectangle
-from i2t.reconstruction.library import library_of, sample_contacts, to_few_sizes
+from i2t.reconstruction.library import library_from_contacts, pad_to_size_classes, sample_contacts
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PressModel
-from i2t.reconstruction.press_models import imagine_presses
+from i2t.reconstruction.press_models import predict_presses
 from i2t.rendering.render import prepare_surface
 from i2t.runtime.progress import progress
 from i2t.simulation.press_curves import PressCurve
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 from i2t.types import Array
 
 SMALLEST_SCALE = 0.25  # of the size of a drawn object: from a stamp's to a hand's
@@ -63,12 +63,12 @@ def make_parts(key: Array, sizes: PatchSizes) -> dict[str, Part]:
     """Shapes of each part, met at random safe sites."""
     counts = {"train": sizes.patches, "validation": sizes.validation, "test": sizes.test}
     meshes = {part: list_shapes(part, sizes.shapes) for part in counts}
-    sized = iter(to_few_sizes([prepare_surface(mesh) for some in meshes.values() for mesh in some]))
+    sized = iter(pad_to_size_classes([prepare_surface(mesh) for some in meshes.values() for mesh in some]))
     parts = {}
     for number, (part, count) in enumerate(counts.items()):
         surfaces = [next(sized) for _ in meshes[part]]
         contacts, objects = sample_contacts(jax.random.fold_in(key, number), surfaces, count)
-        parts[part] = Part(library_of(contacts, objects), contacts.height[: 0 if part == "train" else None])
+        parts[part] = Part(library_from_contacts(contacts, objects), contacts.height[: 0 if part == "train" else None])
     return parts
 
 
@@ -117,10 +117,10 @@ def press_parts(
     """
     trials: dict[str, list[Trial]] = {"validation": [], "test": []}
     for number in progress(range(sizes.pads), desc="pads"):
-        pad = numbered_pad(number)
+        pad = pad_from_seed(number)
         key_fit = jax.random.fold_in(jax.random.fold_in(key, FIT_KEY), number)
         fitted_pad = fit_pad(key_fit, pad, errors, sizes.fit_presses)
-        model, fitted = (imagine_presses(known, library) for known in (pad, fitted_pad))
+        model, fitted = (predict_presses(known, library) for known in (pad, fitted_pad))
         for which, (name, some) in enumerate(trials.items()):
             heights, patch = jnp.asarray(parts[name].heights), np.asarray(parts[name].library.patch, np.float32)
             keys = jax.random.split(jax.random.fold_in(key, 2 * number + which), len(heights))

@@ -34,14 +34,14 @@ from i2t.reconstruction.evidence import (
 )
 from i2t.reconstruction.library import build_library
 from i2t.reconstruction.local_shape import PatchLibrary, PressModel, infer_patch
-from i2t.reconstruction.press_models import imagine_presses
+from i2t.reconstruction.press_models import predict_presses
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_heights, stack_surfaces
 from i2t.simulation.depth_camera import add_depth_noise, render_view
 from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors, sample_session_errors
 from i2t.skin.contact import GRID
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 from i2t.types import Array, Pad, Surface
 
 APPROACH_M, EXPLORING_OVERTRAVEL_M = 0.1, 10e-3  # straight way before a site, and beyond it
@@ -142,11 +142,11 @@ def make_reality(seed: int, split: ObjectSplit, sizes: ReconstructSizes) -> Real
     library = jax.device_put(build_library(key, shapes, sizes.patches, tilt=PATCH_TILT_RAD, limits=None))
 
     def skin(number: int, fitted: bool) -> ExploringSkin:
-        pad = numbered_pad(number)
+        pad = pad_from_seed(number)
         if not fitted:
-            return ExploringSkin(pad, imagine_presses(pad, library))
+            return ExploringSkin(pad, predict_presses(pad, library))
         key_fit = jax.random.fold_in(_key(seed, FIT_KEY), number)
-        return ExploringSkin(pad, imagine_presses(fit_pad(key_fit, pad, ERRORS, sizes.fit_presses), library))
+        return ExploringSkin(pad, predict_presses(fit_pad(key_fit, pad, ERRORS, sizes.fit_presses), library))
 
     meshes = [*split.validation.values(), *split.test.values()]
     surfaces = stack_surfaces([prepare_surface(mesh) for mesh in meshes])

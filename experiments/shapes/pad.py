@@ -151,7 +151,7 @@ class StampFeatures:
         best = int(np.argmax(scores))
         features = self.hypotheses(best)[rows, self.shape[rows]]
         solved, _ = _best_regression(features, readings)
-        left = np.asarray(readings - solved.left_out, np.float64)
+        left = np.asarray(readings - solved.leave_group_out, np.float64)
         # Shrunk towards its diagonal as by as many presses as there are values.
         raw, channels = left.T @ left, readings.shape[1]
         covariance = (raw + channels * np.diag(np.diag(raw)) / len(left)) / (len(left) + channels)

@@ -8,7 +8,7 @@ import numpy as np
 from experiments.common.tables import cell
 from experiments.shapes.methods import METHODS
 from i2t import viz
-from i2t.dataset import holds_simulated, source_words
+from i2t.dataset import holds_simulated, source_phrase
 from i2t.intervals import rate_interval, student_interval
 
 PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "cross": 0.94, "total": 0.92}
@@ -62,7 +62,7 @@ def _total(guesses: list[list[int]], truth: list[np.ndarray], held: list[np.ndar
 
 def report(result: dict[str, Any]) -> None:
     """The tables a person reads."""
-    kind = "" if result["source"] == "real" else f" ({source_words(result['source'])})"
+    kind = "" if result["source"] == "real" else f" ({source_phrase(result['source'])})"
     over = f"{len(result['pads'])} pads" if len(result["pads"]) > 1 else "one pad"
     names = result["shapes"]
     published = all(name in PUBLISHED_RATES for name in names)

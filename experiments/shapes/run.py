@@ -42,12 +42,12 @@ from experiments.shapes.methods import (
 )
 from experiments.shapes.world import StampPressConfig, press_stamps
 from i2t import dataset as data
-from i2t.dataset import Dataset, source_words
+from i2t.dataset import Dataset, source_phrase
 from i2t.errors import DataError, printable
 from i2t.paper.classifier import Classifier
 from i2t.runtime.progress import progress
 from i2t.skin.elasticity import Grid
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 
 MIN_PRESSES_PER_SHAPE = 10
 
@@ -99,7 +99,7 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     presses = prepare(args, cfg)
     dataset, names = presses.dataset, presses.names
     print(
-        f"{len(dataset)} presses ({source_words(dataset.source)}) of {', '.join(map(printable, names))} on "
+        f"{len(dataset)} presses ({source_phrase(dataset.source)}) of {', '.join(map(printable, names))} on "
         f"{len(presses.pads)} pads"
     )
     pads = range(len(presses.pads))
@@ -140,7 +140,7 @@ def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:
     if path.exists():
         return data.load_dataset(path)
     with progress(total=cfg.presses * len(cfg.pads), desc="pressing stamps", unit="press") as bar:
-        pads = [numbered_pad(number) for number in cfg.pads]
+        pads = [pad_from_seed(number) for number in cfg.pads]
         made = press_stamps(jax.random.key(seed), pads, cfg.presses, cfg.pressing, bar.update)
     data.save_dataset(path, made)
     return made

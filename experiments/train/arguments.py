@@ -59,4 +59,4 @@ class TrainArgs(ResumableOptions):
         require_dataset("--dataset", self.dataset)
         require_path("--pad", self.pad, "file")
         require_path("--rig", self.rig, "file")
-        require_objects(self.objects, self.unit, least=1, catalogue=False)
+        require_objects(self.objects, self.unit, minimum=1, catalogue=False)

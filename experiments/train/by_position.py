@@ -12,12 +12,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from i2t.dataset import Dataset, Split
-from i2t.prediction.baselines import best_option, fold_of
+from i2t.prediction.baselines import assign_folds, best_option
 from i2t.prediction.touch_model import Reading
 from i2t.recordings.loads import loaded_presses
 from i2t.recordings.presses import LoadedPresses
 from i2t.skin_models import calibrate
-from i2t.skin_models.tip_gp.left_out import limit_blas_threads
+from i2t.skin_models.tip_gp.leave_one_out import limit_blas_threads
 from i2t.skin_models.tip_gp.plain import PlainScales, fit_scales, predict_plain
 
 TUNED, CALIBRATED = "tuned GP on position and load", "i2t.calibrate"
@@ -75,7 +75,7 @@ def _tuned(train: _Known, at: Float[np.ndarray, "m 3"]) -> Reading:
     ]
     x, y, groups = (part[:TUNED_PRESSES] for part in train)
     with limit_blas_threads(len(x)):
-        best, error = best_option(_by_scales, options, x, y, fold_of(groups))
+        best, error = best_option(_by_scales, options, x, y, assign_folds(groups))
     mean = _by_scales(train.x, train.y, at, best)
     return Reading(mean, np.broadcast_to(np.sqrt((error**2).mean(0)), mean.shape))
 
@@ -86,5 +86,5 @@ def _by_scales(x: np.ndarray, y: np.ndarray, at: np.ndarray, scales: PlainScales
 
 def _calibrated(presses: LoadedPresses, train: _Known, at: Float[np.ndarray, "m 3"]) -> Reading:
     x, y, _ = (part[:CALIBRATION_PRESSES] for part in train)
-    calibration = calibrate(x[:, :2], x[:, 2], y, load_kind=presses.load_kind, board=presses.own_board)
+    calibration = calibrate(x[:, :2], x[:, 2], y, load_kind=presses.load_kind, board=presses.unnamed_board)
     return Reading(*(np.asarray(part) for part in calibration.predict(at[:, :2], at[:, 2])))

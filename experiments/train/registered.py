@@ -151,7 +151,8 @@ def _note(found: RegisteredSessions) -> str:
 def _camera_note(hand_eye: HandEye) -> str:
     aside = 1e3 * np.linalg.norm(hand_eye.T_t_camera[:3, 3])
     std = 1e3 * np.sqrt(np.trace(hand_eye.covariance[:3, :3]))
+    sessions = f"{hand_eye.num_sessions} training session{'s' * (hand_eye.num_sessions > 1)}"
     return (
-        f"by {hand_eye.sessions} training session{'s' * (hand_eye.sessions > 1)} the camera sits {aside:.2f} mm aside "
+        f"by {sessions} the camera sits {aside:.2f} mm aside "
         f"(standard deviation {std:.2f} mm); the sessions differ by {hand_eye.disagreement:.1f} times their errors"
     )

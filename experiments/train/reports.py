@@ -14,7 +14,7 @@ from experiments.train.evaluation import Evaluation, choice_over_pads
 from experiments.train.finished import CHECKPOINTS, KEPT, ON_PRESSURE, PAD_MODEL, FinishedRun, write_training
 from experiments.train.prepare import Prepared
 from i2t import viz
-from i2t.dataset import Dataset, Split, holds_simulated, source_words
+from i2t.dataset import Dataset, Split, holds_simulated, source_phrase
 from i2t.errors import printable
 from i2t.files.writing import slug
 from i2t.intervals import MIN_CLUSTERS, grouped_interval, student_interval
@@ -44,7 +44,7 @@ def report(
     metrics: dict[str, Any] = {
         "source": dataset.source,
         **about,
-        "split": split.how,
+        "split": split.description,
         "counts": {part: int(getattr(split, part).sum()) for part in ("train", "validation", "test")},
         "groups": len(np.unique(groups)),
         "noise_uT": None if noise is None else noise.tolist(),
@@ -159,11 +159,12 @@ def _touches(out: Path, dataset: Dataset, split: Split, predicted: np.ndarray) -
         "best predicted": order[: min(5, len(order))],
         "worst predicted": order[-min(5, len(order)) :][::-1],
     }
+    unseen = "objects" if split.description == "object" else "touches"
     for title, rows in shown.items():
         labels = [f"{dataset.objects[kinds[i]]}\nerror {100 * error[i]:.0f} %" for i in rows]
         figure = viz.plot_predicted_touches(
             patches[rows], {"measured": truth[rows], "predicted": predicted[rows]}, labels, dataset.board,
-            f"Unseen {'objects' if split.how == 'object' else 'touches'}, {title}", holds_simulated(dataset.source),
+            f"Unseen {unseen}, {title}", holds_simulated(dataset.source),
             window=dataset.window, reach=dataset.reach,
         )  # fmt: skip
         viz.save_figure(figure, out / f"touches_{title.split()[0]}.png")
@@ -212,7 +213,7 @@ def _estimates(tables: Sequence[Mapping[str, Any]], columns: Sequence[str] | Non
 
 def print_table(result: dict[str, Any]) -> None:
     """The table a person reads."""
-    kind = "" if result["source"] == "real" else f" ({source_words(result['source'])})"
+    kind = "" if result["source"] == "real" else f" ({source_phrase(result['source'])})"
     if "pads" in result:
         for pad, methods in result["pads"].items() if "over_pads" not in result else ():
             _print_methods(f"pad {pad}{kind}: mean over seeds {result['seeds']} with 95 % interval", methods)

@@ -53,7 +53,7 @@ from experiments.train.registered import by_camera, by_sessions, reading_row, re
 from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling
 from experiments.train.sources import ObjectsKnown, RecordedSource, SimulatedSource, TouchSource
-from i2t.dataset import Dataset, source_words
+from i2t.dataset import Dataset, source_phrase
 from i2t.errors import printable
 from i2t.prediction.methods import find_methods
 from i2t.recognition.recorded import describe
@@ -184,7 +184,7 @@ def summary_of(prepared: Prepared) -> str:
     """Touches of each part of the split, and what is odd about them."""
     dataset, split = prepared.touches.dataset, prepared.split
     counts = f"{split.train.sum()} train, {split.validation.sum()} validate, {split.test.sum()} test"
-    sizes = f"{len(dataset)} touches ({source_words(dataset.source)}), split by {split.how}: {counts}"
+    sizes = f"{len(dataset)} touches ({source_phrase(dataset.source)}), split by {split.description}: {counts}"
     return "\n".join([sizes, *(printable(f"note: {note}") for note in prepared.notes)])
 
 

@@ -20,7 +20,7 @@ from i2t.objects.named import read_object
 from i2t.recognition.recorded import named_surfaces, recorded_touches, with_placement
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import PadAbout, load_pad, load_pad_about, save_pad
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.skin_models.pad_model import KnownPad, add_press_errors
 from i2t.types import Pad
@@ -47,7 +47,7 @@ class SimulatedSource:
     def read_pad(self) -> tuple[Pad, PadAbout]:
         """The pad and its description."""
         if isinstance(self.pad, int):
-            return numbered_pad(self.pad), PadAbout(f"simulated pad {self.pad}", "", 0.0)
+            return pad_from_seed(self.pad), PadAbout(f"simulated pad {self.pad}", "", 0.0)
         about = load_pad_about(self.pad)
         if about.r2_places is not None and not about.r2_places >= MIN_PAD_R2:
             raise ValueError(

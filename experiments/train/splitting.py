@@ -20,8 +20,8 @@ MORE_TOUCHES = {
 
 
 def split_dataset(dataset: Dataset, cfg: TrainExperiment, how: str, seed: int) -> Split:
-    """Hold out objects, sessions, blocks of places or the last touches in time; presses that failed or met air are left
-    out, as are the objects that only choose the method. What validates is held out as what tests is.
+    """Hold out objects, sessions, blocks of places or the last touches in time; presses that failed or made no contact
+    are left out, as are the objects that only choose the method. What validates is held out as what tests is.
     """
     touches = dataset.touches
     usable = _usable(touches) & ~judging_touches(dataset, cfg)

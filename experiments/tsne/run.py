@@ -25,10 +25,10 @@ from experiments.train.simulate import simulated_dataset
 from experiments.tsne.arguments import TsneArgs
 from i2t import dataset as data
 from i2t import viz
-from i2t.dataset import Dataset, holds_simulated, source_words
+from i2t.dataset import Dataset, holds_simulated, source_phrase
 from i2t.errors import DataError
 from i2t.recognition.metrics import to_json
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 from i2t.types import ReturnCode
 from i2t.viz import agreement, clusters
 from i2t.viz.clusters import TouchMap
@@ -88,7 +88,7 @@ def read_touches(args: TsneArgs) -> Dataset:
         dataset = data.load_dataset(args.dataset)
     else:
         plan, name = TRAININGS[args.preset].simulation, "simulated pad 0"
-        dataset = simulated_dataset(plan, numbered_pad(0), args.out / "data.h5", seed=args.seed, name=name)
+        dataset = simulated_dataset(plan, pad_from_seed(0), args.out / "data.h5", seed=args.seed, name=name)
     dataset = dataset.select(~np.isin(dataset.touches.code, [ReturnCode.FAILED, ReturnCode.AIR]))
     if len(dataset) < MIN_TOUCHES:
         raise DataError(f"the data set holds {len(dataset)} touches; {MIN_TOUCHES} at least are needed")
@@ -123,7 +123,7 @@ def figure(dataset: Dataset, touch_map: TouchMap, kind: str) -> Any:
 
 def report(result: dict[str, Any]) -> None:
     """The numbers a person reads."""
-    kind = "" if result["source"] == "real" else f" ({source_words(result['source'])})"
+    kind = "" if result["source"] == "real" else f" ({source_phrase(result['source'])})"
     index, kept = result["rand_index"], result["map_neighbours_kept"]
     print(f"\n{result['touches']} touches{kind}: map and clusters in {result['seconds']:.1f} s")
     print(f"clusters of {', '.join(map(str, result['cluster_sizes']))} touches")

@@ -102,7 +102,7 @@ class LabArgs:
     rig: Path | None = None
     # pose of the object in the world: x y z in m, then rotations about x y z in degrees; by default that of the rig
     pose: tuple[float, float, float, float, float, float] | None = None
-    trust_rig: bool = False  # continue with a rig that looks wrong, because it is only unusual
+    accept_unusual_rig: bool = False  # continue with a rig that looks wrong, because it is only unusual
 
     def check(self) -> None:
         """Refuse a missing rig, and a pose outside any lab; raise a ValueError that names the flag."""

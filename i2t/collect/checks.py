@@ -12,11 +12,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from i2t.collect.first_touch import RigContradictedError, first_touch
+from i2t.collect.first_touch import RigContradictedError, check_rig_by_touch
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler
 from i2t.errors import DeviceError, printable
-from i2t.hardware.rig_checks import implausible, other_lens
+from i2t.hardware.rig_checks import compare_lens, implausible_values
 from i2t.hardware.skin_health import check_skin, rest_samples
 
 Check: TypeAlias = Callable[[Procedure], list[str]]
@@ -126,7 +126,7 @@ def _camera_fits(procedure: Procedure) -> list[str]:
             f"{camera.name} measures nothing nearer than {1e3 * camera.nearest:.0f} mm, and the rig looks from "
             f"{1e3 * distance:.0f} mm; raise looking_distance or take another camera"
         ]
-    mismatch = other_lens(procedure.rig.camera, procedure.camera.camera)
+    mismatch = compare_lens(procedure.rig.camera, procedure.camera.camera)
     return [mismatch] if mismatch else []
 
 
@@ -147,13 +147,13 @@ def _skins_healthy(procedure: Procedure, strict: bool) -> list[str]:
 
 def _rig_plausible(procedure: Procedure, sampler: SiteSampler) -> list[str]:
     """Check the rig for values that are nearly always mistakes."""
-    return implausible(procedure.rig, sampler.mesh.vertices)
+    return implausible_values(procedure.rig, sampler.mesh.vertices)
 
 
 def _sites_reached(procedure: Procedure, sampler: SiteSampler, count: int) -> list[str]:
     """Check that more than half of the planned sites can be reached."""
     sites = [sampler.site(number) for number in range(count)]
-    refused = {site.number: why for site in sites if (why := procedure.path.why_not(site))}
+    refused = {site.number: why for site in sites if (why := procedure.path.explain_unreachable(site))}
     print(f"{len(refused)} of {len(sites)} cannot be reached")
     for number, why in list(refused.items())[:5]:
         print(f"          site {number}: {why}")
@@ -163,7 +163,7 @@ def _sites_reached(procedure: Procedure, sampler: SiteSampler, count: int) -> li
 def _rig_touched(procedure: Procedure, sampler: SiteSampler) -> list[str]:
     """Check the rig by first looks and slow touches. Raise DeviceError if a device fails."""
     try:
-        first_touch(procedure, sampler)
+        check_rig_by_touch(procedure, sampler)
     except RigContradictedError as error:
         return [str(error)]
     return []

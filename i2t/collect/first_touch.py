@@ -73,7 +73,7 @@ class FirstTouchConfig:
     turns_deg: tuple[float, ...] = (180, 120, -120, 90, -90)
     # Slow touches.
     min_touch_tolerance: float = 4e-3  # m, smallest tolerance of the contact's position
-    felt_within: float = 1e-3  # m past first contact within which a press is felt
+    max_onset_travel: float = 1e-3  # m past first contact within which a press is felt
     side_tilts_deg: tuple[float, ...] = (60.0, 45.0)  # tilts of the tool at a side, tried in this order
     side_step_deg: int = 15  # between the sides that are tried
     side_edge: float = 0.5e-3  # m within which several corners of a mesh are touched at once
@@ -141,7 +141,7 @@ def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPl
         UnreachableError: If no site can be reached, or touched slowly in one motion.
     """
     path, candidates = procedure.path, [sampler.site(number) for number in range(_CONFIG.num_candidates)]
-    refused = [path.why_not(site) for site in candidates]
+    refused = [path.explain_unreachable(site) for site in candidates]
     sites = [site for site, why in zip(candidates, refused, strict=True) if not why]
     if not sites:
         raise UnreachableError(
@@ -173,7 +173,7 @@ def _turned_pair(procedure: Procedure, looks: tuple[Site, ...]) -> tuple[Site, .
         T_t_turned = transform(Rotation.from_euler("z", turn, degrees=True).as_matrix(), np.zeros(3))
         for site in looks:
             turned = site._replace(T_w_t=site.T_w_t @ T_t_turned)
-            if not procedure.path.why_not(turned):
+            if not procedure.path.explain_unreachable(turned):
                 return site, turned
     return ()
 
@@ -252,7 +252,7 @@ def _plan_slow_touch(procedure: Procedure, name: str, site: Site, past: float | 
     """
     path, settings, limits = procedure.path, procedure.settings, procedure.rig.limits
     tolerance = touch_tolerance(procedure.rig, site)
-    past = tolerance + _CONFIG.felt_within if past is None else past
+    past = tolerance + _CONFIG.max_onset_travel if past is None else past
     if not settings.prepare + past <= limits.approach_distance:
         return None
     prepare = path.poses(site)[1]
@@ -273,12 +273,12 @@ def _plan_slow_touch(procedure: Procedure, name: str, site: Site, past: float | 
             contact=count,
         )
         slowed = replace(procedure, settings=slow)
-        if not slowed.path.why_not(site, looks=False):
+        if not slowed.path.explain_unreachable(site, looks=False):
             return SlowTouch(name, site, tolerance, slowed)
     return None
 
 
-def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[str], None] = print) -> None:
+def check_rig_by_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[str], None] = print) -> None:
     """Look at some sites and touch one slowly. Afterwards, the tool is above everything.
 
     Args:

@@ -14,7 +14,7 @@ import numpy as np
 
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.devices import configured_skins
-from i2t.collect.recorder import site_number_of, touches_in, written_at
+from i2t.collect.recorder import list_touches, site_number_of, touch_time
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.dataset import read_touch
 from i2t.dataset.files import sync_folder
@@ -26,6 +26,7 @@ from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 
 NOTES_FILE = ".collection.json"
+_SITE_LIMITS_BEFORE = {"half": "half_edge"}  # names in notes of earlier versions, with those of today
 
 
 def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
@@ -58,10 +59,12 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
     path = folder / NOTES_FILE
     try:
         notes = dict(read_json(path, 2**26))
+        if "sites" in notes:
+            notes["sites"] = {_SITE_LIMITS_BEFORE.get(limit, limit): value for limit, value in notes["sites"].items()}
         return notes | {"session": str(notes["session"])}
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError, LookupError) as error:
+    except (OSError, ValueError, TypeError, LookupError, AttributeError) as error:
         reason = str(error).removeprefix(f"{path}: ")
         raise DataError(f"{path}: cannot be read ({reason}); restore it from a copy, or pass another --out") from error
 
@@ -81,7 +84,7 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
     Raises:
         DataError: If another collection was begun there, or its notes are damaged.
     """
-    files = touches_in(args.out) if args.out.is_dir() else []
+    files = list_touches(args.out) if args.out.is_dir() else []
     notes = read_notes(args.out)
     if notes is None and files:
         raise DataError(f"{args.out} holds touches that were not collected there; choose another --out")
@@ -104,7 +107,7 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         **{_pad_flag(skin.name): skin.pad for skin in configured_skins(args, rig)},
     }
     require_same(notes, same, args.out)
-    return {site_number_of(file): written_at(file) for file in files}, notes
+    return {site_number_of(file): touch_time(file) for file in files}, notes
 
 
 def require_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> None:

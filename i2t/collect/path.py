@@ -13,7 +13,7 @@ from i2t.collect.touch import Site, UnreachableError
 from i2t.hardware.collision import fastest_speed
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.motion_limits import format_position
-from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.poses import translated_along_z
 from i2t.hardware.rig import Rig
 from i2t.types import Array
 
@@ -49,7 +49,7 @@ class TouchPath:
         T_w_look[:3, 3] -= self.rig.looking_distance * axis + site.T_w_t[:3, :3] @ T_t_c[:3, 3]
         along = (-self.settings.prepare, -self.settings.near, self.settings.overtravel)
         to_base = self.rig.T_base_world
-        prepare, near, end = (to_base @ shifted_along_z(site.T_w_t, z) for z in along)
+        prepare, near, end = (to_base @ translated_along_z(site.T_w_t, z) for z in along)
         return to_base @ T_w_look, prepare, near, end
 
     def check(self, site: Site) -> None:
@@ -61,10 +61,10 @@ class TouchPath:
         Raises:
             UnreachableError: If a goal of its touch, or the path to it, is outside the box.
         """
-        if why := self.why_not(site):
+        if why := self.explain_unreachable(site):
             raise UnreachableError(why)
 
-    def why_not(self, site: Site, looks: bool = True) -> str:
+    def explain_unreachable(self, site: Site, looks: bool = True) -> str:
         """Explain why a site cannot be reached.
 
         Args:

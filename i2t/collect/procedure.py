@@ -15,9 +15,9 @@ callable, `choose(history) -> site`, chooses the next site. Numbers are those of
 them, except where `TouchSettings` gives a reason.
 
 All skins on the tool are read, and each may stop an approach. A skin has felt a press if the part of its change that
-differs between its chips exceeds half of what stops a press. For a skin that felt nothing, the press met air,
-whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one force for
-all skins: it is assigned to a skin if no other felt the press, and is unknown (NaN) otherwise.
+differs between its chips exceeds half of what stops a press. A press that a skin did not feel counts as no contact of
+that skin, whatever ended it. If none felt the press, the touch is attributed to the pressing skin. The arm measures one
+force for all skins: it is assigned to a skin if no other felt the press, and is unknown (NaN) otherwise.
 
 Frames: W world, B robot base, T tool, S skin, C camera; `T_a_b` maps points in b to a. Metres, newtons, microtesla.
 """
@@ -33,7 +33,7 @@ import numpy as np
 from i2t.collect.path import TouchPath
 from i2t.collect.recorder import EventLog, Recorder
 from i2t.collect.settings import TouchSettings
-from i2t.collect.stopping import StopCondition, felt, onset_distance, press_samples
+from i2t.collect.stopping import StopCondition, is_felt, onset_distance, press_samples
 from i2t.collect.touch import (
     TOOL,
     ChooseSite,
@@ -52,7 +52,7 @@ from i2t.errors import DeviceError, MotionStoppedError
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.guarded import MotionWatch
 from i2t.hardware.motion_limits import format_position
-from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.poses import translated_along_z
 from i2t.hardware.protocols import (
     ApproachResult,
     ArmState,
@@ -66,7 +66,7 @@ from i2t.hardware.protocols import (
 )
 from i2t.hardware.rig import Rig
 from i2t.hardware.skin_health import frozen_sentence
-from i2t.skin.boards import mean_known
+from i2t.skin.boards import mean_finite
 from i2t.types import Array, ReturnCode
 
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
@@ -77,7 +77,7 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
 }
 
 
-class Press(NamedTuple):
+class HeldPress(NamedTuple):
     """A press that has ended, with the tool still in contact."""
 
     result: ApproachResult
@@ -247,7 +247,7 @@ class Procedure:
                 f"something was met {1e3 * (settings.prepare - result.distance):.0f} mm before the site"
             )
 
-    def press(self, log: EventLog) -> Press:
+    def press(self, log: EventLog) -> HeldPress:
         """Measure the ambient field, press until a limit is reached, and read the skins in contact.
 
         Args:
@@ -276,8 +276,8 @@ class Procedure:
         for state in states:
             log.state(state)
         self._check_alive(log, period)
-        felt_by = [on_tool.name for on_tool in self.skins if felt(changes[on_tool.name], on_tool.board, settings)]
-        return Press(result, log, period, ambient, states, changes, felt_by or [TOOL])
+        felt_by = [on_tool.name for on_tool in self.skins if is_felt(changes[on_tool.name], on_tool.board, settings)]
+        return HeldPress(result, log, period, ambient, states, changes, felt_by or [TOOL])
 
     def _check_alive(self, log: EventLog, period: tuple[float, float]) -> None:
         """Refuse a press at whose end a skin, other than a simulated one without noise, repeated one sample."""
@@ -289,7 +289,7 @@ class Procedure:
                     raise DeviceError(f"{on_tool.skin.features.name}: {defect}")
 
     def _skin_touch(
-        self, on_tool: SkinOnTool, press: Press, view: View, T_w_c: Array, before: SkinCounters
+        self, on_tool: SkinOnTool, press: HeldPress, view: View, T_w_c: Array, before: SkinCounters
     ) -> SkinTouch:
         """Evaluate a press for one skin; `before` holds its counters before the touch."""
         name = on_tool.name
@@ -313,7 +313,7 @@ class Procedure:
         for on_tool in self.skins:
             samples = on_tool.skin.read(count)
             log.samples(samples, on_tool.name)
-            means[on_tool.name] = mean_known(samples.reading, axis=0)
+            means[on_tool.name] = mean_finite(samples.reading, axis=0)
         return means
 
     def _measure_ambient(self, log: EventLog) -> dict[str, Array]:
@@ -401,7 +401,7 @@ class Procedure:
         height = self.path.transfer_height()
         if T_b_t[2, 3] >= height:
             return
-        steps = (shifted_along_z(T_b_t, -part * self.settings.prepare) for part in (1.0, 0.5, 0.25, 0.1, 0.0))
+        steps = (translated_along_z(T_b_t, -part * self.settings.prepare) for part in (1.0, 0.5, 0.25, 0.1, 0.0))
         back = next((pose for pose in steps if self.rig.limits.contains(pose[:3, 3])), None)
         if back is None:
             raise DeviceError(

@@ -32,7 +32,7 @@ from i2t.dataset import Dataset, Image, Record, Series
 from i2t.depth.camera import Camera, to_units
 from i2t.errors import DataError, DeviceError
 from i2t.files.reading import read_bytes
-from i2t.files.writing import not_through_links, unwritable
+from i2t.files.writing import open_without_links, unwritable
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import ArmState, Samples, View, channel_names
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
@@ -204,7 +204,7 @@ class Recorder:
         self.bytes = 0
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock = open(self.folder / ".lock", "a", opener=not_through_links)  # noqa: SIM115
+            self._lock = open(self.folder / ".lock", "a", opener=open_without_links)  # noqa: SIM115
         except OSError as error:
             raise _not_kept(self.folder, error) from error
         try:
@@ -214,8 +214,8 @@ class Recorder:
             raise StorageError(
                 f"{self.folder} is being written by another collection; end that one, or choose another folder"
             ) from None
-        saved = touches_in(self.folder)
-        self._newest = written_at(saved[-1]) if saved else 0.0
+        saved = list_touches(self.folder)
+        self._newest = touch_time(saved[-1]) if saved else 0.0
 
     def close(self) -> None:
         """Release the folder, without raising an error."""
@@ -266,7 +266,7 @@ class Recorder:
         self._offset = self._clock.wall() - self._clock.now()
         path = self._raw_path
         try:
-            self._raw = open(path, "wb", buffering=0, opener=not_through_links)  # noqa: SIM115, closed when the touch ends
+            self._raw = open(path, "wb", buffering=0, opener=open_without_links)  # noqa: SIM115, closed when the touch ends
         except OSError as error:
             raise _not_kept(path, error) from error
         self._log = EventLog(self._raw, self._clock)
@@ -443,7 +443,7 @@ def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: S
 # A folder of touches
 
 
-def touches_in(folder: Path) -> list[Path]:
+def list_touches(folder: Path) -> list[Path]:
     """List the touches recorded in a folder, in the order of time.
 
     Args:
@@ -455,7 +455,7 @@ def touches_in(folder: Path) -> list[Path]:
     return sorted(folder.glob("touch-*.h5"))
 
 
-def written_at(path: Path) -> float:
+def touch_time(path: Path) -> float:
     """Read the time in a touch's name.
 
     Args:

@@ -27,7 +27,7 @@ class Offset(NamedTuple):
     angle_std: float  # rad
 
     @property
-    def certain(self) -> bool:
+    def significant(self) -> bool:
         """Whether the offset is significant, beyond three standard deviations."""
         return self.distance > 3 * self.distance_std or self.angle > 3 * self.angle_std
 
@@ -65,15 +65,15 @@ def describe_offsets(
         return f"{contacts} touches that met the object do not show where it and the camera were; {min_touches} would"
     names = {dataset.objects[i] for i in here.touches.object}
     T_t_c = rig.T_tool_camera
-    looked_from = -(rig.looking_distance * T_t_c[:3, 2] + T_t_c[:3, 3])
+    tool_offset = -(rig.looking_distance * T_t_c[:3, 2] + T_t_c[:3, 3])
     config = SessionRegistrationConfig(
-        looked_from=tuple(looked_from.tolist()), depth_noise=depth_noise(here.touches.patch)
+        tool_offset_at_capture=tuple(tool_offset.tolist()), depth_noise=depth_noise(here.touches.patch)
     )
     estimate = register_sessions(here, dict.fromkeys(names, prepare_surface(mesh)), config=config)[session]
     if not np.median(estimate.view_residual) <= max_view_residual:
         return "the views fit the mesh at no pose near the believed one: look for a wrong mesh, unit, pose or hand-eye"
     placed, camera = offsets(estimate, here.touches.T_w_o[0])
-    advice = "; calibrate the rig again (docs/hardware.md)" if placed.certain or camera.certain else ""
+    advice = "; calibrate the rig again (docs/hardware.md)" if placed.significant or camera.significant else ""
     return f"by these touches, the object is {placed} from its pose in the rig, and the camera {camera}{advice}"
 
 

@@ -36,7 +36,7 @@ from i2t.types import ReturnCode
 ENDS = {
     ReturnCode.SKIN: "stopped by the skin",
     ReturnCode.WRENCH: "stopped by force or torque",
-    ReturnCode.AIR: "met air",
+    ReturnCode.AIR: "no contact",
     ReturnCode.FAILED: "failed",
 }
 SOURCE_DESCRIPTIONS = {
@@ -204,7 +204,7 @@ class _Session:
         while len(self.done) < self.args.touches:
             site = self.sampler.next(self.tried)
             self.tried.add(site.number)
-            why = self.procedure.path.why_not(site)
+            why = self.procedure.path.explain_unreachable(site)
             if not why:
                 return site
             self.unreachable += 1

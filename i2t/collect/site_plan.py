@@ -44,7 +44,7 @@ class SiteSampler:
         self.placed = transform_mesh(target.mesh, np.asarray(T_w_o))
         self.top = highest_point(target, T_w_o)  # m, in W
         self._surface = prepare_surface(self.placed)
-        rest = target.left_out
+        rest = target.obstacles
         self._obstacles = None if rest is None else prepare_surface(transform_mesh(rest, np.asarray(T_w_o)))
         self.limits, self._seed, self._name, self._batch = limits, seed, name, batch
         self._sites: list[Site] = []

@@ -56,7 +56,7 @@ def begin(args: CollectArgs) -> PreparedCollection:
     if placement := describe_placement(target):
         print(printable(placement))
     name = args.name or (target.name if args.world.object == target.name else Path(args.world.object).stem)
-    if not args.lab.trust_rig and not args.dry_run:
+    if not args.lab.accept_unusual_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
     TouchPath(rig, args.settings, highest_point(target, rig.T_world_object)).check_settings()
     return PreparedCollection(args, rig, name, target, *resume(args, name, rig, target.mesh))

@@ -18,7 +18,7 @@ from i2t.collect.touch import SkinOnTool
 from i2t.errors import DeviceError
 from i2t.hardware.guarded import MotionWatch
 from i2t.hardware.protocols import ApproachResult, ArmState
-from i2t.skin.boards import mean_known
+from i2t.skin.boards import mean_finite
 from i2t.types import Array, Board
 
 
@@ -99,7 +99,7 @@ class StopCondition:
         last = self._last[on_tool.name]
         if len(last) < settings.averaged_samples:
             return None
-        change = mean_known(np.array(last), axis=0) - self._ambient[on_tool.name]
+        change = mean_finite(np.array(last), axis=0) - self._ambient[on_tool.name]
         self._check_chips(change, on_tool)
         size, nonuniform = _size(change), _size(nonuniform_field(change, on_tool.board))
         if not np.isfinite(size):
@@ -154,7 +154,7 @@ def press_samples(
     return readings, np.interp(samples[:, 0], [state.time for state in states], before)
 
 
-def felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -> bool:
+def is_felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -> bool:
     """Test whether a skin has felt a press.
 
     Args:
@@ -181,7 +181,7 @@ def nonuniform_field(change: Float[Array, " c"], board: Board) -> Float[Array, "
         `(chips, 3)` field (uT) in tool axes, with mean zero over the chips that answered.
     """
     field = np.asarray(board.to_tool(change))
-    return field - mean_known(field, axis=0)
+    return field - mean_finite(field, axis=0)
 
 
 def onset_distance(

@@ -187,7 +187,7 @@ def lowest_in_square(
     return jnp.where((low <= high) & (high >= -behind), jnp.maximum(low, -behind), jnp.inf)
 
 
-def first_smallest(values: Float[Array, " n"]) -> Int[Array, ""]:
+def fast_argmin(values: Float[Array, " n"]) -> Int[Array, ""]:
     """Find the first smallest value, like `argmin` but in a fifth of its time on a CPU.
 
     Args:
@@ -234,7 +234,7 @@ def _nearest_face(
 
     def nearest_of(group: Array | int) -> tuple[Array, Array]:
         low = jnp.where(has_area[group], lowest_in_square(corners[group], A_t_w, half, behind), jnp.inf)
-        return jnp.min(low), group * low.size + first_smallest(low)
+        return jnp.min(low), group * low.size + fast_argmin(low)
 
     if surface.groups is None:
         return nearest_of(0)
@@ -249,7 +249,7 @@ def _nearest_face(
 
     def visit(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         fronts, nearest, face = state
-        group = first_smallest(fronts)
+        group = fast_argmin(fronts)
         low, its_face = nearest_of(group)
         nearer = (low < nearest) | ((low == nearest) & (its_face < face))
         fronts = jnp.where(jnp.arange(groups) == group, jnp.inf, fronts)

@@ -133,7 +133,7 @@ def _final_dipoles(final: Grid) -> tuple[Grid, ...] | None:
     return (final,) * FINE_SHEETS + (GRID,) * (CELL_NODES - FINE_SHEETS) if finer else None
 
 
-def press_finally(
+def press_at_stop(
     pad: Pad,
     height: Float[Array, "f f"],
     indentation: Float[Array, ""],

@@ -41,7 +41,7 @@ PACKED_FILE = "touches.h5"
 
 
 @dataclass(kw_only=True)
-class Reading:
+class ReadCommand:
     """Base of the commands that read."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]  # file or folder to read
@@ -63,7 +63,7 @@ class Reading:
 
 
 @dataclass(kw_only=True)
-class Writing(Reading):
+class WriteCommand(ReadCommand):
     """Base of the commands that write their result."""
 
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]  # folder or file to write
@@ -115,7 +115,7 @@ class Writing(Reading):
 
 
 @dataclass(kw_only=True)
-class Recording(Writing):
+class Recording(WriteCommand):
     """Base of the commands that convert a recording."""
 
     window_mm: float = 1e3 * PATCH_WINDOW  # edge (mm) of the square that a patch shows; presses outside it are left out
@@ -137,7 +137,7 @@ class Recording(Writing):
 
 
 @dataclass(kw_only=True)
-class Summary(Reading):
+class Summary(ReadCommand):
     """Print what a data set holds: touches per object, pad and session, ends of presses, readings, missing values."""
 
     json: bool = False  # print one JSON object, for a program
@@ -263,7 +263,7 @@ class FromStream(_FromTable):
 
 
 @dataclass(kw_only=True)
-class Pack(Writing):
+class Pack(WriteCommand):
     """Pack all touches of a folder into one file, which loads faster; images and time series of touches stay behind."""
 
     skin_name: str | None = None  # name of the skin, if several were read in each touch
@@ -275,7 +275,7 @@ class Pack(Writing):
 
 
 @dataclass(kw_only=True)
-class ToLeRobot(Writing):
+class ToLeRobot(WriteCommand):
     """Write a data set as a LeRobotDataset v3.0, in which chips that did not answer are NaN. Needs pyarrow."""
 
     written: ClassVar[tuple[str, ...]] = ("data", "meta", "README.md")
@@ -291,7 +291,7 @@ class ToLeRobot(Writing):
         print(f"wrote {len(dataset)} touches to {lerobot.write(self.target, dataset)}")
 
 
-COMMANDS: dict[str, Callable[..., Reading]] = {
+COMMANDS: dict[str, Callable[..., ReadCommand]] = {
     "summary": Summary,
     "imagine2touch": FromImagine2touch,
     "eflesh": FromEflesh,
@@ -311,7 +311,7 @@ def main(args: Sequence[str] | None = None) -> int:
     Returns:
         The exit code, as in `i2t.cli.exit_codes`: 2 if a recording cannot be used.
     """
-    command: Reading = tyro.extras.subcommand_cli_from_dict(
+    command: ReadCommand = tyro.extras.subcommand_cli_from_dict(
         COMMANDS,
         args=args,
         prog="python -m i2t.convert",
@@ -321,7 +321,7 @@ def main(args: Sequence[str] | None = None) -> int:
     return exit_code_of(lambda: _run(command), "interrupted; nothing was written")
 
 
-def _run(command: Reading) -> None:
+def _run(command: ReadCommand) -> None:
     """Run one command, and print its warnings afterwards."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)  # `BadFileWarning` is one
@@ -343,9 +343,9 @@ def _board(name: str) -> "Board":
 
 def _page(source: Path, summary: dict[str, Any]) -> str:
     """Format a summary as text."""
-    from i2t.dataset import source_words
+    from i2t.dataset import source_phrase
 
-    lines = [f"{printable(source)}: {summary['touches']} touches, {source_words(summary['source'])}"]
+    lines = [f"{printable(source)}: {summary['touches']} touches, {source_phrase(summary['source'])}"]
     for kind in ("objects", "pads", "sessions"):
         lines += ["", f"{kind:<40} touches"]
         lines += [f"  {printable(name):<38} {count:7d}" for name, count in summary[kind].items()]

@@ -29,13 +29,13 @@ from i2t.convert.press_table import (
 )
 from i2t.errors import DataError
 from i2t.patches.dimensions import REACH
-from i2t.recordings.clocks import judge_stamps, require_order
-from i2t.recordings.diagnose import corrected_presses, find_units, findings_to_meta, first_contact, turn_board
+from i2t.recordings.clocks import check_stamps, require_order
+from i2t.recordings.diagnose import corrected_presses, find_units, findings_to_meta, first_contact, rotate_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
     MAX_ROW_OFFSET_S,
     load_of_states,
-    rows_together,
+    match_rows,
     silent_chips_of,
     stroke_numbers,
     table_path,
@@ -123,7 +123,7 @@ def _common_board(checks: list[SessionCheck], notes: ReadingLog) -> Board:
 def _board() -> Board:
     """Return eFlesh's board as it is mounted on the stage of these recordings."""
     # By what the five chips read together in the `spatial` session.
-    return turn_board(boards.eflesh_board(), np.array([[0.0, -1.0], [1.0, 0.0]]))
+    return rotate_board(boards.eflesh_board(), np.array([[0.0, -1.0], [1.0, 0.0]]))
 
 
 def _session(
@@ -133,8 +133,8 @@ def _session(
     states = _table(folder, "states", (4, 5), notes)
     values = _table(folder, "sensor_post_baselines", (1 + EFLESH_READINGS, 1 + 2 * EFLESH_READINGS), notes)
     states, values = _matched(folder, states, values, notes)
-    answered = notes.keep_heard(silent_chips_of(folder, values))
-    notes.require_heard(source=folder)
+    answered = notes.select_answered(silent_chips_of(folder, values))
+    notes.require_answers(source=folder)
     states, values = states[answered], values[answered]
     n, name, position = len(states), folder.name, 1e-3 * states[:, 1:4]
     table = Presses(
@@ -229,7 +229,7 @@ def _table(folder: Path, name: str, columns: tuple[int, int], notes: ReadingLog)
         notes.skip(data_error(path, f"{np.sum(~finite)} rows are not finite, first row {row}"))
     table = table[finite]
     require_order(table[:, 0], f"{path}: time, its first column,", remedy="sort them by it")
-    verdict = judge_stamps(table[:, 0])
+    verdict = check_stamps(table[:, 0])
     back = np.flatnonzero(np.diff(table[:, 0]) < 0) + 2
     if verdict.damaged.any():
         rows = np.flatnonzero(verdict.damaged) + 1
@@ -246,7 +246,7 @@ def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Readin
     """Match the rows of both tables by time."""
     if not len(states) or not len(values):
         raise data_error(folder, "has no rows")
-    rows, partner = rows_together(states[:, 0], values[:, 0])
+    rows, partner = match_rows(states[:, 0], values[:, 0])
     if not len(rows):
         raise DataError(
             f"{folder}: no state was recorded within {1e3 * MAX_ROW_OFFSET_S:g} ms of a sensor row; check both tables"

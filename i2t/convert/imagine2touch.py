@@ -94,7 +94,7 @@ def convert(
                 parts.append(_convert_run(folder, run, options, notes))
             except DataError as error:
                 notes.skip(error)
-    notes.require_heard(source)
+    notes.require_answers(source)
     if not sum(map(len, parts)):
         raise data_error(
             source, f"no touch is left to convert ({' | '.join(notes.lines[3 + (stated_source is None) :])})"

@@ -19,11 +19,11 @@ from i2t.recordings.clocks import (
     COUNTER_PERIODS_S,
     ClockVerdict,
     RowClock,
+    check_stamps,
     even_times,
-    judge_stamps,
-    pause_of,
+    pause_threshold,
     require_order,
-    rolls_over,
+    rollover_counter,
     row_clock,
 )
 from i2t.recordings.log import ReadingLog
@@ -49,7 +49,7 @@ class LogRows(NamedTuple):
     # values
     labels: np.ndarray
 
-    def pick(self, which: slice | np.ndarray) -> "LogRows":
+    def select(self, which: slice | np.ndarray) -> "LogRows":
         """Select some of the rows.
 
         Args:
@@ -60,7 +60,7 @@ class LogRows(NamedTuple):
         """
         return LogRows(self.time[which], self.readings[which], self.labels[which])
 
-    def then(self, more: "LogRows") -> "LogRows":
+    def append(self, more: "LogRows") -> "LogRows":
         """Append further rows.
 
         Args:
@@ -105,7 +105,7 @@ def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: 
     stamps, memory = _Stamps(), _Memory()
     for piece, last in _with_last(pieces):
         new = piece if rate is not None else memory.leave_out(piece)
-        held = new if held is None else held.then(new)
+        held = new if held is None else held.append(new)
         if clock is None and len(held.time) < ROWS_READ_AT_ONCE and not last:
             continue
         begins = np.append(False, np.diff(held.labels[:, LabelColumn.NAMES]) != 0)
@@ -125,8 +125,8 @@ def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: 
                 )
             )
         if verdict.settled:
-            yield stamps.timed(held.pick(slice(0, verdict.settled)), verdict, clock, notes)
-        held = held.pick(slice(verdict.settled, None))
+            yield stamps.timed(held.select(slice(0, verdict.settled)), verdict, clock, notes)
+        held = held.select(slice(verdict.settled, None))
     if memory.repeats:
         notes.info(
             f"left out: {memory.repeats} rows that repeat earlier ones with their times, the first at line "
@@ -165,7 +165,7 @@ class _Memory:
             self.repeats += int(repeated.sum())
         self.latest = max(self.latest, float(rows.time.max()))
         self.prints = [*self.prints, prints][-(2**20 // ROWS_READ_AT_ONCE) :]  # about a million rows
-        return rows.pick(~repeated) if repeated.any() else rows
+        return rows.select(~repeated) if repeated.any() else rows
 
 
 @dataclass
@@ -193,8 +193,8 @@ class _Stamps:
     def judge(self, time: np.ndarray, *, last: bool) -> ClockVerdict:
         """Judge the next stamps."""
         if np.isnan(self.last):
-            return judge_stamps(time, last=last)
-        verdict = judge_stamps(np.concatenate([[self.last], time]), begun=True, last=last)
+            return check_stamps(time, last=last)
+        verdict = check_stamps(np.concatenate([[self.last], time]), begun=True, last=last)
         settled = max(verdict.settled - 1, 0)
         return ClockVerdict(verdict.damaged[1:], verdict.restarts - 1, settled)
 
@@ -203,7 +203,7 @@ class _Stamps:
         parts: list[LogRows] = []
         begins: list[np.ndarray] = []
         for start, end in pairwise([0, *verdict.restarts.tolist(), len(rows.time)]):
-            part = rows.pick(slice(start, end)).pick(~verdict.damaged[start:end])
+            part = rows.select(slice(start, end)).select(~verdict.damaged[start:end])
             if not len(part.time):
                 continue
             again = start in verdict.restarts and self._begin_again(part, clock, notes)
@@ -212,7 +212,7 @@ class _Stamps:
             time = even_times(stamps, clock, shared)
             before = time[0] if again or np.isnan(self.end) else self.end
             time = np.maximum(time, before) if not again else time
-            pauses = np.diff(time, prepend=before) > pause_of(clock.step)
+            pauses = np.diff(time, prepend=before) > pause_threshold(clock.step)
             pauses[0] |= again
             self.last, self.end, self.names = (
                 float(part.time[-1]),
@@ -225,14 +225,14 @@ class _Stamps:
             labels[:, LabelColumn.STAMP] = time
             parts.append(part._replace(time=time, labels=labels))
             begins.append(pauses)
-        whole = reduce(LogRows.then, parts) if parts else rows.pick(slice(0, 0))
+        whole = reduce(LogRows.append, parts) if parts else rows.select(slice(0, 0))
         return TimedRows(whole, np.concatenate(begins) if begins else np.zeros(0, bool), clock.step)
 
     def _begin_again(self, part: LogRows, clock: RowClock, notes: ReadingLog) -> bool:
         """Test whether a part begins with rows at which the clock goes back; otherwise the time is continued."""
         line, back = f"{part.labels[0, LabelColumn.LINE]:.0f}", self.last - float(part.time[0])
         other_session = part.labels[0, LabelColumn.NAMES] != self.names
-        if counter := rolls_over(self.last, float(part.time[0])):
+        if counter := rollover_counter(self.last, float(part.time[0])):
             self.offset += COUNTER_PERIODS_S[counter]
             notes.info(f"time begins again at line {line}, where {counter} is full: it was counted on")
             return False

@@ -24,7 +24,7 @@ from i2t.recordings.diagnose import (
     diagnose,
     find,
     findings_to_meta,
-    turn_board,
+    rotate_board,
 )
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.presses import Presses
@@ -82,11 +82,11 @@ def check_session(
         notes.info(f"{verdict} in {name}: {finding.sentence}")
     turn = correction_of(findings).board_from_stage
     return SessionCheck(
-        board if turn is None else turn_board(board, turn), tuple(findings), findings_to_meta(name, findings)
+        board if turn is None else rotate_board(board, turn), tuple(findings), findings_to_meta(name, findings)
     )
 
 
-class Tip(NamedTuple):
+class Indenter(NamedTuple):
     """The body that presses."""
 
     name: str
@@ -94,7 +94,7 @@ class Tip(NamedTuple):
     lowest: float = 0.0  # m, z of the lowest point in the tip's own frame
 
 
-def round_tip(name: str, profile: Profile) -> Tip:
+def round_tip(name: str, profile: Profile) -> Indenter:
     """Make a tip that is a body of revolution.
 
     Args:
@@ -104,12 +104,12 @@ def round_tip(name: str, profile: Profile) -> Tip:
     Returns:
         The tip, with its patches.
     """
-    return Tip(name, lambda x, y, window, reach: tip_patches(profile, x, y, window, reach))
+    return Indenter(name, lambda x, y, window, reach: tip_patches(profile, x, y, window, reach))
 
 
 def presses_dataset(
     presses: Presses,
-    tip: Tip,
+    tip: Indenter,
     board: Board,
     notes: ReadingLog,
     *,

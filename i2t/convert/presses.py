@@ -17,8 +17,8 @@ import numpy as np
 from i2t import validation
 from i2t.convert.common import Converted, converted
 from i2t.convert.press_table import (
+    Indenter,
     SessionCheck,
-    Tip,
     check_session,
     cylinder,
     presses_dataset,
@@ -41,7 +41,7 @@ from i2t.recordings.columns import (
 from i2t.recordings.diagnose import corrected_presses, find_travel_sign, first_contact
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.recordings.presses import Presses, join_presses
-from i2t.recordings.tables import TextTable, names_in, read_text_table, sound_rows
+from i2t.recordings.tables import TextTable, names_in, read_text_table, valid_rows
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 from i2t.types import Board
 
@@ -143,11 +143,11 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
         required[:, end + len(ambient) :] = False
         return required
 
-    rows, numbers = sound_rows(source, header, table.rows, columns, needed, notes)
-    answered = notes.keep_heard(
+    rows, numbers = valid_rows(source, header, table.rows, columns, needed, notes)
+    answered = notes.select_answered(
         _silent(source, numbers[:, len(places) : len(places) + len(values) + len(ambient)], chips, notes)
     )
-    notes.require_heard(
+    notes.require_answers(
         source, "check the board's cable and record again, or empty the fields of a chip that is missing"
     )
     rows, numbers = [row for row, kept in zip(rows, answered, strict=True) if kept], numbers[answered]
@@ -254,7 +254,7 @@ def _positive(source: Path, travel: np.ndarray, lines: list[int], notes: Reading
     return travel, ~(travel < 0)
 
 
-def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Tip:
+def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Indenter:
     kind, _, value = indenter.partition(":")
     kind = kind.strip().lower()
     if kind == "mesh" and value:
@@ -273,7 +273,7 @@ def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Tip:
     return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](M_PER_MM * radius))
 
 
-def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Tip:
+def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Indenter:
     if unit is None:
         raise DataError(f"--indenter mesh:{file}: say in which unit the file is, for instance --unit mm")
     import jax.numpy as jnp
@@ -299,4 +299,4 @@ def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Tip:
         T_o_t[:, :3, 3] = np.column_stack([-x, -y, np.full(len(x), lowest)])
         return np.stack([np.asarray(look(jnp.asarray(T))) for T in T_o_t])
 
-    return Tip(file.stem, patches, lowest)
+    return Indenter(file.stem, patches, lowest)

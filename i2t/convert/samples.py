@@ -15,7 +15,7 @@ from i2t.convert import npy
 from i2t.errors import DataError
 from i2t.recordings.files import data_error
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
-from i2t.skin.boards import AXES_OF_CHIP, mean_known, without_silent_chips
+from i2t.skin.boards import AXES_OF_CHIP, mean_finite, without_silent_chips
 
 CHIPS = 5  # on the boards of this layout
 AUTHORS_READINGS = AXES_OF_CHIP * CHIPS
@@ -67,7 +67,7 @@ def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, 
         silent_ambient[:] = False
         ambient = np.where(np.isnan(ambient), 0, ambient)
     require_ambient(path, silent, silent_ambient, "record it again, or write zeros for all chips to subtract nothing")
-    notes.keep_heard(silent | silent_ambient)
+    notes.select_answered(silent | silent_ambient)
     difference = np.full(means.shape, np.nan)
     difference[sound] = means[sound] - ambient[sound]
     return difference, np.array([_time(t) for t in items])
@@ -133,7 +133,7 @@ def _mean(samples: list[list[float]], order: str) -> np.ndarray:
     fields = without_silent_chips(np.array([_field(sample, order) for sample in samples]))
     if np.any(np.abs(fields) >= MAX_SAMPLE_VALUE):
         return np.full(AUTHORS_READINGS, np.inf)
-    return mean_known(fields, axis=0)
+    return mean_finite(fields, axis=0)
 
 
 def _field(sample: list[float], order: str) -> np.ndarray:

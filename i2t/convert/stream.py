@@ -29,20 +29,20 @@ from i2t.convert.log_rows import LabelColumn, LogRows, TimedRows, on_one_clock
 from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
-from i2t.recordings.clocks import pause_of
+from i2t.recordings.clocks import pause_threshold
 from i2t.recordings.columns import FORCE, HEIGHT_COLUMNS, PLACES, TEXT_COLUMNS, TIME, field_columns
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
-    FoundPress,
     OpenRecording,
     SegmentationConfig,
-    find_last,
-    find_more,
+    SegmentedPress,
+    extend_recording,
+    filter_presses,
+    finish_recording,
     open_recording,
     segmentation_rules,
-    true_presses,
 )
-from i2t.recordings.tables import TableRows, TextTable, open_text_table, sound_rows
+from i2t.recordings.tables import TableRows, TextTable, open_text_table, valid_rows
 from i2t.runtime.progress import progress
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board
@@ -82,7 +82,7 @@ class _Search:
     origin: float  # s on the clock, from which the time of its rows counts
     early: list[LogRows] = field(default_factory=list)  # rows before rate and noise are known
     recording: OpenRecording | None = None
-    presses: list[FoundPress] = field(default_factory=list)
+    presses: list[SegmentedPress] = field(default_factory=list)
     rows: int = 0
     end: float = 0.0  # s, time of the last row
     head: np.ndarray | None = None  # first readings, at rest
@@ -92,16 +92,16 @@ class _Search:
     def take(self, rows: LogRows, step: float) -> None:
         """Search presses in further rows of a clock with this step (s), without those of silent chips."""
         self.end = float(rows.time[-1]) - self.origin
-        rows = rows.pick(rows.complete)
+        rows = rows.select(rows.complete)
         if not len(rows.time):
             return
         order = 1e-6 * step * np.arange(self.rows, self.rows + len(rows.time))  # of rows that share a time
         rows = rows._replace(time=rows.time - self.origin + order)
         self.rows += len(rows.time)
         self.head = rows.readings[: _RULES.head_rows].copy() if self.head is None else self.head
-        self.tail = rows.pick(slice(-_RULES.head_rows, None))
+        self.tail = rows.select(slice(-_RULES.head_rows, None))
         if self.recording is not None:
-            self.recording, more = find_more(self.recording, rows.time, rows.readings, rows.labels)
+            self.recording, more = extend_recording(self.recording, rows.time, rows.readings, rows.labels)
             self.presses += more
             return
         self.early.append(rows)
@@ -134,8 +134,8 @@ class _Search:
         """End the search: find the last presses, if there were enough rows."""
         if self.recording is None and self.rows < SegmentationConfig().min_rows:
             return
-        self.recording, more = find_last(self.recording or self._begin())
-        self.presses = true_presses([*self.presses, *more], self.recording.rules)
+        self.recording, more = finish_recording(self.recording or self._begin())
+        self.presses = filter_presses([*self.presses, *more], self.recording.rules)
 
     @property
     def rest(self) -> np.ndarray | None:
@@ -149,7 +149,7 @@ class _Search:
         """Estimate rate and noise from the first rows, and find their presses."""
         time, readings, labels = (np.concatenate([part[i] for part in self.early]) for i in range(3))
         empty = open_recording(segmentation_rules(time, readings), labels.shape[1], self.earlier)
-        self.recording, self.presses = find_more(empty, time, readings, labels)
+        self.recording, self.presses = extend_recording(empty, time, readings, labels)
         self.early = []
         return self.recording
 
@@ -246,7 +246,7 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
         log_presses.add(search)
     for note in table.notes:  # again, because notes are added until the last row is read
         notes.info(note)
-    notes.require_heard(source)
+    notes.require_answers(source)
     if notes.damaged_rows and not log_presses.rows:
         raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
     if not log_presses.presses:
@@ -267,7 +267,7 @@ class _LogPresses:
     """Results of the parts of a log."""
 
     columns: _Columns
-    presses: list[FoundPress] = field(default_factory=list)
+    presses: list[SegmentedPress] = field(default_factory=list)
     rows: int = 0
     parts: int = 0
     spikes: int = 0
@@ -305,7 +305,7 @@ class _LogPresses:
         self.held += search.rows if state.rules.fresh < 1 else 0
         self.moved += [int(row[LabelColumn.LINE]) for row in state.moved]
 
-    def _travelled(self, press: FoundPress) -> bool:
+    def _travelled(self, press: SegmentedPress) -> bool:
         """Test whether the tip moved while no row was recorded at the beginning of a press."""
         if self.height is None:
             return False
@@ -341,7 +341,7 @@ class _LogPresses:
         if self.held:
             notes.info(f"{self.held} rows are of a sensor that was read faster than it measures, or were written twice")
 
-    def row(self, press: FoundPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:
+    def row(self, press: SegmentedPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:
         """Return a press's line in the log, and its fields."""
         steady = press.steady[LabelColumn.FIRST_VALUE :].copy()
         if self.height is not None:
@@ -379,11 +379,11 @@ def _rows(
     with progress(desc=source.name, unit="row", unit_scale=True) as bar:
         while some := list(islice(table.rows, log_rows.ROWS_READ_AT_ONCE)):
             bar.update(len(some))
-            rows, numbers = sound_rows(source, table.header, some, wanted, partial(_needed, timed=first), notes)
+            rows, numbers = valid_rows(source, table.header, some, wanted, partial(_needed, timed=first), notes)
             if not rows:
                 continue
             readings = without_silent_chips(numbers[:, first:end])
-            notes.keep_heard(np.isnan(readings).reshape(len(rows), -1, AXES_OF_CHIP).any(2))
+            notes.select_answered(np.isnan(readings).reshape(len(rows), -1, AXES_OF_CHIP).any(2))
             codes = np.zeros(len(rows))
             if which:
                 names = (tuple(cells[i].strip() for i in which) for _, cells in rows)
@@ -406,18 +406,18 @@ def _search_parts(pieces: "Iterator[TimedRows]", columns: list[str], names: list
     for piece in pieces:
         rows, complete = piece.rows, piece.rows.complete
         complete_at = np.fmax.accumulate(np.concatenate([[last_complete], np.where(complete, rows.time, np.nan)]))
-        silences = np.flatnonzero(complete & (rows.time - complete_at[:-1] > pause_of(piece.step)))
+        silences = np.flatnonzero(complete & (rows.time - complete_at[:-1] > pause_threshold(piece.step)))
         begins = {*np.flatnonzero(piece.begins).tolist(), *silences.tolist()}
         pads = [name[columns.index("pad")] if "pad" in columns else "" for name in names]
         others, pad = _other_pads(rows, pads, pad)
         for start, end in pairwise(sorted({0, *begins, *others, len(rows.time)})):
-            part = rows.pick(slice(start, end))
+            part = rows.select(slice(start, end))
             if search is not None and start in others:
                 search.finish()
                 yield search
                 search = None
             if search is not None and start in begins:
-                if search.continues_press(part.pick(part.complete)):
+                if search.continues_press(part.select(part.complete)):
                     search.origin = float(part.time[0]) - search.end - piece.step
                 else:
                     search.finish()

@@ -5,7 +5,7 @@ defines a data set, `files` makes files atomic and verifiable, `store` reads and
 out. docs/data.md describes the schema.
 """
 
-from i2t.dataset.sets import Dataset, concatenate, holds_simulated, missing_views, source_words, validate
+from i2t.dataset.sets import Dataset, concatenate, holds_simulated, missing_views, source_phrase, validate
 from i2t.dataset.splits import (
     Split,
     by_group,
@@ -49,7 +49,7 @@ __all__ = [
     "read_touch",
     "same_places",
     "save_dataset",
-    "source_words",
+    "source_phrase",
     "spatial_blocks",
     "square_blocks",
     "validate",

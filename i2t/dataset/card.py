@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t.dataset.sets import NOT_STATED, Dataset, source_words
+from i2t.dataset.sets import NOT_STATED, Dataset, source_phrase
 from i2t.errors import printable
 from i2t.files.writing import replacing
 
@@ -40,7 +40,7 @@ def card_of(dataset: Dataset, *, board_name: str = "", max_notes: int = 40) -> s
         "measured": _counted({"readings": n, **measured}),
     }
     blocks = [
-        f"# {n} touches, {source_words(dataset.source)}",
+        f"# {n} touches, {source_phrase(dataset.source)}",
         f"Written by i2t; `i2t.load_dataset` reads the folder. {_source_sentence(dataset.source)}",
         _table(contents),
     ]

@@ -154,7 +154,7 @@ def holds_simulated(source: str) -> bool:
     return source in ("simulated", "mixed")
 
 
-def source_words(source: str) -> str:
+def source_phrase(source: str) -> str:
     """Word the source of a data set for a sentence.
 
     Args:

@@ -30,7 +30,7 @@ class Split:
         validation: Touches on which to choose between methods.
         test: Touches on which to report.
         groups: `(n,)` session, spatial block or stretch of time of each touch. A split never divides a group.
-        how: Description of what is held out.
+        description: Description of what is held out.
 
     Example:
         session = dataset.touches.session
@@ -42,7 +42,7 @@ class Split:
     validation: np.ndarray
     test: np.ndarray
     groups: np.ndarray
-    how: str
+    description: str
 
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:

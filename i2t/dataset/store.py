@@ -25,7 +25,7 @@ from i2t.dataset.card import CARD
 from i2t.dataset.files import ENDING, verified, write
 from i2t.dataset.sets import Dataset, concatenate, missing_views, validate
 from i2t.errors import DataError
-from i2t.files.reading import why_no_touches
+from i2t.files.reading import explain_no_dataset
 from i2t.files.writing import as_path
 from i2t.types import Board, Touches, Truth
 
@@ -277,7 +277,7 @@ def load_dataset(
         raise DataError(
             f"{len(bad)} of {len(files)} files of {path} cannot be used: {' | '.join(bad)} | {remedy}"
             if path.is_dir()
-            else why_no_touches(path) or bad[0]
+            else explain_no_dataset(path) or bad[0]
         )
     if bad:
         message = f"{len(bad)} of {len(files)} files of {path} were left out: {' | '.join(bad)}"

@@ -531,14 +531,14 @@ def check_image(depth: Any, camera: Camera) -> None:
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: is a {type(camera).__name__}; give an i2t.Camera")
     if depth.shape != (camera.height, camera.width):
-        raise ValueError(f"depth: {other_size(depth.shape, camera)}")
+        raise ValueError(f"depth: {wrong_size_message(depth.shape, camera)}")
     if depth.dtype.kind != "f":
         raise ValueError(
             f"depth: holds {depth.dtype}; give metres as floats (read_depth, or numbers times their scale)"
         )
 
 
-def other_size(shape: tuple[int, ...], camera: Camera) -> str:
+def wrong_size_message(shape: tuple[int, ...], camera: Camera) -> str:
     """Word the message for an image of another size than its camera's.
 
     Args:
@@ -561,14 +561,14 @@ def other_size(shape: tuple[int, ...], camera: Camera) -> str:
 
 
 def read_image(
-    path: str | Path, *, shape: tuple[int, int] | None = None, said_by: str = "the camera", mode: str = ""
+    path: str | Path, *, shape: tuple[int, int] | None = None, required_by: str = "the camera", mode: str = ""
 ) -> np.ndarray:
     """Read the pixels of a PNG, or of a TIF of one image, after checking its size.
 
     Args:
         path: The file's path.
         shape: The required numbers of rows and columns; None allows any.
-        said_by: What requires that shape, for messages.
+        required_by: What requires that shape, for messages.
         mode: The mode of Pillow, such as RGB, to which pixels are converted; by default they are not.
 
     Returns:
@@ -584,7 +584,7 @@ def read_image(
             size = image.height, image.width
             if shape is not None and size != shape:
                 raise DataError(
-                    f"{path}: has {size[1]} x {size[0]} pixels where {said_by} says {shape[1]} x {shape[0]}; give "
+                    f"{path}: has {size[1]} x {size[0]} pixels where {required_by} says {shape[1]} x {shape[0]}; give "
                     "images of one size, aligned to each other"
                 )
             max_edge = READ_LIMITS.image_edge_pixels

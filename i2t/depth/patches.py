@@ -128,7 +128,7 @@ def patch_from_depth(
     validation.number("window", window, "a length (m) above 0", above=0)
     validation.number("reach", reach, "a length (m) above 0, such as 4e-3", above=0)
     validation.count("pixels", pixels)
-    validation.number("fill", fill, "a length (m), 0 for none", least=0)
+    validation.number("fill", fill, "a length (m), 0 for none", minimum=0)
     depth, T_w_c, T_w_t = (jnp.asarray(value) for value in (depth, T_w_c, T_w_t))
     check_image(depth, camera)
     depth = depth.astype(jnp.promote_types(depth.dtype, jnp.float32))  # float16 resolves 0.1 m to 0.06 mm

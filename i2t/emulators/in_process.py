@@ -17,12 +17,12 @@ import numpy as np
 
 from i2t.depth.camera import Camera
 from i2t.emulators.robot_motion import Robot
-from i2t.emulators.scene import ContactModel, Contacts, ObjectScene
+from i2t.emulators.scene import ObjectScene, SkinContactModel, ToolContactModel
 from i2t.errors import NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware.base import CameraBase
 from i2t.hardware.clock import Clock
-from i2t.hardware.guarded import GuardedByPolling
+from i2t.hardware.guarded import PolledArm
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_to_vector
@@ -75,7 +75,7 @@ class SkinInLab:
     """
 
     def __init__(self, scene: ObjectScene, T_tool_skin: Array | None = None, seed: int = 0) -> None:
-        self.scene, self.contact_model = scene, ContactModel(scene, T_tool_skin=T_tool_skin)
+        self.scene, self.contact_model = scene, SkinContactModel(scene, T_tool_skin=T_tool_skin)
         self.samples: deque[StreamRow] = deque(maxlen=StreamConfig.queue_samples)
         self.number = 0
         self.recording = False  # whether the skin is connected
@@ -97,7 +97,7 @@ class SkinInLab:
         if not self._noise:
             self._noise = self._draw()
         noise, celsius = self._noise.pop()
-        reading = self.contact_model.at_rest(rotation) + self.contact_model.reading + noise
+        reading = self.contact_model.reading_at_rest(rotation) + self.contact_model.reading + noise
         self.samples.append(StreamRow(self.number, now, np.rint(reading / self._steps) * self._steps, celsius))
         self.number += 1
 
@@ -131,7 +131,7 @@ class SimulatedLab:
     def __init__(self, scene: ObjectScene, clock: Clock, seed: int = 0) -> None:
         self.scene, self.clock = scene, clock
         self.skins = [SkinInLab(scene, seed=seed)]  # the first is the pressing skin
-        self.contacts = Contacts([self.skins[0].contact_model])
+        self.contacts = ToolContactModel([self.skins[0].contact_model])
         home = np.array([0.4, 0.0, 0.3, np.pi, 0.0, 0.0])  # m and rotation vector: pointing down
         self.robot = Robot(home, self.contacts, scene.errors.force)
         self.time = clock.now()
@@ -210,7 +210,7 @@ class SimulatedSkin(QueuedSkin):
             self.in_lab.recording = False
 
 
-class SimulatedArm(GuardedByPolling):
+class SimulatedArm(PolledArm):
     """An arm with guarded approaches (`i2t.hardware.protocols.GuardedArm`).
 
     Args:
@@ -243,7 +243,7 @@ class SimulatedArm(GuardedByPolling):
             )
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion, as in `GuardedByPolling.begin_line`."""
+        """Start a straight motion, as in `PolledArm.begin_line`."""
         with self.lab.lock:
             robot = self.lab.robot
             self.lab.contacts.look_ahead(robot.position, robot.rotation)  # even after a short standstill

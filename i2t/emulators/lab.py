@@ -32,13 +32,13 @@ from i2t.objects.named import require_object
 from i2t.skin.boards import DEFAULT_BOARD, make_board
 
 if TYPE_CHECKING:
-    from i2t.emulators.scene import Contacts
+    from i2t.emulators.scene import ToolContactModel
 
-started = partial(processes.started, "i2t.emulators.lab")  # takes options; yields a line and the process
+run_lab = partial(processes.run_emulator, "i2t.emulators.lab")  # takes options; yields a line and the process
 
 
 @dataclass(frozen=True, kw_only=True)
-class LabArgs(ur_controller.ControllerArgs):
+class EmulatedLabArgs(ur_controller.ControllerArgs):
     """An emulated lab."""
 
     link: Path  # path that names the skin's port
@@ -50,7 +50,7 @@ class LabArgs(ur_controller.ControllerArgs):
     plane: tyro.conf.Suppress[tuple[float, float]] = (0.0, 0.0)  # replaced by the object
 
 
-def _run(args: LabArgs) -> None:
+def _run(args: EmulatedLabArgs) -> None:
     """Run until SIGTERM or Ctrl-C, or until the standard input of a tethered lab ends."""
     _check(args)
     with ExitStack() as stack:
@@ -58,7 +58,7 @@ def _run(args: LabArgs) -> None:
         ur_controller.run(args, contacts, contacts.models[0].scene.errors.force)
 
 
-def _check(args: LabArgs) -> None:
+def _check(args: EmulatedLabArgs) -> None:
     """Refuse missing files and unknown objects before any process starts."""
     require_object(args.world.object, args.world.unit, flag="--object")
     require_path("--rig", args.rig, "file")
@@ -68,27 +68,27 @@ def _check(args: LabArgs) -> None:
         raise ValueError(f"--link {args.link}: exists and is not a link; give another name")
 
 
-def _contacts(args: LabArgs, rig: Rig, stack: ExitStack) -> "Contacts":
+def _contacts(args: EmulatedLabArgs, rig: Rig, stack: ExitStack) -> "ToolContactModel":
     """Make the contact of each skin, within some seconds in which everything is compiled.
 
     The pad must be on the skin's board, which could not send the readings of another.
     """
-    from i2t.emulators.scene import ContactModel, Contacts
+    from i2t.emulators.scene import SkinContactModel, ToolContactModel
 
-    def model(number: int, link: Path, board: str) -> ContactModel:
+    def model(number: int, link: Path, board: str) -> SkinContactModel:
         scene = make_scene(args.world, rig, board, number)
-        scene.ahead(rig.T_base_world @ rig.T_world_object)  # compiled before a motion waits for it
+        scene.line_ahead(rig.T_base_world @ rig.T_world_object)  # compiled before a motion waits for it
         named = ("--link", str(link), "--board", board)
-        _, process = stack.enter_context(reskin_board.started("--field", *named))
+        _, process = stack.enter_context(reskin_board.run_board("--field", *named))
         T_tool_skin = rig.skins[number - 1].T_tool_skin if number else None
-        return ContactModel(scene, wait=False, T_tool_skin=T_tool_skin, to=_board_address(process))
+        return SkinContactModel(scene, wait=False, T_tool_skin=T_tool_skin, to=_board_address(process))
 
     links, names = dict(args.carried), [place.name for place in rig.skins]
     unknown = set(links) - set(names)
     if unknown:
         raise ValueError(f"the rig has no skin {', '.join(sorted(unknown))}; correct --carried")
     carried = [model(names.index(name) + 1, link, rig.skins[names.index(name)].board) for name, link in links.items()]
-    return Contacts([model(0, args.link, args.board), *carried])
+    return ToolContactModel([model(0, args.link, args.board), *carried])
 
 
 def _board_address(process: "subprocess.Popen[str]") -> processes.Address:
@@ -98,7 +98,7 @@ def _board_address(process: "subprocess.Popen[str]") -> processes.Address:
     return host, int(port)
 
 
-main = command(LabArgs, _run, program="python -m i2t.emulators.lab", description=__doc__)
+main = command(EmulatedLabArgs, _run, program="python -m i2t.emulators.lab", description=__doc__)
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -130,7 +130,7 @@ def make_emulated_arm(setup: DeviceSetup) -> "UrArm":
     for name, value in vars(world).items():
         if value not in (None, False):
             options += [f"--{name.replace('_', '-')}", *([] if value is True else [str(value)])]
-    setup.stack.enter_context(lab.started(*options))
+    setup.stack.enter_context(lab.run_lab(*options))
     arm: Any = make_ur(replace(setup, address=host))
     arm.skin_ports = folder  # folder of the ports of its skins, by their numbers
     return arm

@@ -12,7 +12,7 @@ Address: TypeAlias = tuple[str, int]  # host and port of an emulated board
 
 
 @contextmanager
-def started(module: str, *options: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
+def run_emulator(module: str, *options: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
     """Run an emulator next to this process.
 
     Args:

@@ -35,7 +35,7 @@ from i2t.hardware.reskin.layouts import Format, encode
 from i2t.skin.boards import make_board
 from i2t.types import Board
 
-started = partial(processes.started, "i2t.emulators.reskin_board")  # takes options; yields the port and the process
+run_board = partial(processes.run_emulator, "i2t.emulators.reskin_board")  # takes options; yields port and process
 
 
 @dataclass(frozen=True)

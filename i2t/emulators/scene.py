@@ -142,7 +142,7 @@ class ObjectScene:
         self._middle = (corners.min(0) + corners.max(0)) / 2
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
-    def near(self, position: Array) -> bool:
+    def is_near(self, position: Array) -> bool:
         """Test whether the object may be within a line's reach.
 
         Args:
@@ -153,7 +153,7 @@ class ObjectScene:
         """
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
-    def ahead(self, T_b_t: Array) -> ContactLine:
+    def line_ahead(self, T_b_t: Array) -> ContactLine:
         """Compute the line from a pose along tool z, with the contact of the skin on it.
 
         Args:
@@ -195,7 +195,7 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
     return first, *jax.lax.map(press, loads)
 
 
-class ContactModel:
+class SkinContactModel:
     """Contact of a skin on a moving tool, and the skin's reading.
 
     A line is computed once the tool stands still near the object. With `wait` False, that happens in the background (it
@@ -245,10 +245,10 @@ class ContactModel:
             wrench[:3] = skin_rotation @ [0.0, 0.0, -force]
             wrench[3:] = skin_rotation @ [-force * y, force * x, 0.0] + np.cross(skin_position - position, wrench[:3])
         if self._to and self._socket:
-            self._send(self._socket, self._to, self.at_rest(rotation) + self.reading)
+            self._send(self._socket, self._to, self.reading_at_rest(rotation) + self.reading)
         return wrench
 
-    def at_rest(self, rotation: Array) -> Array:
+    def reading_at_rest(self, rotation: Array) -> Array:
         """Compute the reading of a skin without contact: its own field and the room's.
 
         Args:
@@ -269,16 +269,16 @@ class ContactModel:
             rotation: `(3, 3)` rotation of the tool in the base.
         """
         skin_position, skin_rotation = self._skin_pose(position, rotation)
-        if not self.scene.near(skin_position):
+        if not self.scene.is_near(skin_position):
             return
         along = None if self._line is None else self._line.distance_along(skin_position, skin_rotation)
         if self._line is not None and along is not None and self._line.covers(along):
             return
         T_b_s = transform(skin_rotation, skin_position)
         if self._executor is None:
-            self._line = self.scene.ahead(T_b_s)
+            self._line = self.scene.line_ahead(T_b_s)
         elif self._pending is None:
-            self._pending = self._executor.submit(self.scene.ahead, T_b_s)
+            self._pending = self._executor.submit(self.scene.line_ahead, T_b_s)
         else:
             self._repeats = 0  # try again once the pending line is known
 
@@ -303,14 +303,14 @@ class ContactModel:
             self.look_ahead(position, rotation)
 
 
-class Contacts:
+class ToolContactModel:
     """The contact of a tool with all its skins, whose forces add up, as an `i2t.emulators.robot_motion.Robot` expects.
 
     Args:
         models: Contact models of the skins.
     """
 
-    def __init__(self, models: Sequence[ContactModel]) -> None:
+    def __init__(self, models: Sequence[SkinContactModel]) -> None:
         self.models = list(models)
 
     @property
@@ -323,6 +323,6 @@ class Contacts:
         return np.asarray(sum((model(position, rotation) for model in self.models), start=np.zeros(6)))
 
     def look_ahead(self, position: Array, rotation: Array) -> None:
-        """Compute the line ahead of each skin, as in `ContactModel.look_ahead`."""
+        """Compute the line ahead of each skin, as in `SkinContactModel.look_ahead`."""
         for model in self.models:
             model.look_ahead(position, rotation)

@@ -51,7 +51,7 @@ import numpy as np
 import tyro
 
 from i2t.cli.options import read_options
-from i2t.emulators.processes import started
+from i2t.emulators.processes import run_emulator
 from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING
 from i2t.emulators.ur_program import STOPPED as STOPPED
@@ -77,7 +77,7 @@ def loopback(number: int) -> str:
 
 @contextlib.contextmanager
 def process(host: str, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    """Run an emulated controller next to this process, as in `i2t.emulators.processes.started`.
+    """Run an emulated controller next to this process, as in `i2t.emulators.processes.run_emulator`.
 
     Args:
         host: Address to listen on.
@@ -86,7 +86,7 @@ def process(host: str, *options: str) -> Iterator["subprocess.Popen[str]"]:
     Yields:
         Its process.
     """
-    with started("i2t.emulators.ur_controller", "--host", host, *options) as (_, running):
+    with run_emulator("i2t.emulators.ur_controller", "--host", host, *options) as (_, running):
         yield running
 
 

@@ -39,7 +39,7 @@ def unpacked(path: str | Path, data: bytes) -> bytes:
     Raises:
         DataError: The file is damaged, or unpacks to more than any recording.
     """
-    max_bytes = may_grow_to(len(data))
+    max_bytes = max_unpacked_size(len(data))
     try:
         with gzip.open(io.BytesIO(data)) as file:
             contents = file.read(max_bytes + 1)
@@ -50,7 +50,7 @@ def unpacked(path: str | Path, data: bytes) -> bytes:
     return contents
 
 
-def may_grow_to(size: int) -> int:
+def max_unpacked_size(size: int) -> int:
     """Compute the number of bytes that a packed file may unpack to.
 
     Args:
@@ -76,7 +76,7 @@ def check_archive(path: str | Path, data: bytes) -> None:
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         entries = archive.infolist()
-    max_bytes, total = may_grow_to(len(data)), sum(entry.file_size for entry in entries)
+    max_bytes, total = max_unpacked_size(len(data)), sum(entry.file_size for entry in entries)
     too_many = len(entries) > READ_LIMITS.archive_entries
     if too_many or total > max_bytes or len({entry.filename for entry in entries}) < len(entries):
         raise DataError(

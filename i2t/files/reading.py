@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from i2t.errors import DataError
-from i2t.files.archives import may_grow_to, readable_size, unpacked_size_error
+from i2t.files.archives import max_unpacked_size, readable_size, unpacked_size_error
 from i2t.files.kinds import (
     GZIP_MARK,
     MARK_OF_TOUCHES,
@@ -59,7 +59,7 @@ def open_regular(path: str | Path) -> BufferedReader:
     return os.fdopen(descriptor, "rb")
 
 
-def why_no_touches(path: Path) -> str:
+def explain_no_dataset(path: Path) -> str:
     """Explain why a file that was named as a data set is not one.
 
     Args:
@@ -137,7 +137,7 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
     """
     with open_regular(path) as raw, _unpacking(path):
         size, zipped = os.fstat(raw.fileno()).st_size, raw.peek(2).startswith(GZIP_MARK)
-        max_total, max_line = may_grow_to(size) if zipped else math.inf, READ_LIMITS.line_bytes
+        max_total, max_line = max_unpacked_size(size) if zipped else math.inf, READ_LIMITS.line_bytes
         # Bytes that are not UTF-8 are kept as surrogates, so that the message can name their line.
         errors = "surrogateescape" if encoding == UTF_8 else "strict"
         text: io.TextIOWrapper[Any] = io.TextIOWrapper(_unzip(raw), encoding, errors)
@@ -176,11 +176,11 @@ def require_unpackable(path: str | Path) -> None:
     with open_regular(path) as raw, _unpacking(path):
         if not raw.peek(2).startswith(GZIP_MARK):
             return
-        left, text = may_grow_to(os.fstat(raw.fileno()).st_size), _unzip(raw)
+        left, text = max_unpacked_size(os.fstat(raw.fileno()).st_size), _unzip(raw)
         while chunk := text.read(2**20):
             left -= len(chunk)
             if left < 0:
-                raise unpacked_size_error(path, may_grow_to(os.fstat(raw.fileno()).st_size))
+                raise unpacked_size_error(path, max_unpacked_size(os.fstat(raw.fileno()).st_size))
 
 
 def _unzip(raw: BufferedReader) -> BufferedReader | gzip.GzipFile:

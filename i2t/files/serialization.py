@@ -29,7 +29,7 @@ HEADER_ENTRY = "about"
 Tree = TypeVar("Tree")
 
 
-def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = None, *, beside: Any = None) -> None:
+def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = None, *, extra: Any = None) -> None:
     """Write a NamedTuple of arrays as a file.
 
     Args:
@@ -37,12 +37,12 @@ def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = 
         kind: The kind of file; `load` refuses a file of another kind.
         tree: The NamedTuple, whose fields may be NamedTuples.
         about: Anything that JSON can hold; `load` returns it with the arrays.
-        beside: A second NamedTuple with other fields; `load` returns it instead if it is given that type.
+        extra: A second NamedTuple with other fields; `load` returns it instead if it is given that type.
 
     Raises:
         SerializationError: The file cannot be written.
     """
-    path, arrays = Path(path), flatten(tree) | ({} if beside is None else flatten(beside))
+    path, arrays = Path(path), flatten(tree) | ({} if extra is None else flatten(extra))
     header = {"format": kind, "version": FORMAT_VERSION, "sha256": _digest(arrays), "about": about or {}}
     try:
         with replacing(path) as temporary, temporary.open("wb") as file:

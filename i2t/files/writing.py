@@ -103,8 +103,8 @@ def file_in(folder: Path, name: str, listed_in: str | Path, *, below: bool = Fal
     return path
 
 
-def not_through_links(path: str, flags: int) -> int:
-    """Open a file unless it is a symbolic link, as in `open(path, "wb", opener=not_through_links)`.
+def open_without_links(path: str, flags: int) -> int:
+    """Open a file unless it is a symbolic link, as in `open(path, "wb", opener=open_without_links)`.
 
     Args:
         path: The file's path.

@@ -23,10 +23,10 @@ from i2t.depth.camera import (
     Camera,
     Encoding,
     metres_per_unit,
-    other_size,
     read_depth,
     read_image,
     to_units,
+    wrong_size_message,
 )
 from i2t.errors import DataError
 from i2t.files.reading import read_text, read_toml
@@ -74,10 +74,10 @@ def read_view(path: str | Path) -> tuple[Camera, View]:
         raise ValueError(f"{Path(path) / 'depth'} holds no views; give a folder with depth/*.png or .tif")
     depth = read_depth(files[0], scale, given["encoding"])
     if depth.shape != (camera.height, camera.width):
-        raise ValueError(f"{files[0]}: {other_size(depth.shape, camera)} ({Path(path) / DESCRIPTION})")
+        raise ValueError(f"{files[0]}: {wrong_size_message(depth.shape, camera)} ({Path(path) / DESCRIPTION})")
     colour = (Path(path) / "colour" / files[0].name).with_suffix(".png")
     shape = (camera.height, camera.width)
-    pixels = read_image(colour, shape=shape, said_by="its depth", mode="RGB") if colour.parent.is_dir() else None
+    pixels = read_image(colour, shape=shape, required_by="its depth", mode="RGB") if colour.parent.is_dir() else None
     return camera, View(math.nan, depth, pixels)
 
 

@@ -65,7 +65,7 @@ class ArmContract(_Contract):
         pose[:3, 3] += x, y, z
         return pose
 
-    def test_features_are_known_before_connecting_and_nothing_else_works(self, make: Callable[[], GuardedArm]) -> None:
+    def test_only_features_work_before_connecting(self, make: Callable[[], GuardedArm]) -> None:
         """Box, speed and acceleration are those of the limits; `close` never raises."""
         arm, limits = make(), self.limits
         assert isinstance(arm, GuardedArm)
@@ -75,7 +75,9 @@ class ArmContract(_Contract):
         refuse(NotConnectedError, [(arm.state, (), ""), (arm.move, (self.home, 0.1, 0.5), "")])
         arm.close()
 
-    def test_it_moves_where_it_is_told_as_fast_as_it_may_and_nowhere_else(self, make: Callable[[], GuardedArm]) -> None:
+    def test_motions_reach_their_goal_within_the_speed_limit_and_bad_goals_are_refused(
+        self, make: Callable[[], GuardedArm]
+    ) -> None:
         """`move` returns at once; goals that are beyond the limits or not finite are refused before anything moves."""
         goal, limits = self.pose(0.02, 0.03, 0.02), self.limits
         motions = [
@@ -101,7 +103,7 @@ class ArmContract(_Contract):
             assert before.time < after.time <= time.monotonic()
             arm.go(self.home, 0.2, 0.5)
 
-    def test_it_stops_from_another_thread_or_when_closed_and_can_go_on(self, make: Callable[[], GuardedArm]) -> None:
+    def test_it_stops_from_another_thread_and_on_close_and_can_move_again(self, make: Callable[[], GuardedArm]) -> None:
         """`stop` returns when the arm stands; `close` may be called twice."""
         arm = make()
         with arm:
@@ -119,7 +121,7 @@ class ArmContract(_Contract):
             assert stood.T_b_t[1, 3] - self.pose_tolerance <= now < self.home[1, 3] + 0.045
             np.testing.assert_allclose(arm.go(self.home, 0.2, 0.5).T_b_t, self.home, atol=self.pose_tolerance)
 
-    def test_an_approach_ends_where_something_says_stop(self, make: Callable[[], GuardedArm]) -> None:
+    def test_an_approach_ends_at_a_force_a_stop_condition_or_its_distance(self, make: Callable[[], GuardedArm]) -> None:
         """An approach ends at a force (of a spring, from zero), a stop condition, the distance, or an error."""
         if self.floor is None:
             pytest.skip("the arm cannot touch anything: give the height of a floor")
@@ -153,7 +155,7 @@ class SkinContract(_Contract):
     rate: float = 400.0  # Hz, nominal
     has_temperature: bool = True
 
-    def test_features_are_known_before_connecting_and_nothing_else_works(self, make: Callable[[], Skin]) -> None:
+    def test_only_features_work_before_connecting(self, make: Callable[[], Skin]) -> None:
         """There are three channels with distinct names for each chip; `close` never raises."""
         skin = make()
         assert isinstance(skin, Skin)
@@ -177,7 +179,7 @@ class SkinContract(_Contract):
             assert skin.since(newest).number[:100].tolist() == list(range(newest + 1, newest + 101))
             assert (skin.counters.samples >= 100, skin.counters.loss) == (True, 0)
 
-    def test_waiting_has_an_end_and_numbers_go_on_after_a_reconnection(self, make: Callable[[], Skin]) -> None:
+    def test_waiting_times_out_and_sample_numbers_continue_after_a_reconnection(self, make: Callable[[], Skin]) -> None:
         """Late samples and impossible requests raise; numbers continue after a reconnection."""
         skin = make()
         with skin:

@@ -1,6 +1,6 @@
 """Guarded motions: the check of every state of a moving arm, and a guarded arm made from a driver that is polled.
 
-`MotionWatch` checks the states of one motion, of any arm. `GuardedByPolling` makes a `GuardedArm` of a driver that can
+`MotionWatch` checks the states of one motion, of any arm. `PolledArm` makes a `GuardedArm` of a driver that can
 report its state, move along a line, and brake.
 
 WARNING: Keep every comparison in the form `not value <= limit`, so that NaN stops the arm.
@@ -22,7 +22,7 @@ from i2t.hardware.base import DeviceBase
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.motion_limits import MotionLimits, format_position
-from i2t.hardware.poses import pose_difference, shifted_along_z
+from i2t.hardware.poses import pose_difference, translated_along_z
 from i2t.hardware.protocols import ApproachResult, Arm, ArmFeatures, ArmState, StopReason
 from i2t.types import Array
 
@@ -146,7 +146,7 @@ def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
     return max(limits.trip_force, growth * force), max(limits.torque, growth * torque)
 
 
-class GuardedByPolling(DeviceBase):
+class PolledArm(DeviceBase):
     """A guarded arm (`i2t.hardware.protocols.GuardedArm`), made from a driver with six short methods.
 
     The state is polled every `poll_s` seconds during a motion. The arm brakes if a value is above its limit, if a state
@@ -339,7 +339,7 @@ class GuardedByPolling(DeviceBase):
         """Move along tool z until a stop condition is met, as in `GuardedArm.approach`."""
         self.limits.check_approach(distance, force, torque)
         start = self.state().T_b_t
-        goal = shifted_along_z(start, distance)
+        goal = translated_along_z(start, distance)
         self.limits.check(goal, speed, acceleration)
         reason, answer, trigger = self._guarded(goal, speed, acceleration, (force, torque), stop_condition)
         state = self.state()

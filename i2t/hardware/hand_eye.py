@@ -54,7 +54,7 @@ class CharucoBoard:
     marker: float = 0.011  # m, edge of a marker
     dictionary: str = "4X4_50"  # of markers in OpenCV; APRILTAG_36h11 makes a board of AprilTags
 
-    def drawn(self, pixels_per_mm: float = 300 / 25.4) -> Array:
+    def image(self, pixels_per_mm: float = 300 / 25.4) -> Array:
         """Draw the board for printing, with a margin of a square.
 
         Args:
@@ -121,7 +121,7 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
     for name, T_b_t in _poses(path / "poses.csv"):
         file = file_in(path / "images", name, path / "poses.csv")
         try:
-            image = read_image(file, shape=(camera.height, camera.width), said_by=DESCRIPTION, mode="RGB")
+            image = read_image(file, shape=(camera.height, camera.width), required_by=DESCRIPTION, mode="RGB")
         except OSError as error:
             raise ValueError(f"{file}: cannot be read ({error.strerror or error}); omit its pose") from error
         corners, pixels = board.find(image)
@@ -196,7 +196,7 @@ class DrawArgs(CharucoBoard):
         if self.file.is_dir() or self.file.suffix.lower() not in suffixes:
             raise ValueError(f"{self.file}: is not a name of a picture; let it end in {' or '.join(suffixes)}")
         with replacing(self.file) as temporary:
-            Image.fromarray(self.drawn()).save(temporary, dpi=(300, 300))
+            Image.fromarray(self.image()).save(temporary, dpi=(300, 300))
         print(f"{self.file}: print it at 100 %; a square must measure {1e3 * self.square:g} mm")
 
 

@@ -50,7 +50,7 @@ def pose_difference(first: Float[Array, "4 4"], second: Float[Array, "4 4"]) -> 
     return float(np.linalg.norm(second[:3, 3] - first[:3, 3])), float(rotation.magnitude())
 
 
-def shifted_along_z(pose: Float[Array, "4 4"], distance: float) -> Float[Array, "4 4"]:
+def translated_along_z(pose: Float[Array, "4 4"], distance: float) -> Float[Array, "4 4"]:
     """Move a pose along its own z axis.
 
     Args:

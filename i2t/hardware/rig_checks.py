@@ -60,7 +60,7 @@ class PlausibleRig:
 Doubts: TypeAlias = Iterator[tuple[bool | np.bool_, str]]  # whether a value is implausible, and the sentence about it
 
 
-def implausible(
+def implausible_values(
     rig: Rig, vertices: Float[Array, "v 3"] | None = None, *, plausible: PlausibleRig = PlausibleRig()
 ) -> list[str]:
     """List the values of a rig that are nearly always mistakes.
@@ -89,13 +89,13 @@ def require_plausible(rig: Rig, vertices: Float[Array, "v 3"] | None = None) -> 
     Raises:
         ValueError: A value of the rig is implausible.
     """
-    doubts = implausible(rig, vertices)
+    doubts = implausible_values(rig, vertices)
     if doubts:
         more = f" (and {len(doubts) - 1} more doubts)" if len(doubts) > 1 else ""
-        raise ValueError(f"{doubts[0]}{more}; --trust-rig accepts a rig that is merely unusual")
+        raise ValueError(f"{doubts[0]}{more}; --accept-unusual-rig accepts a rig that is merely unusual")
 
 
-def other_lens(rig: Camera, own: Camera, *, plausible: PlausibleRig = PlausibleRig()) -> str:
+def compare_lens(rig: Camera, own: Camera, *, plausible: PlausibleRig = PlausibleRig()) -> str:
     """Compare a rig's lens with the lens that the camera reports.
 
     Args:
@@ -117,7 +117,7 @@ def other_lens(rig: Camera, own: Camera, *, plausible: PlausibleRig = PlausibleR
     return ""
 
 
-def other_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"]) -> str:
+def compare_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"]) -> str:
     """Compare the TCP that is set on a controller with the rig's.
 
     Args:

@@ -69,7 +69,7 @@ def set_exclusive(line: Any, exclusive: bool = True) -> None:
             fcntl.ioctl(line.fileno(), termios.TIOCEXCL if exclusive else termios.TIOCNXCL)
 
 
-def why_forbidden(port: str) -> str:
+def explain_no_access(port: str) -> str:
     """Explain why this user may not open a port, and what to do.
 
     Args:

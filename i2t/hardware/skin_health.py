@@ -24,7 +24,7 @@ from jaxtyping import Float
 
 from i2t.hardware.clock import Clock, MonotonicClock
 from i2t.hardware.protocols import Samples, Skin
-from i2t.skin.boards import mean_known, silent_chips
+from i2t.skin.boards import mean_finite, silent_chips
 from i2t.types import Array
 
 # uT along x, y and z, smallest range of the converter in either direction. MLX90393 data sheet: 2^15 steps of 0.150 uT
@@ -118,13 +118,13 @@ def check_skin(samples: Samples, *, config: HealthConfig = HealthConfig()) -> Sk
     reading = np.asarray(samples.reading, float)
     by_chip = reading.reshape(len(reading), -1, 3)
     missing = tuple(int(chip) for chip in np.flatnonzero(~np.isfinite(by_chip).all(2).any(0)))
-    temperature = mean_known(np.asarray(samples.temperature, float), axis=0)
+    temperature = mean_finite(np.asarray(samples.temperature, float), axis=0)
     dead = np.tile(silent_chips(reading).mean(0) > 0.5, (3, 1)).T
     saturated = _saturated(by_chip, config) & ~dead
     frozen = _frozen(by_chip, config) & ~dead & ~saturated
     noise = _white_noise(by_chip, config)
     judged_noise = np.where(dead | saturated | frozen, np.nan, noise)
-    at_rest = np.nan_to_num(mean_known(by_chip, axis=0))
+    at_rest = np.nan_to_num(mean_finite(by_chip, axis=0))
     defects = [
         *_missing_defects(missing, by_chip.shape[1], config),
         *_axis_defects(dead, "sends zeros only", remedy="check its cable and its soldering"),

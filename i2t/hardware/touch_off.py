@@ -41,7 +41,7 @@ from i2t.geometry import inverse, transform
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.plugins import DeviceSetup, check_device, load_device
-from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.poses import translated_along_z
 from i2t.hardware.protocols import ArmState, GuardedArm
 from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW
@@ -197,7 +197,7 @@ def touch_off(
     starts = [_start(side, at, height, config) for side in CORNER_SIGNS]
     reach = config.clearance + SAFETY.touch_off_overtravel_m
     for start in starts:
-        for goal in (start, shifted_along_z(start, reach)):
+        for goal in (start, translated_along_z(start, reach)):
             limits.check(goal, config.approach_speed, config.approach_acceleration)
     top = max(start[2, 3] for start in starts) + config.clearance
     across, down = (min(speed, limits.free_speed) for speed in (config.transfer_speed, config.lowering_speed))
@@ -208,7 +208,7 @@ def touch_off(
         arm.go(above, across)
         arm.go(start, down)
         onset = _touch_corner(arm, side, start, config)
-        touches.append(shifted_along_z(start, onset))
+        touches.append(translated_along_z(start, onset))
         report(f"corner {side}: touched after {1e3 * onset:.2f} mm")
         arm.go(start, down)
         arm.go(above, across)

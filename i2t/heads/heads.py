@@ -57,7 +57,7 @@ from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.read import TARGETS, SkinRecording, is_stream
 
 FILE_KIND_OF_HEAD = "i2t head"
-HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.yes_no)
+HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.binary)
 
 
 @dataclass(frozen=True)
@@ -324,13 +324,17 @@ def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
     """
     if target not in HEAD_TARGETS:
         raise ValueError(f"{target!r} is not a target of a head; choose one of {', '.join(HEAD_TARGETS)}")
-    usable = recording.known(target)
+    usable = recording.known_rows(target)
     if target == "position" and recording.labels is not None and len(np.unique(recording.labels)) > 1:
         raise ValueError(f"several objects touched the skin in {recording.name}: the place of contact is unknown")
-    if target in ("position", "travel") and recording.known("contact").any():
+    if target in ("position", "travel") and recording.known_rows("contact").any():
         usable &= ~(recording.targets["contact"][:, 0] == 0)
-    if target in ("position", "travel") and not recording.known("travel").any() and recording.known("shear").any():
-        usable &= recording.known("shear") & (np.abs(np.nan_to_num(recording.targets["shear"])).max(1) > 0)
+    if (
+        target in ("position", "travel")
+        and not recording.known_rows("travel").any()
+        and recording.known_rows("shear").any()
+    ):
+        usable &= recording.known_rows("shear") & (np.abs(np.nan_to_num(recording.targets["shear"])).max(1) > 0)
     count, min_rows = int(usable.sum()), HEAD_CONFIG.min_rows
     if not count:
         raise ValueError(f"{recording.name} has no known {target}")
@@ -355,7 +359,9 @@ def hold_out_groups(recording: SkinRecording) -> np.ndarray:
     """
     if recording.labels is not None and len(np.unique(recording.labels)) > 1:
         return np.unique(recording.labels, return_inverse=True)[1].ravel()
-    position = recording.targets["position"] if recording.known("position").all() else np.zeros((len(recording), 2))
+    position = (
+        recording.targets["position"] if recording.known_rows("position").all() else np.zeros((len(recording), 2))
+    )
     ranges, min_range = np.ptp(position, axis=0), TARGETS["position"].min_range
     # Strokes along a line return to the same places, so rows share the stroke and not the place.
     if ranges.min() > min_range or (ranges.max() > min_range and not recording.session.any()):

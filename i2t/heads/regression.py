@@ -309,10 +309,10 @@ def _choose_gp(readings: np.ndarray, targets: np.ndarray, folds: np.ndarray, gri
         try:
             precision = cho_solve(cho_factor(_noisy_covariance(settings, x), lower=True), np.eye(len(x)))
             weights = precision @ y
-            left_out = [leave_out_blocks(precision[np.ix_(block, block)], weights[block]) for block in blocks]
+            held_out = [leave_out_blocks(precision[np.ix_(block, block)], weights[block]) for block in blocks]
         except np.linalg.LinAlgError:
             return np.inf
-        return float(sum(np.sum(fold.error**2) for fold in left_out))
+        return float(sum(np.sum(fold.error**2) for fold in held_out))
 
     kinds = (float(FeatureKind.COMPRESSED), *map(float, FeatureKind))
     axes = (kinds, grid.lengths, grid.noises, grid.shapes, grid.linear_variances)

@@ -4,7 +4,7 @@
     pad_model = i2t.load_pad_model("nominal")
     calibration = i2t.load_calibration("eflesh")
 
-"nominal" is one simulated pad, number 0 of `i2t.skin.pad.numbered_pad`: a layer drawn about the nominal one, with its
+"nominal" is one simulated pad, number 0 of `i2t.skin.pad.pad_from_seed`: a layer drawn about the nominal one, with its
 own uneven magnetisation. It was not fitted to a real skin and does not match one; real touches need a model of your own
 skin. "eflesh" is the calibration of one real skin of another kind, a printed lattice with four magnets, pressed by a
 spherical tip. docs/model_card.md lists figures and limits, which `python -m tools.ready_models` computes.

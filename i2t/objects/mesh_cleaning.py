@@ -69,7 +69,7 @@ class CleanMesh(NamedTuple):
     """A mesh after cleaning."""
 
     mesh: Mesh
-    left_out: Mesh  # pieces that were dropped but still obstruct the arm
+    obstacles: Mesh  # pieces that were dropped but still obstruct the arm
     report: CleaningReport
 
 
@@ -106,7 +106,7 @@ def clean_mesh(
     pieces, piece = _pieces(faces)
     areas = np.bincount(piece, work.area_faces, pieces)
     kept = np.arange(pieces) == areas.argmax() if largest_piece else ~_dust(areas, config.max_dust_fraction)
-    left_out = _compact(vertices, faces[~kept[piece]])
+    obstacles = _compact(vertices, faces[~kept[piece]])
     clean = _compact(vertices, faces[kept[piece]])
     outward = turn_outward(clean)
     uses = np.unique(_edges(outward.faces), axis=0, return_counts=True)[1]
@@ -125,7 +125,7 @@ def clean_mesh(
         open_edges=int((uses % 2).sum()),
         size=(x, y, z),
     )
-    return CleanMesh(outward, left_out, report)
+    return CleanMesh(outward, obstacles, report)
 
 
 def _merge_vertices(mesh: trimesh.Trimesh, distance: float) -> None:

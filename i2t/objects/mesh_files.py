@@ -37,7 +37,7 @@ def read_mesh(
         unit: The unit of the file's coordinates: m, cm, mm or inch.
         table: Whether to place the object on the table, with its bounding box centred in x and y and its lowest point
             on z = 0, without turning it. Otherwise it keeps the file's frame.
-        largest_piece: Whether only the largest connected piece is touched; `Object.left_out` holds the others.
+        largest_piece: Whether only the largest connected piece is touched; `Object.obstacles` holds the others.
         up: The file's upward axis, "z" or "y" (GLB files usually use y).
 
     Returns:
@@ -62,9 +62,9 @@ def read_mesh(
     if up == "y":
         T_up_file[1:3, 1:3] = [[0, -1], [1, 0]]
     upright = transform_mesh(Mesh(vertices, faces.astype(np.int32)), T_up_file)
-    mesh, left_out, report = clean_mesh(upright, str(path), largest_piece=largest_piece)
+    mesh, dropped, report = clean_mesh(upright, str(path), largest_piece=largest_piece)
     T_o_up = table_transform(mesh) if table else np.eye(4)
-    placed, obstacles = transform_mesh(mesh, T_o_up), transform_mesh(left_out, T_o_up)
+    placed, obstacles = transform_mesh(mesh, T_o_up), transform_mesh(dropped, T_o_up)
     T_file_object = inverse(T_o_up @ T_up_file)
     return Object(path.stem, placed, "file", T_file_object, obstacles if len(obstacles.faces) else None), report
 
@@ -100,7 +100,7 @@ def load_object(path: str | Path, unit: str, *, largest_piece: bool = False) -> 
     Args:
         path: The path of an STL, OBJ, PLY, OFF, GLB or glTF file.
         unit: The unit of the file's coordinates: m, cm, mm or inch.
-        largest_piece: Whether only the largest connected piece is touched; `Object.left_out` holds the others.
+        largest_piece: Whether only the largest connected piece is touched; `Object.obstacles` holds the others.
 
     Returns:
         The object, named by the file, in metres.

@@ -80,9 +80,9 @@ def describe_placement(thing: "Object") -> str:
             f"the mesh was moved by {x:.2f}, {y:.2f}, {z:.2f} mm from its file's frame, to stand on z = 0 with its box "
             "centred in x and y"
         )
-    if thing.left_out is not None:
+    if thing.obstacles is not None:
         sentences.append(
-            f"{len(thing.left_out.faces)} faces of other pieces are not touched, and the arm keeps clear of them"
+            f"{len(thing.obstacles.faces)} faces of other pieces are not touched, and the arm keeps clear of them"
         )
     return f"{thing.name}: {'; '.join(sentences)}" if sentences else ""
 

@@ -38,7 +38,7 @@ class Object(NamedTuple):
     mesh: Mesh
     family: str  # "primitive", "stamp", "tool" or "file"
     T_file_object: NDArray[np.float64] = np.broadcast_to(np.eye(4), (4, 4))  # to the mesh file's frame, m; read-only
-    left_out: Mesh | None = None  # pieces of the file that are not touched but obstruct the arm
+    obstacles: Mesh | None = None  # pieces of the file that are not touched but obstruct the arm
 
 
 def transform_mesh(mesh: Mesh, T: NDArray) -> Mesh:
@@ -105,5 +105,5 @@ def highest_point(target: Object, T_w_o: NDArray) -> float:
     Returns:
         The largest z (m) of any of its vertices in W.
     """
-    meshes = [target.mesh] if target.left_out is None else [target.mesh, target.left_out]
+    meshes = [target.mesh] if target.obstacles is None else [target.mesh, target.obstacles]
     return max(float(transform_mesh(mesh, np.asarray(T_w_o)).vertices[:, 2].max()) for mesh in meshes)

@@ -36,7 +36,7 @@ class Prediction(NamedTuple):
     latent: Float[Array, " b"]  # z
 
 
-class Network(nn.Module):
+class PaperNetwork(nn.Module):
     """The paper's network, as a Flax module."""
 
     cfg: PaperConfig
@@ -99,7 +99,7 @@ def init(key: Key[Array, ""], cfg: PaperConfig) -> Params:
     Returns:
         Kernels and biases of the layers by name.
     """
-    params: Params = Network(cfg).init(key, jnp.zeros((cfg.pixels, cfg.pixels)))["params"]
+    params: Params = PaperNetwork(cfg).init(key, jnp.zeros((cfg.pixels, cfg.pixels)))["params"]
     return params
 
 
@@ -114,7 +114,7 @@ def apply(params: Params, cfg: PaperConfig, patch: Float[Array, "n n"]) -> Predi
     Returns:
         The reading, the reconstructed patch and the bottleneck.
     """
-    prediction: Any = Network(cfg).apply({"params": params}, patch)
+    prediction: Any = PaperNetwork(cfg).apply({"params": params}, patch)
     return prediction
 
 

@@ -141,7 +141,7 @@ Option = TypeVar("Option")
 Regression: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray, Option], np.ndarray]  # x, y, at, option
 
 
-def mean_of(readings: Float[np.ndarray, "n c"]) -> MeanReading:
+def mean_model(readings: Float[np.ndarray, "n c"]) -> MeanReading:
     """Build the model that predicts the mean reading.
 
     Args:
@@ -203,7 +203,7 @@ def features_of(
     return np.c_[seen, standard / np.sqrt(max(standard.shape[1], 1))]
 
 
-def fold_of(groups: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
+def assign_folds(groups: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     """Assign touches to folds of cross-validation that keep groups whole.
 
     There are five folds, or as many as there are groups. The touches of a single group are assigned one by one.
@@ -238,7 +238,7 @@ def ridge(
     return (at - mean_x) @ np.linalg.solve(_system(x, penalty), (x - mean_x).T @ (y - mean_y)) + mean_y
 
 
-def tuned(
+def predict_with_best_option(
     method: Regression[Option],
     options: Sequence[Option],
     x: Float[np.ndarray, "n d"],
@@ -260,7 +260,7 @@ def tuned(
     Returns:
         `(m, c)` readings, in the unit of `y`.
     """
-    return method(x, y, at, best_option(method, options, x, y, fold_of(groups))[0])
+    return method(x, y, at, best_option(method, options, x, y, assign_folds(groups))[0])
 
 
 def best_option(
@@ -277,7 +277,7 @@ def best_option(
         options: Options to choose from.
         x: Features of the training touches.
         y: Readings of the training touches.
-        fold: Fold of each training touch, from `fold_of`.
+        fold: Fold of each training touch, from `assign_folds`.
 
     Returns:
         Chosen option, and its `(n, c)` errors on held-out folds in the unit of `y`.
@@ -285,14 +285,14 @@ def best_option(
     if fold.max() == 0:  # nothing can be held out of a single touch
         return options[0], y - y.mean(0)
 
-    def left_out(option: Option) -> np.ndarray:
+    def held_out_errors(option: Option) -> np.ndarray:
         """Compute the errors of each fold, predicted from all other folds."""
         error = np.empty_like(y)
         for held_out in (fold == i for i in np.unique(fold)):
             error[held_out] = y[held_out] - method(x[~held_out], y[~held_out], x[held_out], option)
         return error
 
-    errors = [left_out(option) for option in options]
+    errors = [held_out_errors(option) for option in options]
     best = int(np.argmin([(error**2).sum() for error in errors]))
     return options[best], errors[best]
 
@@ -361,7 +361,7 @@ class Mean(Method):
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor:
         """Fit, as in `Method.fit`."""
-        return touches.predictor(mean_of(touches.dataset.touches.reading[split.train]), split)
+        return touches.predictor(mean_model(touches.dataset.touches.reading[split.train]), split)
 
 
 class Nearest(Method):
@@ -383,7 +383,7 @@ class Nearest(Method):
         pressure = touches.pressure if self.on_pressure else None
         images = seen.patch[rows] if pressure is None else np.asarray(pressure.pressure)[rows]
         name = "pressure components" if self.on_pressure else "patch components"
-        components = touches.once(name, rows, lambda: image_components(images))
+        components = touches.cached(name, rows, lambda: image_components(images))
         model = self.model(components, conditions, images, measured, seen.reading[rows], split.groups[rows])
         return touches.predictor(replace(model, pressure=touches.pressure_model if self.on_pressure else None), split)
 
@@ -411,7 +411,7 @@ class Nearest(Method):
         """
         features = touch_features(components, measured)
         points = _plain(features_of(features, images, measured))
-        return self.fit_points(features, conditions, points, readings.astype(np.float64), fold_of(groups))
+        return self.fit_points(features, conditions, points, readings.astype(np.float64), assign_folds(groups))
 
 
 class NearestMeasured(Nearest):

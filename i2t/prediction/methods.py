@@ -74,7 +74,7 @@ class TrainingTouches:
     training: TrainConfig = field(default_factory=TrainConfig)
     shared: dict[tuple[str, bytes], Any] = field(default_factory=dict, repr=False)
 
-    def once(self, name: str, rows: np.ndarray, make: Callable[[], Shared]) -> Shared:
+    def cached(self, name: str, rows: np.ndarray, make: Callable[[], Shared]) -> Shared:
         """Return a value that methods share, which the first of them computes.
 
         Args:

@@ -27,7 +27,7 @@ from orbax.checkpoint import v1 as ocp
 
 from i2t.contact.pressure import PressureModelConfig
 from i2t.errors import CheckpointError
-from i2t.files.archives import may_grow_to
+from i2t.files.archives import max_unpacked_size
 from i2t.files.reading import read_json
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.models import ready_hint, ready_path
@@ -451,7 +451,7 @@ def _check_size(folder: Path, shapes: PyTree) -> None:
     """Refuse arrays whose described size exceeds what the folder can hold, because missing parts are read as zeros."""
     described = 4 * sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(shapes))
     held = sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
-    if described > may_grow_to(held):
+    if described > max_unpacked_size(held):
         raise CheckpointError(
             f"{folder} describes {described} bytes of numbers, more than its {held} bytes can hold; train again, or "
             "restore a copy."

@@ -68,7 +68,7 @@ class EnvironmentConfig:
         """Errors of a press, without those of the sensor. Environments that differ in the latter alone share compiled
         programs, even if whole numbers differ.
         """
-        none = SimulationErrors.none()
+        none = SimulationErrors.error_free()
         return replace(self.errors, noise=none.noise, faults=none.faults)
 
 
@@ -98,7 +98,7 @@ class OutcomeTable(NamedTuple):
 
 
 class TouchBeliefs(NamedTuple):
-    """Predictions from which an environment computes its posterior (`i2t.recognition.known_pads`)."""
+    """Predictions from which an environment computes its posterior (`i2t.recognition.environment_beliefs`)."""
 
     predicted: PredictedTouch  # (pads, sites, objects, k)
     likelihood: Likelihood
@@ -166,7 +166,7 @@ class EnvironmentObservation(NamedTuple):
     T_w_t: Float[Array, "4 4"]  # pose of the tool at the end of the press, as the arm reports it
     contact: Bool[Array, ""]  # whether the touch met anything
     refused: Bool[Array, ""]  # whether the touch was unsafe and not made
-    left: Float[Array, ""]  # fraction of the touches that are left
+    remaining: Float[Array, ""]  # fraction of the touches that are left
     posterior: Float[Array, " o"]  # of the objects; empty without `EnvironmentParams.beliefs`
 
 
@@ -180,8 +180,8 @@ class EpisodeState(NamedTuple):
     # key of the sensor's errors, as bits, which can be selected and moved to the host
     sensor_key: UInt32[Array, "*e 2"]
     site: Int[Array, "*e t"]
-    made: TouchOutcome  # (*e, t)
-    num_made: Int[Array, "*e"]  # number of touches made
+    outcomes: TouchOutcome  # (*e, t)
+    num_touched: Int[Array, "*e"]  # number of touches made
     num_refused: Int[Array, "*e"]  # number of refused touches
     belief: Belief | None
 
@@ -252,8 +252,8 @@ class TouchEnvironment:
             session=session,
             sensor_key=jax.random.key_data(key_sensor),
             site=jnp.zeros(t, jnp.int32),
-            made=none,
-            num_made=jnp.zeros((), jnp.int32),
+            outcomes=none,
+            num_touched=jnp.zeros((), jnp.int32),
             num_refused=jnp.zeros((), jnp.int32),
             belief=None if params.beliefs is None else _prior(params),
         )
@@ -300,14 +300,14 @@ class TouchEnvironment:
         site = jnp.clip(action.touch, 0, params.sites - 1)
         safe = listed & params.allowed[site]
         pressed = record(state, site, self.touch(key, state, site, params))
-        measured = element(self.measure(pressed, params), state.num_made)
+        measured = element(self.measure(pressed, params), state.num_touched)
         after = jax.tree.map(partial(jnp.where, safe), self.believe(pressed, measured, params), state)
         after = after._replace(num_refused=state.num_refused + ~safe)
         measured = jax.tree.map(lambda x: jnp.where(safe, x, jnp.zeros_like(x)), measured)
         loss = cross_entropy(self._prediction(state, action), state.object)
         reward = -loss - jnp.where(safe, 0.0, self.config.refusal_cost)
         info = {"refused": ~safe, "loss": loss, "object": state.object, "pad": state.pad}
-        done = after.num_made + after.num_refused >= self.config.touches
+        done = after.num_touched + after.num_refused >= self.config.touches
         return self._observe(after, measured, ~safe), after, reward, done, info
 
     def touch(
@@ -348,7 +348,7 @@ class TouchEnvironment:
             `(t, c)` readings (uT). Those of future touches are meaningless and do not affect the others.
         """
         return read_session(
-            jax.random.wrap_key_data(state.sensor_key), state.made.reading, state.made.T_w_t,
+            jax.random.wrap_key_data(state.sensor_key), state.outcomes.reading, state.outcomes.T_w_t,
             select_pad(pads, state.pad), self.config.errors, presses_before=self.config.presses_before,
         )  # fmt: skip
 
@@ -362,8 +362,8 @@ class TouchEnvironment:
         Returns:
             Measurements of the t touches.
         """
-        advance = advance_from(params.T_w_site[state.site], state.made.T_w_t)
-        return TouchObservation(self.read(state, params.pads), state.made.force, advance, state.made.contact)
+        advance = advance_along_approach(params.T_w_site[state.site], state.outcomes.T_w_t)
+        return TouchObservation(self.read(state, params.pads), state.outcomes.force, advance, state.outcomes.contact)
 
     def believe(self, state: EpisodeState, measured: TouchObservation, params: EnvironmentParams) -> EpisodeState:
         """Update the belief with the last touch, if the environment has one.
@@ -378,7 +378,7 @@ class TouchEnvironment:
         """
         if params.beliefs is None or state.belief is None:
             return state
-        predicted = jax.tree.map(lambda x: x[state.pad, state.site[state.num_made - 1]], params.beliefs.predicted)
+        predicted = jax.tree.map(lambda x: x[state.pad, state.site[state.num_touched - 1]], params.beliefs.predicted)
         return state._replace(belief=beliefs.update(state.belief, measured, predicted, params.beliefs.likelihood))
 
     def _prediction(self, state: EpisodeState, action: TouchAction) -> Array:
@@ -386,21 +386,23 @@ class TouchEnvironment:
         if action.prediction is not None:
             return action.prediction
         if state.belief is None:
-            raise ValueError("an action without a prediction needs params.beliefs (i2t.recognition.known_pads)")
+            raise ValueError(
+                "an action without a prediction needs params.beliefs (i2t.recognition.environment_beliefs)"
+            )
         return jnp.log(jnp.maximum(beliefs.posterior(state.belief), beliefs.MIN_PROBABILITY))
 
     def _observe(self, state: EpisodeState, measured: TouchObservation, refused: Array) -> EnvironmentObservation:
         """Make the observation for an agent."""
         posterior = jnp.zeros(0) if state.belief is None else beliefs.posterior(state.belief)
-        last = state.made.T_w_t[jnp.maximum(state.num_made - 1, 0)]
+        last = state.outcomes.T_w_t[jnp.maximum(state.num_touched - 1, 0)]
         return EnvironmentObservation(
             reading=measured.reading,
             force=measured.force,
             advance=measured.advance,
-            T_w_t=jnp.where(state.num_made > 0, last, _home()),
+            T_w_t=jnp.where(state.num_touched > 0, last, _home()),
             contact=measured.contact,
             refused=refused,
-            left=1 - (state.num_made + state.num_refused) / self.config.touches,
+            remaining=1 - (state.num_touched + state.num_refused) / self.config.touches,
             posterior=posterior,
         )
 
@@ -431,11 +433,13 @@ def record(state: EpisodeState, site: Int[Array, ""], outcome: TouchOutcome) -> 
     Returns:
         Episode with one more touch.
     """
-    outcomes = jax.tree.map(lambda rows, row: rows.at[state.num_made].set(row), state.made, outcome)
-    return state._replace(site=state.site.at[state.num_made].set(site), made=outcomes, num_made=state.num_made + 1)
+    outcomes = jax.tree.map(lambda rows, row: rows.at[state.num_touched].set(row), state.outcomes, outcome)
+    return state._replace(
+        site=state.site.at[state.num_touched].set(site), outcomes=outcomes, num_touched=state.num_touched + 1
+    )
 
 
-def advance_from(T_w_site: Poses, T_w_t: Poses) -> Poses:
+def advance_along_approach(T_w_site: Poses, T_w_t: Poses) -> Poses:
     """Compute distances from sites to the ends of presses, along the approach.
 
     Args:

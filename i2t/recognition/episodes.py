@@ -23,7 +23,7 @@ from i2t.recognition.belief import Particles, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.recognition.site_pool import SitePool, predict_outcomes
 from i2t.rendering.ops import element
-from i2t.runtime.batching import everywhere, filled_batches, map_batches, select_rows, spread_rows
+from i2t.runtime.batching import filled_batches, map_batches, map_rows_on_devices, put_on_all_devices, select_rows
 from i2t.runtime.compiling import jit_quickly
 from i2t.runtime.progress import progress
 from i2t.skin_models.likelihood import Likelihood
@@ -174,16 +174,16 @@ def run_belief(
     Returns:
         `(e, t, objects)` probabilities by kind of evidence.
     """
-    table, particles = everywhere((table, particles))
+    table, particles = put_on_all_devices((table, particles))
     rows = (jnp.asarray(episodes.site), episodes.observations)
     beliefs = {}
     for kind in kinds:
-        shared = (table, weigh_evidence(likelihood, kind), particles)
-        beliefs[kind] = np.asarray(spread_rows(posteriors, rows, shared=shared, multiple=EPISODES_PER_BATCH))
+        shared = (table, select_evidence(likelihood, kind), particles)
+        beliefs[kind] = np.asarray(map_rows_on_devices(posteriors, rows, shared=shared, multiple=EPISODES_PER_BATCH))
     return beliefs
 
 
-def weigh_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
+def select_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
     """Set the weights of a likelihood to one kind of evidence.
 
     Args:

@@ -108,7 +108,7 @@ def observation_space(params: EnvironmentParams) -> gymnasium.Space:
             "T_w_t": box(4, 4),
             "contact": flag(),
             "refused": flag(),
-            "left": box(low=0.0, high=1.0),
+            "remaining": box(low=0.0, high=1.0),
             "posterior": box(params.objects if params.beliefs is not None else 0, low=0.0, high=1.001),
         }
     )

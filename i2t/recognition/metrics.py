@@ -73,7 +73,7 @@ def hits(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t
     Raises:
         ValueError: Shapes do not fit, or `truth` contains an invalid class.
     """
-    return of_truth(decision_shares(p), truth)
+    return values_of_truth(decision_shares(p), truth)
 
 
 def accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clusters = ()) -> Estimate:
@@ -215,7 +215,7 @@ def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, 
     Returns:
         `(e, t)` losses (nats) after each touch.
     """
-    return -np.log(np.clip(of_truth(p, truth), PROBABILITY_FLOOR, 1))
+    return -np.log(np.clip(values_of_truth(p, truth), PROBABILITY_FLOOR, 1))
 
 
 # --- stopping ---
@@ -305,7 +305,7 @@ def _area(above: np.ndarray, below: np.ndarray, w_above: np.ndarray, w_below: np
 # --- parts ---
 
 
-def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Array, "e t"]:
+def values_of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Array, "e t"]:
     """Select the values of the true classes.
 
     Args:

@@ -35,7 +35,7 @@ from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.rollout import RunningEpisodes, TouchNumber, advance, last_touches
 from i2t.recognition.site_pool import SitePools, pool_informativeness
 from i2t.rendering.render import render_view
-from i2t.runtime.batching import filled_batches, spread
+from i2t.runtime.batching import filled_batches, map_on_devices
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.types import Surface
@@ -155,7 +155,7 @@ def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> 
     point = np.asarray(touches.T_w_t[:, :3, 3], np.float32)
     batches = filled_batches(np.arange(len(point)), VIEW_BATCH)
     calls = ((point[rows], surface) for surface in surfaces for rows in batches)
-    distance = np.concatenate(list(spread(_nearest_distances, calls))).reshape(len(surfaces), -1)
+    distance = np.concatenate(list(map_on_devices(_nearest_distances, calls))).reshape(len(surfaces), -1)
     return distance[:, : len(point)].T / 1e-3  # mm
 
 

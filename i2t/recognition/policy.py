@@ -39,7 +39,7 @@ class InformationGain(NamedTuple):
     """Expected information of a touch (nats)."""
 
     object: Float[Array, "..."]  # about the object
-    both: Float[Array, "..."]  # about the object and its pose, as far as the compared particles differ
+    object_and_pose: Float[Array, "..."]  # about the object and its pose, as far as the compared particles differ
 
 
 class _Compared(NamedTuple):
@@ -167,7 +167,7 @@ def choose_site(gain: InformationGain, allowed: Bool[Array, " sites"], pose_weig
     Returns:
         Index of the site, or -1.
     """
-    value = gain.object + pose_weight * (gain.both - gain.object)
+    value = gain.object + pose_weight * (gain.object_and_pose - gain.object)
     best = jnp.argmax(jnp.where(allowed, value, -jnp.inf))
     return jnp.where(jnp.any(allowed), best, NO_SITE)
 

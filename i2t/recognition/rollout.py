@@ -28,13 +28,13 @@ from i2t.recognition.environment import (
     EpisodeState,
     TouchEnvironment,
     TouchOutcome,
-    advance_from,
+    advance_along_approach,
 )
 from i2t.recognition.episodes import Episodes, MeasuredTouches
 from i2t.recognition.policy import choose_site, draw_site, expected_information_gain
 from i2t.recognition.site_pool import SitePool
 from i2t.recognition.touch_table import environment_params
-from i2t.runtime.batching import filled_batches, map_batches, select_rows, spread
+from i2t.runtime.batching import filled_batches, map_batches, map_on_devices, select_rows
 from i2t.runtime.compiling import jit_by_amount, jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.types import Pad, Surface
@@ -104,7 +104,7 @@ def advance(
     if (site < 0).any():
         raise ValueError("an episode has no site to touch: none was chosen")
     states, (e, n) = episodes.states, site.shape
-    count = int(states.num_made[0])
+    count = int(states.num_touched[0])
     numbers = [(count + i % n, i // n, int(where)) for i, where in enumerate(site.reshape(-1))]
     touches = {} if shared is None else {number: shared[number] for number in numbers if number in shared}
     if bar is not None:
@@ -135,12 +135,13 @@ def episodes_of(episodes: RunningEpisodes) -> Episodes:
         Objects, sites and measurements of the touches made.
     """
     states, params = episodes.states, episodes.params
-    e, count = len(states.object), int(states.num_made[0])
+    e, count = len(states.object), int(states.num_touched[0])
     parts = filled_batches(np.arange(e), EPISODE_BATCH)
     calls = ((select_rows(states, rows),) for rows in parts)
-    read = np.concatenate(list(spread(_read, calls, shared=(params.pads, episodes.environment.config))))[:e, :count]
-    site, touches = np.asarray(states.site[:, :count]), jax.tree.map(lambda x: x[:, :count], states.made)
-    advanced = advance_from(np.asarray(params.T_w_site)[site], touches.T_w_t).astype(np.float32)
+    readings = map_on_devices(_read, calls, shared=(params.pads, episodes.environment.config))
+    read = np.concatenate(list(readings))[:e, :count]
+    site, touches = np.asarray(states.site[:, :count]), jax.tree.map(lambda x: x[:, :count], states.outcomes)
+    advanced = advance_along_approach(np.asarray(params.T_w_site)[site], touches.T_w_t).astype(np.float32)
     seen = TouchObservation(*map(jnp.asarray, (read, touches.force, advanced, touches.contact)))
     return Episodes(np.asarray(states.object), site, seen, np.asarray(touches.T_w_t))
 
@@ -226,7 +227,7 @@ def run_episodes(
 # --- policies ---
 
 
-def untouched(state: EpisodeState, params: EnvironmentParams) -> Bool[Array, " sites"]:
+def untouched_sites(state: EpisodeState, params: EnvironmentParams) -> Bool[Array, " sites"]:
     """Find the sites that are allowed and not yet touched in the episode.
 
     Args:
@@ -236,7 +237,7 @@ def untouched(state: EpisodeState, params: EnvironmentParams) -> Bool[Array, " s
     Returns:
         `(sites,)` mask of these sites.
     """
-    is_past = jnp.arange(state.site.shape[0]) < state.num_made
+    is_past = jnp.arange(state.site.shape[0]) < state.num_touched
     return params.allowed.at[jnp.where(is_past, state.site, params.sites)].set(False, mode="drop")
 
 
@@ -251,7 +252,7 @@ def random_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentPar
     Returns:
         Index of the site.
     """
-    return draw_site(key, jnp.ones(params.sites), untouched(state, params))
+    return draw_site(key, jnp.ones(params.sites), untouched_sites(state, params))
 
 
 def heuristic_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
@@ -267,11 +268,11 @@ def heuristic_site(key: Key[Array, ""], state: EpisodeState, params: Environment
         Index of the site.
     """
     key_object, key_site = jax.random.split(key)
-    which = loop.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.num_made)
+    which = loop.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.num_touched)
     own = params.owner[None] == jnp.arange(params.objects)[:, None]
     everywhere = jnp.broadcast_to(params.T_w_site[None], (params.objects, *params.T_w_site.shape))
     weight = loop.site_informativeness(everywhere[..., :3, 3], -everywhere[..., :3, 2], own, which)
-    return draw_site(key_site, weight, untouched(state, params))
+    return draw_site(key_site, weight, untouched_sites(state, params))
 
 
 def informative_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentParams) -> Int[Array, ""]:
@@ -290,7 +291,7 @@ def informative_site(key: Key[Array, ""], state: EpisodeState, params: Environme
     gain = expected_information_gain(
         key, _belief(state), table, params.beliefs.likelihood, num_draws=16, num_particles=8
     )
-    return choose_site(gain, untouched(state, params))
+    return choose_site(gain, untouched_sites(state, params))
 
 
 POLICIES: dict[str, SitePolicy] = {
@@ -302,7 +303,9 @@ POLICIES: dict[str, SitePolicy] = {
 
 def _belief(state: EpisodeState) -> belief.Belief:
     if state.belief is None:
-        raise ValueError("this policy needs an environment with beliefs; see i2t.recognition.known_pads.with_beliefs")
+        raise ValueError(
+            "this policy needs an environment with beliefs; see i2t.recognition.environment_beliefs.with_beliefs"
+        )
     return state.belief
 
 
@@ -355,7 +358,7 @@ def _touch(
 
     touch = _touch_rows(e * given.touches)
     shared = params._replace(beliefs=None), config
-    yield from zip(batches, spread(touch, map(call, batches), shared=shared), strict=True)
+    yield from zip(batches, map_on_devices(touch, map(call, batches), shared=shared), strict=True)
 
 
 def _touch_many(
@@ -377,13 +380,13 @@ _touch_rows = jit_by_amount(_touch_many, 16_000)
 
 def _record(states: EpisodeState, site: np.ndarray, outcome: TouchOutcome) -> EpisodeState:
     """Write one touch into each episode, on the host."""
-    at = int(states.num_made[0])
+    at = int(states.num_touched[0])
 
     def with_row(rows: np.ndarray, row: np.ndarray) -> np.ndarray:
         return np.concatenate([rows[:, :at], row[:, None].astype(rows.dtype), rows[:, at + 1 :]], axis=1)
 
-    sites, outcomes = jax.tree.map(with_row, (states.site, states.made), (site, outcome))
-    return states._replace(site=sites, made=outcomes, num_made=states.num_made + 1)
+    sites, outcomes = jax.tree.map(with_row, (states.site, states.outcomes), (site, outcome))
+    return states._replace(site=sites, outcomes=outcomes, num_touched=states.num_touched + 1)
 
 
 @jit_quickly
@@ -398,7 +401,7 @@ def _believe(states: EpisodeState, params: EnvironmentParams, config: Environmen
 
     def believe(state: EpisodeState) -> EpisodeState:
         measured = environment.measure(state, params)
-        return environment.believe(state, jax.tree.map(lambda x: x[state.num_made - 1], measured), params)
+        return environment.believe(state, jax.tree.map(lambda x: x[state.num_touched - 1], measured), params)
 
     return map_batches(believe, states, batch_size=EPISODE_BATCH)
 

@@ -25,7 +25,7 @@ from i2t.recognition.belief import Particles
 from i2t.recognition.outcomes import PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
-from i2t.runtime.batching import filled_batches, spread
+from i2t.runtime.batching import filled_batches, map_on_devices
 from i2t.runtime.compiling import jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.simulation import sites as touch_sites
@@ -234,7 +234,7 @@ def _predict_on_layer(
     rows = filled_batches(np.arange(len(T)), max(512 // len(twist), 1))  # about 512 touches at a time
     batches = [(number, some) for number in range(len(surfaces)) for some in rows]
     calls = ((surfaces[number], T[some]) for number, some in batches)
-    parts = spread(_predict_touches, calls, shared=(twist, list(models), overtravel))
+    parts = map_on_devices(_predict_touches, calls, shared=(twist, list(models), overtravel))
     result: list[PredictedTouch] | None = None
     for (number, some), part in zip(batches, parts, strict=True):
         if result is None:

@@ -23,7 +23,7 @@ from i2t.recognition.environment import (
     OutcomeTable,
     TabulatedTouches,
     TouchEnvironment,
-    advance_from,
+    advance_along_approach,
 )
 from i2t.recognition.site_pool import SitePool, prepare_surfaces, safe_sites, sample_sites
 from i2t.rendering.ops import element
@@ -33,7 +33,7 @@ from i2t.runtime.compiling import jit_quickly
 from i2t.simulation.touches import SessionErrors, simulate_touch
 from i2t.skin.dipoles import linear_response
 from i2t.skin.elasticity import CELL_GRID
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 from i2t.types import Board, Pad, ReturnCode, Surface
 
 
@@ -55,7 +55,7 @@ def make_environment(
             None).
         sites: Number of sites, drawn from all objects equally, each safe on every object.
         pads: Number of pads.
-        first_pad: Number of the first pad (`i2t.skin.pad.numbered_pad`); the others follow it.
+        first_pad: Number of the first pad (`i2t.skin.pad.pad_from_seed`); the others follow it.
         board: Board below the skins; ReSkin's five chips by default.
         seed: Seed of the sites.
 
@@ -76,7 +76,7 @@ def make_environment(
     names = [item if isinstance(item, str) else f"object {i}" for i, item in enumerate(objects)]
     surfaces = prepare_surfaces([make_object(item).mesh if isinstance(item, str) else item for item in objects])
     pool = _safe_sites(jax.random.key(seed), surfaces, names, count=sites, config=config)
-    skins = [numbered_pad(first_pad + i, board=board) for i in range(pads)]
+    skins = [pad_from_seed(first_pad + i, board=board) for i in range(pads)]
     return TouchEnvironment(config), environment_params(surfaces, skins, pool, config)
 
 
@@ -159,7 +159,7 @@ def _touch_all(
                 session=SessionErrors(T_w_o[row], jnp.eye(4)), pad=pad, errors=config.errors,
                 limits=config.limits, law=config.law, response=response,
             )  # fmt: skip
-            advance = advance_from(T_w_site, touched.T_w_t)
+            advance = advance_along_approach(T_w_site, touched.T_w_t)
             return TabulatedTouches(touched.reading, touched.force, advance, touched.code != ReturnCode.AIR)
 
         return jax.vmap(press)(params.pads, params.response)

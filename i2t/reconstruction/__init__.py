@@ -2,7 +2,7 @@
 
 from i2t.reconstruction.library import build_library, sample_contacts
 from i2t.reconstruction.local_shape import PatchLibrary, PatchLikelihood, PatchPosterior, PressModel, infer_patch
-from i2t.reconstruction.press_models import imagine_presses
+from i2t.reconstruction.press_models import predict_presses
 
 __all__ = [
     "PatchLibrary",
@@ -10,7 +10,7 @@ __all__ = [
     "PatchPosterior",
     "PressModel",
     "build_library",
-    "imagine_presses",
     "infer_patch",
+    "predict_presses",
     "sample_contacts",
 ]

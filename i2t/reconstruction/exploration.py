@@ -194,7 +194,7 @@ def _stand_clear(here: jax.Array, end: jax.Array, limits: SiteLimits) -> jax.Arr
 
 def _unoccluded(estimate: SurfaceEstimate, T_o_t: np.ndarray, limits: SiteLimits) -> np.ndarray:
     """Test that the estimated object leaves the room above the contact plane free from `max_rise` upwards."""
-    edge = np.linspace(-limits.half, limits.half, 5)
+    edge = np.linspace(-limits.half_edge, limits.half_edge, 5)
     x, y, z = (e.ravel() for e in np.meshgrid(edge, edge, -(limits.max_rise + np.linspace(0, 60e-3, 13))))
     local = np.stack([x, y, z], -1)
     places = np.einsum("nij,kj->nki", T_o_t[:, :3, :3], local) + T_o_t[:, None, :3, 3]

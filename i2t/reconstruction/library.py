@@ -27,7 +27,7 @@ from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.patches.views import centre
 from i2t.reconstruction.local_shape import PatchLibrary
 from i2t.rendering.render import render_heights, stack_surfaces
-from i2t.runtime.batching import filled_batches, map_batches, spread
+from i2t.runtime.batching import filled_batches, map_batches, map_on_devices
 from i2t.runtime.compiling import jit_quickly
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.site_limits import SiteLimits
@@ -53,7 +53,7 @@ class LibraryConfig:
 _CONFIG = LibraryConfig()
 
 
-class Contacts(NamedTuple):
+class FirstContacts(NamedTuple):
     """First contacts with one shape, and the patches there."""
 
     T_o_t: Float[Array, "n 4 4"]  # tool pose at first contact
@@ -86,7 +86,7 @@ def build_library(
     Raises:
         ValueError: No shape is given, or no shape can be touched.
     """
-    return library_of(*sample_contacts(key, surfaces, count, tilt=tilt, limits=limits))
+    return library_from_contacts(*sample_contacts(key, surfaces, count, tilt=tilt, limits=limits))
 
 
 def sample_contacts(
@@ -96,7 +96,7 @@ def sample_contacts(
     *,
     tilt: tuple[float, float] = _CONFIG.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
-) -> tuple[Contacts, np.ndarray]:
+) -> tuple[FirstContacts, np.ndarray]:
     """Simulate first contacts with many shapes at random sites.
 
     Args:
@@ -116,7 +116,7 @@ def sample_contacts(
         raise ValueError("a library needs at least one shape and one patch; give meshes, and a count above 0")
     per_shape = -(-count // len(surfaces))
     parts, objects = [], []
-    for i, surface in enumerate(to_few_sizes(surfaces)):
+    for i, surface in enumerate(pad_to_size_classes(surfaces)):
         key_shape = jax.random.fold_in(key, i)
         rounds = [
             jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, tilt, limits))
@@ -133,7 +133,7 @@ def sample_contacts(
     return jax.tree.map(lambda field: field[kept], contacts), np.concatenate(objects)[kept]
 
 
-def library_of(contacts: Contacts, objects: np.ndarray) -> PatchLibrary:
+def library_from_contacts(contacts: FirstContacts, objects: np.ndarray) -> PatchLibrary:
     """Press a nominal layer onto each of the given contacts.
 
     Args:
@@ -186,11 +186,11 @@ def in_batches(
         Results of the function for all rows, on the host.
     """
     batches = filled_batches(np.arange(len(rows[0])), _CONFIG.batch_size)
-    parts = spread(function, (tuple(values[batch] for values in rows) for batch in batches), shared=shared)
+    parts = map_on_devices(function, (tuple(values[batch] for values in rows) for batch in batches), shared=shared)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
 
 
-def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
+def pad_to_size_classes(surfaces: Sequence[Surface]) -> list[Surface]:
     """Pad surfaces to two size classes, so that only two programs are compiled.
 
     Args:
@@ -211,7 +211,7 @@ def to_few_sizes(surfaces: Sequence[Surface]) -> list[Surface]:
 
 
 @jit_quickly
-def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> Contacts:
+def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> FirstContacts:
     """Meet one surface at a batch of sites, with tilted approaches."""
     count = _CONFIG.sites_per_batch
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
@@ -225,12 +225,12 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
     angle = jax.random.uniform(key_tilt, (count,), minval=tilt[0], maxval=tilt[1])
     about = jax.random.uniform(key_about, (count,), maxval=2 * jnp.pi)
 
-    def meet(T_o_site: Array, angle: Array, about: Array) -> Contacts:
+    def meet(T_o_site: Array, angle: Array, about: Array) -> FirstContacts:
         axis = jnp.stack([jnp.cos(about), jnp.sin(about), jnp.zeros(())])
         turn = jnp.eye(4).at[:3, :3].set(so3_exp(angle * axis))
         T_o_t, _, hit = first_contact(surface, T_o_site @ turn)
         patch, height, coarse = _heights(surface, inverse(T_o_t))
-        return Contacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
+        return FirstContacts(T_o_t, jnp.clip(patch, 0, REACH), height, coarse, hit & jnp.isfinite(jnp.min(coarse)))
 
     contacts = map_batches(lambda site: meet(*site), (frames, angle, about), batch_size=count)
     return contacts._replace(met=contacts.met & safe)

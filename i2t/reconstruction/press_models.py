@@ -43,7 +43,7 @@ class FrictionConfig:
 _FRICTION = FrictionConfig()
 
 
-def imagine_presses(pad: Pad, library: PatchLibrary) -> PressModel:
+def predict_presses(pad: Pad, library: PatchLibrary) -> PressModel:
     """Predict the readings of a pad of given physics (simulated, nominal or fitted) at a library's patches.
 
     Args:
@@ -54,7 +54,7 @@ def imagine_presses(pad: Pad, library: PatchLibrary) -> PressModel:
         Readings of the pad at each patch under each load, on the default device.
 
     Example:
-        model = imagine_presses(i2t.nominal_pad(), library)
+        model = predict_presses(i2t.nominal_pad(), library)
     """
     loads = np.asarray(library.loads, np.float32)
     pressure, indentation = press_batches(pad, np.asarray(library.height), loads)

@@ -253,7 +253,7 @@ def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
         ball = np.linalg.norm(model.points - middle, axis=-1) - model.config.radius
         return SurfacePrior(ball.astype(np.float32), np.zeros((len(ball), 0), np.float32))
     weight = np.exp(log_w - logsumexp(log_w))
-    pick = likeliest if model.config.likeliest and state.evidence else subsample
+    pick = most_probable_shapes if model.config.likeliest and state.evidence else subsample
     shapes, weights = pick(weight, count)
     deviations = model.library.fields(shapes)
     mean = deviations @ weights
@@ -288,7 +288,9 @@ def subsample(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarr
     return np.append(order[:kept], rest[drawn]), weights.astype(np.float32)
 
 
-def likeliest(weight: Float[np.ndarray, " n"], count: int) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
+def most_probable_shapes(
+    weight: Float[np.ndarray, " n"], count: int
+) -> tuple[Int[np.ndarray, " m"], Float[np.ndarray, " m"]]:
     """Choose the shapes with the largest weights, without others that represent the rest as in `subsample`.
 
     Args:

@@ -37,7 +37,7 @@ def parse_number(text: str) -> float | None:
         return None
 
 
-def as_written(cell: str) -> str:
+def strip_marks(cell: str) -> str:
     """Remove the marks from a cell.
 
     Args:
@@ -127,7 +127,7 @@ class DecimalSigns:
         self._path, self._all_rows, self._delimiter = path, all_rows, delimiter
         self._final = False
 
-    def with_point(self, text: str, line: int) -> str:
+    def with_decimal_point(self, text: str, line: int) -> str:
         """Write a number with a decimal point.
 
         Args:

@@ -82,7 +82,7 @@ class RowClock(NamedTuple):
     within: float = 0.0  # s, step up to which successive rows belong to one batch
 
 
-def pause_of(step: float) -> float:
+def pause_threshold(step: float) -> float:
     """Compute the time between two rows above which a recording paused.
 
     Args:
@@ -94,7 +94,7 @@ def pause_of(step: float) -> float:
     return max(CLOCK.pause_s, CLOCK.pause_rows * step)
 
 
-def states_zone(stamp: str) -> bool:
+def has_time_zone(stamp: str) -> bool:
     """Test whether a time stamp needs no time zone or has one.
 
     Args:
@@ -182,7 +182,7 @@ def row_clock(
         return RowClock(step, by_rows=False, resolution=0.0, assumed=False)
     widths, counts = _batches(time, within)
     resolution = float(np.median(widths)) if len(widths) else float(np.median(forward)) if len(forward) else 0.0
-    usual = (widths <= pause_of(resolution)) & (widths > 0)
+    usual = (widths <= pause_threshold(resolution)) & (widths > 0)
     if not usual.any():
         return RowClock(1 / CLOCK.assumed_rate_hz, by_rows=True, resolution=resolution, assumed=True)
     step = float(widths[usual].sum() / counts[usual].sum())
@@ -254,7 +254,7 @@ def require_order(
         raise DataError(f"{name} goes back at {back} of {len(time)} rows, so they are in no order; {remedy}")
 
 
-def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bool = True) -> ClockVerdict:
+def check_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bool = True) -> ClockVerdict:
     """Find damaged stamps, and rows at which the clock restarts.
 
     A run of stamps is damaged if it stands out: it is later than the row after it and far from the row before it, or
@@ -281,7 +281,7 @@ def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
         at, first = int(back[0]), int(np.searchsorted(rows, restarts[-1])) if restarts else 0
         both = (_late_rows(time[rows], at, first, begun), _early_rows(time[rows], at, last))
         runs = sorted(filter(None, both), key=lambda run: (not run.closed, run.end - run.start))
-        if rolls_over(time[rows[at - 1]], time[rows[at]]) or not runs:
+        if rollover_counter(time[rows[at - 1]], time[rows[at]]) or not runs:
             restarts.append(int(rows[at]))
         else:
             damaged[rows[runs[0].start : runs[0].end]] = True
@@ -289,7 +289,7 @@ def judge_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
     return ClockVerdict(damaged[:settled], np.array([row for row in restarts if row < settled], int), settled)
 
 
-def rolls_over(before: float, after: float) -> str:
+def rollover_counter(before: float, after: float) -> str:
     """Name the counter that is full and restarts between two stamps.
 
     Args:

@@ -99,18 +99,18 @@ def field_columns(
     values = value_columns(range(chips))
     if missing := [name for name in (*needed, *values) if name not in header]:
         names = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
-        raise DataError(f"{path}: column {names} is missing ({beginning_of(header)}); {remedy}")
+        raise DataError(f"{path}: column {names} is missing ({describe_header(header)}); {remedy}")
     if beyond := [name for name in header if FIELD_COLUMN.fullmatch(name) and name not in values]:
         raise DataError(
             f"{path}: column {', '.join(beyond)} belongs to no chip of the board, which has {chips}; name the right "
             "board with --board"
         )
-    if twice := next((name for name in header if header.count(name) > 1 and is_read(name)), ""):
+    if twice := next((name for name in header if header.count(name) > 1 and is_used_column(name)), ""):
         raise DataError(f"{path}: column name {twice} appears twice in the first line; rename one")
     return values
 
 
-def beginning_of(header: list[str]) -> str:
+def describe_header(header: list[str]) -> str:
     """Describe the first line of a table, for a message that refuses the table.
 
     Args:
@@ -129,7 +129,7 @@ def beginning_of(header: list[str]) -> str:
     return f"its first line names {', '.join(header[:6])}{more}"
 
 
-def is_ours(name: str) -> bool:
+def is_library_column(name: str) -> bool:
     """Test whether a name states a quantity that is read, with its unit.
 
     Args:
@@ -138,12 +138,12 @@ def is_ours(name: str) -> bool:
     Returns:
         True for our name of the quantity and for other spellings and units.
     """
-    stem, _, unit = our_name(name)[0].rpartition("_")
+    stem, _, unit = library_name(name)[0].rpartition("_")
     quantity = _quantity_of(stem)
     return quantity is not None and unit == UNITS[quantity][0]
 
 
-def is_read(name: str) -> bool:
+def is_used_column(name: str) -> bool:
     """Test whether some reader of tables uses a column.
 
     Args:
@@ -152,10 +152,10 @@ def is_read(name: str) -> bool:
     Returns:
         True if the column is used.
     """
-    return is_ours(name) or name in UNITLESS_COLUMNS or name in TEXT_COLUMNS
+    return is_library_column(name) or name in UNITLESS_COLUMNS or name in TEXT_COLUMNS
 
 
-def is_field_or_ours(name: str) -> bool:
+def is_usable_column(name: str) -> bool:
     """Test whether some reader of tables uses a column, or would with a unit in the name of a chip's value.
 
     Args:
@@ -164,10 +164,10 @@ def is_field_or_ours(name: str) -> bool:
     Returns:
         True if the column is used, with or without a unit.
     """
-    return is_read(name) or FIELD_STEM.fullmatch(plain_name(name)) is not None
+    return is_used_column(name) or FIELD_STEM.fullmatch(normalised_name(name)) is not None
 
 
-def plain_name(name: str) -> str:
+def normalised_name(name: str) -> str:
     """Write a column's name in lower case, with its unit after an underscore: x_mm for X [mm] or x/mm.
 
     Args:
@@ -181,7 +181,7 @@ def plain_name(name: str) -> str:
     return plain.translate(MICRO_SIGNS).replace(" ", "_").lower()
 
 
-def our_name(name: str) -> tuple[str, float]:
+def library_name(name: str) -> tuple[str, float]:
     """Find our name of a column, and the factor from its unit to ours.
 
     Args:
@@ -190,7 +190,7 @@ def our_name(name: str) -> tuple[str, float]:
     Returns:
         Our name and the factor; the stated name and 1 if the column has no meaning here.
     """
-    plain = plain_name(name)
+    plain = normalised_name(name)
     if plain == "run":
         return "session", 1.0
     if plain in UNITLESS_COLUMNS:

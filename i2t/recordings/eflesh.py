@@ -19,7 +19,7 @@ EFLESH_READINGS = 15  # of one AnySkin board
 MAX_ROW_OFFSET_S = 15e-3  # between sensor and state of one row: they are within 8 ms, and rows at least 34 ms apart
 
 
-def rows_together(
+def match_rows(
     states: Float[np.ndarray, " n"], values: Float[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
     """Match sensor rows with states of the same time.
@@ -56,7 +56,7 @@ def baselines(folder: Path, values: Float[np.ndarray, "n columns"]) -> Float[np.
     raw = raw[np.argsort(raw[:, 0], kind="stable")]
     if not len(raw):
         return None
-    rows, partner = rows_together(raw[:, 0], values[:, 0])
+    rows, partner = match_rows(raw[:, 0], values[:, 0])
     return raw[partner, 1:] - values[:, 1:] if len(rows) == len(values) else None
 
 

@@ -60,7 +60,7 @@ def loaded_presses(dataset: Dataset, load: Literal["auto", "travel", "force"]) -
     own = None if name_of_board(dataset.board) else dataset.board
     return LoadedPresses(
         position[good], amount[good], readings, kind,
-        notes=(*corrected, *notes), own_board=own, row=np.flatnonzero(good),
+        notes=(*corrected, *notes), unnamed_board=own, row=np.flatnonzero(good),
     )  # fmt: skip
 
 

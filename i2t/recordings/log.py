@@ -20,7 +20,7 @@ class ReadingLog:
     damaged_rows: int = 0
     first_damage: str = ""
     unit: str = "rows"  # what a reading is called in the notes
-    heard_rows: int = 0  # rows in which every chip answered
+    answered_rows: int = 0  # rows in which every chip answered
     silent_rows: int = 0  # rows that are left out because a chip did not answer
     silent_chips: Counter[int] = field(default_factory=Counter)  # rows in which each chip did not answer
 
@@ -59,7 +59,7 @@ class ReadingLog:
             raise error
         self.damaged_rows, self.first_damage = self.damaged_rows + 1, self.first_damage or str(error)
 
-    def keep_heard(self, silent: Bool[np.ndarray, "n chips"]) -> Bool[np.ndarray, " n"]:
+    def select_answered(self, silent: Bool[np.ndarray, "n chips"]) -> Bool[np.ndarray, " n"]:
         """Select and count the rows in which all chips answered.
 
         Args:
@@ -68,12 +68,13 @@ class ReadingLog:
         Returns:
             `(n,)` mask of the rows in which all chips answered.
         """
-        heard = np.asarray(~silent.any(1))
-        self.heard_rows, self.silent_rows = self.heard_rows + int(heard.sum()), self.silent_rows + int((~heard).sum())
+        answered = np.asarray(~silent.any(1))
+        self.answered_rows += int(answered.sum())
+        self.silent_rows += int((~answered).sum())
         self.silent_chips.update(dict(enumerate(silent.sum(0).tolist())))
-        return heard
+        return answered
 
-    def require_heard(self, source: object, remedy: str = "check the board's cable, and record again") -> None:
+    def require_answers(self, source: object, remedy: str = "check the board's cable, and record again") -> None:
         """Refuse a source in which some chip is silent in every row.
 
         Args:
@@ -83,7 +84,7 @@ class ReadingLog:
         Raises:
             DataError: All rows were left out because a chip did not answer.
         """
-        if self.silent_rows and not self.heard_rows:
+        if self.silent_rows and not self.answered_rows:
             rows = f"in any of its {self.silent_rows} {self.unit}"
             never = [chip for chip, count in self.silent_chips.items() if count == self.silent_rows]
             if len(never) == len(self.silent_chips):

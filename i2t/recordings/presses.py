@@ -80,7 +80,7 @@ class LoadedPresses(NamedTuple):
     readings: Float[np.ndarray, "n c"]  # uT
     load_kind: LoadName
     notes: tuple[str, ...] = ()  # irregularities of the loads, a sentence each
-    own_board: Board | None = None  # board without a name, which `i2t.calibrate` tries besides the named ones
+    unnamed_board: Board | None = None  # board without a name, which `i2t.calibrate` tries besides the named ones
     session: Int[np.ndarray, " n"] | None = None
     row: Int[np.ndarray, " n"] | None = None  # rows of the recording
 

@@ -35,17 +35,17 @@ from i2t.recordings.columns import (
     TARGET_COLUMNS,
     TIME,
     ambient_columns,
-    beginning_of,
+    describe_header,
     library_factor,
     value_columns,
 )
-from i2t.recordings.diagnose import Finding, correction_of, lag_rows, turn_board
+from i2t.recordings.diagnose import Finding, correction_of, lag_rows, rotate_board
 from i2t.recordings.eflesh import (
     EFLESH_READINGS,
     MAX_ROW_OFFSET_S,
     baselines,
     load_of_states,
-    rows_together,
+    match_rows,
     silent_chips_of,
     stroke_numbers,
     table_path,
@@ -64,7 +64,7 @@ class TargetKind(NamedTuple):
 
     unit: str
     scale: float  # factor from the library's unit to `unit`
-    yes_no: bool = False
+    binary: bool = False
     min_range: float = 0.5  # range in the library's unit below which the target is constant
 
 
@@ -73,8 +73,8 @@ TARGETS: Mapping[str, TargetKind] = {
     "travel": TargetKind("mm", 1e3, min_range=0.1e-3),
     "force": TargetKind("N", 1.0, min_range=0.05),
     "shear": TargetKind("N", 1.0, min_range=0.05),
-    "contact": TargetKind("", 1.0, yes_no=True),
-    "slip": TargetKind("", 1.0, yes_no=True),
+    "contact": TargetKind("", 1.0, binary=True),
+    "slip": TargetKind("", 1.0, binary=True),
 }
 
 
@@ -109,7 +109,7 @@ class SkinRecording:
     def __len__(self) -> int:
         return len(self.readings)
 
-    def known(self, target: str) -> np.ndarray:
+    def known_rows(self, target: str) -> np.ndarray:
         """Find the rows in which a target is known.
 
         Args:
@@ -144,12 +144,12 @@ class SkinRecording:
         Returns:
             True if the known values differ from row to row; for a yes-no target, if both values occur.
         """
-        known_rows = self.known(target)
+        known_rows = self.known_rows(target)
         if known_rows.sum() < 2:
             return False
         values, kind = self.targets[target][known_rows], TARGETS[target]
         spread = np.subtract(*np.percentile(values, [99, 1], axis=0)).max()
-        return bool(spread > kind.min_range or (kind.yes_no and len(np.unique(values)) > 1))
+        return bool(spread > kind.min_range or (kind.binary and len(np.unique(values)) > 1))
 
     def rows(self, chosen: np.ndarray | slice) -> "SkinRecording":
         """Select rows.
@@ -301,11 +301,11 @@ def corrected_recording(recording: SkinRecording, findings: Sequence[Finding]) -
         targets=targets,
         readings=correction.field * recording.readings,
         baseline=None if baseline is None else correction.field * baseline,
-        board=board if board is None or board_from_stage is None else turn_board(board, board_from_stage),
+        board=board if board is None or board_from_stage is None else rotate_board(board, board_from_stage),
     )
     if correction.lag:
         # The lag was estimated over rows with a known position.
-        recording = recording.rows(recording.known("position"))
+        recording = recording.rows(recording.known_rows("position"))
         label_rows, reading_rows = lag_rows(len(recording), correction.lag)
         labels = {name: values[label_rows] for name, values in recording.targets.items()}
         recording = replace(recording.rows(reading_rows), targets=labels)
@@ -398,8 +398,8 @@ def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
     names = value_columns(chips)
     if not chips or any(name not in table.columns for name in names):
         raise DataError(
-            f"{path}: lacks the columns b0x_uT, b0y_uT, b0z_uT, ... ({beginning_of(table.text.header)}); name them as "
-            "in docs/data.md"
+            f"{path}: lacks the columns b0x_uT, b0y_uT, b0z_uT, ... ({describe_header(table.text.header)}); name them "
+            "as in docs/data.md"
         )
     return names
 
@@ -436,7 +436,7 @@ def read_eflesh_session(folder: Path) -> SkinRecording:
             f"{folder}: has {states.shape[1]} columns of states and {values.shape[1]} of values; give time, x, y, z "
             "and time with three values for each chip"
         )
-    rows, partner = rows_together(states[:, 0], values[:, 0])
+    rows, partner = match_rows(states[:, 0], values[:, 0])
     if not len(rows):
         raise DataError(f"{folder}: no state was recorded within {1e3 * MAX_ROW_OFFSET_S:g} ms of a sensor row")
     unmatched = len(values) - len(rows)
@@ -478,7 +478,7 @@ def _finite(recording: SkinRecording, where: Path) -> SkinRecording:
     if not good.all():
         notes = (*notes, f"left out: {np.sum(~good)} rows whose reading is not finite, first row {np.argmin(good) + 1}")
     finite = replace(recording, readings=readings, notes=notes).rows(good)
-    targets = {name: values for name, values in finite.targets.items() if finite.known(name).any()}
+    targets = {name: values for name, values in finite.targets.items() if finite.known_rows(name).any()}
     return replace(finite, targets=targets)
 
 

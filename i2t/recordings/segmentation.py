@@ -15,7 +15,7 @@ A row that stands out from two rows on either side is a spike, and is replaced b
 before them, as from a sensor that is read faster than it measures, do not count towards the noise.
 
 `segment_presses` takes a whole recording. A recording that does not fit into memory is passed piece by piece to
-`find_more`, which keeps no more rows than the longest press has.
+`extend_recording`, which keeps no more rows than the longest press has.
 """
 
 from collections.abc import Sequence
@@ -93,7 +93,7 @@ class SegmentedPresses(NamedTuple):
     end_time: Float[np.ndarray, " k"]  # s
 
 
-class FoundPress(NamedTuple):
+class SegmentedPress(NamedTuple):
     """One press; row numbers count from the first row of the recording."""
 
     start: int  # first row
@@ -170,8 +170,8 @@ def segment_presses(
     """
     time, readings = np.asarray(time, np.float64), np.asarray(readings, np.float64)
     rules = segmentation_rules(time, readings, config=config)
-    recording, ended = find_more(open_recording(rules), time, readings)
-    presses = true_presses([*ended, *find_last(recording)[1]], rules)
+    recording, ended = extend_recording(open_recording(rules), time, readings)
+    presses = filter_presses([*ended, *finish_recording(recording)[1]], rules)
     columns = {name: np.array([getattr(press, name) for press in presses]) for name in SegmentedPresses._fields}
     columns |= {name: columns[name].reshape(-1, readings.shape[1]) for name in ("reading", "baseline")}
     return SegmentedPresses(**columns)
@@ -225,9 +225,9 @@ def open_recording(
     return OpenRecording(rules, 0, *nothing, at=0, rest_from=0, baseline=None, earlier=earlier)
 
 
-def find_more(
+def extend_recording(
     recording: OpenRecording, time: ArrayLike, readings: ArrayLike, others: ArrayLike | None = None
-) -> tuple[OpenRecording, list[FoundPress]]:
+) -> tuple[OpenRecording, list[SegmentedPress]]:
     """Add rows to a recording, and find the presses that have ended.
 
     Args:
@@ -237,7 +237,7 @@ def find_more(
         others: `(n, e)` other columns, such as the tip's position; may hold NaN.
 
     Returns:
-        The new state, and the presses that have ended. Short and weak ones are included; `true_presses` removes them.
+        The new state, and the presses that have ended. Short and weak ones are included; `filter_presses` removes them.
     """
     rows = np.asarray(readings, np.float64)
     other_rows = np.zeros((len(rows), 0)) if others is None else np.asarray(others, np.float64)
@@ -249,20 +249,20 @@ def find_more(
     return _advance(extended, last=False)
 
 
-def find_last(recording: OpenRecording) -> tuple[OpenRecording, list[FoundPress]]:
+def finish_recording(recording: OpenRecording) -> tuple[OpenRecording, list[SegmentedPress]]:
     """Find the presses in the last rows of a recording.
 
     Args:
         recording: State after all rows.
 
     Returns:
-        The final state, and the presses that `find_more` has not returned. A press that is not over ends with the
-        recording.
+        The final state, and the presses that `extend_recording` has not returned. A press that is not over ends with
+        the recording.
     """
     return _advance(recording, last=True)
 
 
-def true_presses(presses: Sequence[FoundPress], rules: SegmentationRules) -> list[FoundPress]:
+def filter_presses(presses: Sequence[SegmentedPress], rules: SegmentationRules) -> list[SegmentedPress]:
     """Remove presses that are too short, and those that are only a skin recovering from a press.
 
     Args:
@@ -349,7 +349,7 @@ def _first_still(blocks: np.ndarray, rules: SegmentationRules) -> tuple[int, np.
     return 0, None
 
 
-def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, list[FoundPress]]:
+def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, list[SegmentedPress]]:
     """Find presses as far as later rows cannot change them, or up to the end if these rows are the last."""
     rules, unit, config = recording.rules, recording.rules.unit, recording.rules.config
     count = len(recording.readings) // rules.width
@@ -358,7 +358,7 @@ def _advance(recording: OpenRecording, *, last: bool) -> tuple[OpenRecording, li
     blocks = mended[: count * rules.width].reshape(shape).mean(1)
     at, rest_from, baseline = recording.at, recording.rest_from, recording.baseline
     earlier, sure, moved = recording.earlier, recording.sure, list(recording.moved)
-    presses: list[FoundPress] = []
+    presses: list[SegmentedPress] = []
     while at < count and (last or at + 2 * rules.rest <= count):
         if baseline is None:
             still, baseline = _first_still(blocks[at:], rules)
@@ -433,7 +433,7 @@ def _has_moved(
 
 def _press(
     recording: OpenRecording, blocks: np.ndarray, span: tuple[int, int], baseline: np.ndarray, *, over: bool
-) -> FoundPress:
+) -> SegmentedPress:
     """Describe the press between two blocks of a recording."""
     rules, width = recording.rules, recording.rules.width
     change = blocks[span[0] : span[1]] - baseline
@@ -442,7 +442,7 @@ def _press(
     onset = slice(max(start - 1, 0), start + width + 1)
     steps = np.diff(recording.time[onset])
     gap = onset.start + int(np.argmax(steps)) if len(steps) else start
-    return FoundPress(
+    return SegmentedPress(
         start=recording.first + start,
         end=recording.first + end,
         steady_start=recording.first + steady.start,

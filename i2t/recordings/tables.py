@@ -25,24 +25,24 @@ from i2t.recordings.cells import (
     GROUPED_MARK,
     NO_TIME_MARK,
     DecimalSigns,
-    as_written,
     count_kinds,
     kind_of_number,
     parse_number,
+    strip_marks,
 )
-from i2t.recordings.clocks import CLOCK, stamp_in_seconds, states_zone, unix_unit
+from i2t.recordings.clocks import CLOCK, has_time_zone, stamp_in_seconds, unix_unit
 from i2t.recordings.columns import (
     MICRO_SIGNS,
     STAMPS,
     TEXT_COLUMNS,
     TIME,
     UNITS,
-    is_field_or_ours,
+    is_library_column,
     is_number,
-    is_ours,
-    is_read,
-    our_name,
-    plain_name,
+    is_usable_column,
+    is_used_column,
+    library_name,
+    normalised_name,
 )
 from i2t.recordings.files import os_errors_as_data_errors
 from i2t.recordings.log import ReadingLog
@@ -116,7 +116,7 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
     dates = columns.where(lambda name, _: columns.stamps and name == TIME)
     seconds = columns.where(lambda name, factor: name == TIME and factor == 1)
     seconds = [i for i in seconds if not as_named and i not in dates and _is_decimal_time(cells_of[i])]
-    numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or is_read(name)))
+    numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or is_used_column(name)))
     numbers = [i for i in numbers if i not in (*dates, *seconds)]
     at, counters = [named[i] for i in numbers], [named[i] for i in columns.where(lambda name, _: name == TIME)]
 
@@ -137,7 +137,7 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
     return TableRows(columns.header, _converted(rows, top, columns, named, numbers, signs, changes, notes), notes)
 
 
-def sound_rows(
+def valid_rows(
     path: Path,
     header: list[str],
     rows: Iterable[tuple[int, list[str]]],
@@ -185,7 +185,7 @@ def sound_rows(
         (line, cells), j = complete[k], int(np.flatnonzero(wrong[k])[0])
         cell = cells[at[j]]
         problem = _problem(cell, columns[j], remedy)
-        cell = as_written(cell)
+        cell = strip_marks(cell)
         notes.skip_row(DataError(f"{path}: line {line} has {cell!r} in column {columns[j]}, {problem}"))
     sound = ~wrong.any(1)
     return [row for row, is_sound in zip(complete, sound, strict=True) if is_sound], numbers[sound]
@@ -197,7 +197,7 @@ def _problem(cell: str, column: str, remedy: str) -> str:
         return "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
     if column != TIME or not (cell.endswith(NO_TIME_MARK) or re.search("[0-9][:./-][0-9]", cell)):
         return f"which is not a plausible number; {remedy}"
-    days = parse_number(as_written(cell))
+    days = parse_number(strip_marks(cell))
     counted = " but may count days, as spreadsheets do" if days and EXCEL_DAYS[0] <= days < EXCEL_DAYS[1] else ""
     return f"which is not a time in ISO 8601{counted}; write it as 2025-10-20 12:00:00.010, or in seconds"
 
@@ -322,7 +322,7 @@ def _converted(
         if top.delimiter != "," or signs.sign != "." or any("," in cell for cell in cells):
             for i in numbers:
                 if i < len(cells):
-                    cells[i] = signs.with_point(cells[i], line)
+                    cells[i] = signs.with_decimal_point(cells[i], line)
         for which, change in changes:
             for i in which:
                 if i < len(cells):
@@ -361,7 +361,7 @@ def _names_other_columns(words: list[str], names: list[str]) -> bool:
     words = [word.strip() for word in (re.split("[;\t|]", words[0]) if len(words) == 1 else words) if word.strip()]
     if len(words) < 2 or any(is_number(word.replace(",", ".")) for word in words):
         return False
-    if 2 * sum(word in names or is_field_or_ours(word) for word in words) >= len(words):
+    if 2 * sum(word in names or is_usable_column(word) for word in words) >= len(words):
         return True
     are_distinct = len(words) == len(set(words)) == len(names) > 2
     return are_distinct and all(re.fullmatch(r"[^\W\d][\w .()/\[\]-]*", word) for word in words)
@@ -406,7 +406,7 @@ def _read_top(lines: Iterator[str], texts: Sequence[str]) -> _Top:
             break
         below = sample[titles:]
         names = parsed(line.lstrip("%" + COMMENT_MARK + " "), separated := delimiter_of(line, below))
-        if all(name in names for name in texts) if texts else sum(map(is_field_or_ours, names)) > 1:
+        if all(name in names for name in texts) if texts else sum(map(is_usable_column, names)) > 1:
             sample = [*below, *islice(lines, titles)]
             return _Top(names, separated, before + titles, comments, titles, sample)
     return _Top(parsed(first.lstrip("% "), delimiter), delimiter, before, comments, 0, sample)
@@ -447,9 +447,9 @@ def _notes_on(encoding: str, top: _Top) -> list[str]:
 
 def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str]) -> _Columns:
     """Find our names and units of the columns, from the stated names and the non-empty cells of the first rows."""
-    ours = _one_clock(stated, [our_name(name) for name in stated])
+    ours = _one_clock(stated, [library_name(name) for name in stated])
     header, factors = [name for name, _ in ours], [factor for _, factor in ours]
-    bare = next((i for i, name in enumerate(stated) if plain_name(name).lstrip("%") in STAMPS), None)
+    bare = next((i for i, name in enumerate(stated) if normalised_name(name).lstrip("%") in STAMPS), None)
     at = header.index(TIME) if TIME in header else bare
     stamps = False
     if at is not None:
@@ -463,7 +463,7 @@ def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str])
         understood = [cell for cell in cells_of[at] if stamp_in_seconds(cell) != cell]
         if not understood:
             notes.append(f"column {stated[at]} holds neither times in ISO 8601 nor seconds, but {cells_of[at][0]!r}")
-        elif not states_zone(understood[0]):
+        elif not has_time_zone(understood[0]):
             notes.append("assumed: times without a zone are in UTC, and times without a date are of one day")
     units = [name for name, own, factor in zip(stated, ours, factors, strict=True) if factor != 1 and own[1] != 1]
     if units:
@@ -474,7 +474,9 @@ def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str])
 def _one_clock(stated: list[str], ours: list[tuple[str, float]]) -> list[tuple[str, float]]:
     """Choose one column as the time, `time_s` and the like before `timestamp_s`; the others keep their names."""
     times = [i for i, (name, _) in enumerate(ours) if name == TIME]
-    others = [i for i in times if not plain_name(stated[i]).startswith("time_") or "stamp" in plain_name(stated[i])]
+    others = [
+        i for i in times if not normalised_name(stated[i]).startswith("time_") or "stamp" in normalised_name(stated[i])
+    ]
     dropped = others if len(others) < len(times) else others[1:]
     return [(stated[i], 1.0) if i in dropped else own for i, own in enumerate(ours)]
 
@@ -509,13 +511,13 @@ def _with_unit(path: Path, name: str, unit: str = "") -> str:
     unit.
     """
     plain = _without_brackets(unit)
-    if is_ours(name):
-        stem, _, own = plain_name(name).rpartition("_")
-        if plain and our_name(f"{stem}_{plain}") != our_name(name):
+    if is_library_column(name):
+        stem, _, own = normalised_name(name).rpartition("_")
+        if plain and library_name(f"{stem}_{plain}") != library_name(name):
             raise DataError(f"{path}: column {name} has the unit {own} by its name and {plain} below it; correct one")
         return name
     with_unit = f"{name}_{plain}"
-    return with_unit if is_ours(with_unit) else name
+    return with_unit if is_library_column(with_unit) else name
 
 
 def _without_brackets(unit: str) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from i2t import validation
-from i2t.contact.approach import double_areas, first_smallest, lowest_in_square, nearest_in_square
+from i2t.contact.approach import double_areas, fast_argmin, lowest_in_square, nearest_in_square
 from i2t.geometry import from_twist, inverse
 from i2t.patches.dimensions import STANDOFF, TWIST_LEVER_M
 from i2t.types import ReturnCode, Surface, Touches
@@ -153,7 +153,7 @@ def _linearise_contact(
 ) -> LinearisedContacts:
     """Compute the residual of a contact and its derivative by the twist (m)."""
     gaps = _gaps(corners, T_t_o @ from_twist(twist), half_edge)
-    face = corners[:, :, first_smallest(gaps)].T
+    face = corners[:, :, fast_argmin(gaps)].T
     gap, slope = jax.value_and_grad(lambda twist: _gap(face, T_t_o @ from_twist(twist), half_edge))(twist)
     stretch = jnp.maximum(jnp.linalg.norm(slope[:3]), 1.0)
     return LinearisedContacts(gap / stretch, slope / stretch, stretch)

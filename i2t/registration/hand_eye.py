@@ -40,7 +40,7 @@ class HandEye(NamedTuple):
     T_t_camera: Float[np.ndarray, "4 4"]  # pose of the camera in tool axes, relative to the hand-eye calibration
     covariance: Float[np.ndarray, "6 6"]  # m^2, covariance of its twist (`i2t.geometry.from_twist`)
     disagreement: float  # root mean square difference of the sessions, in standard deviations of their errors; about 1
-    sessions: int  # number of pooled sessions
+    num_sessions: int  # number of pooled sessions
 
 
 def pool_hand_eye(estimates: Sequence[SessionEstimate], *, config: SessionRegistrationConfig | None = None) -> HandEye:
@@ -83,7 +83,7 @@ def with_hand_eye(
     dataset: Dataset,
     T_t_camera: Float[AnyArray, "4 4"],
     *,
-    looked_from: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    tool_offset_at_capture: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Dataset:
     """Correct all views of a data set for the camera's offset, as far as the view covers the corrected pixels.
 
@@ -93,15 +93,15 @@ def with_hand_eye(
     Args:
         dataset: Touches with views.
         T_t_camera: Pose of the camera in tool axes, relative to the hand-eye calibration.
-        looked_from: Position (m) of the tool when the camera looked, in its axes at the end of the press, as in
-            `SessionRegistrationConfig`.
+        tool_offset_at_capture: Position (m) of the tool when the image was captured, in its axes at the end of the
+            press, as in `SessionRegistrationConfig`.
 
     Returns:
         The data set with corrected views. Empty views stay unchanged.
     """
     touches = dataset.touches
     back = np.eye(4)
-    back[:3, 3] = looked_from
+    back[:3, 3] = tool_offset_at_capture
     offset = jnp.float32(back @ np.asarray(T_t_camera, np.float64) @ inverse(back))
     patch, view, nearest = (np.array(part) for part in (touches.patch, touches.view, touches.nearest))
     seen = np.flatnonzero(np.isfinite(nearest))

@@ -72,8 +72,8 @@ class SessionRegistrationConfig:
     contact: float = 0.1e-3  # m, position of a first contact
     repeatability: float = 0.05e-3  # m, position of the arm along each axis, in each view
     repeatability_angle: float = float(np.radians(0.03))  # rad, orientation of the arm about each axis
-    # m, position of the tool when the camera looked, in its axes at the end of the press: hand-eye errors act there
-    looked_from: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # m, position of the tool at the image's capture, in its axes at the end of the press: hand-eye errors act there
+    tool_offset_at_capture: tuple[float, float, float] = (0.0, 0.0, 0.0)
     depth_noise: float = 0.3e-3  # m, depth of a pixel
     depth_bleed: float = 1.0  # pixels, sideways displacement of a depth
     window: float = field(default=PATCH_WINDOW, metadata={"static": True})  # m, edge of a patch
@@ -294,7 +294,7 @@ def _problem(
     noise.
     """
     contacts = session.contacts
-    back = jnp.eye(4).at[:3, 3].set(jnp.array(config.looked_from))
+    back = jnp.eye(4).at[:3, 3].set(jnp.array(config.tool_offset_at_capture))
 
     def linearise_view(z: Float[Array, "12"], view: _Views) -> _LinearisedViews:
         def camera(z: Float[Array, "12"]) -> Float[Array, "4 4"]:

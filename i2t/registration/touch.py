@@ -104,7 +104,7 @@ def register_by_touch(
     """
     validation.random_key("key", key)
     for name, std in (("translation_std", translation_std), ("rotation_std", rotation_std)):
-        validation.number(name, std, "a standard deviation, 0 where it is known", least=0)
+        validation.number(name, std, "a standard deviation, 0 where it is known", minimum=0)
     validation.number("contact_std", contact_std, "a standard deviation (m) above 0", above=0)
     T_w_o, T_w_contact, weight = (jnp.asarray(value, jnp.float32) for value in (T_w_o, T_w_contact, weight))
     check_contacts(T_w_o, T_w_contact, weight)

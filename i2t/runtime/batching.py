@@ -1,11 +1,11 @@
 """Many calls of a function: items in batches that fit the processor's caches, and calls distributed over devices.
 
 Bulk work (simulated touches, predicted touches, beliefs along episodes, members of an ensemble) consists of many calls
-of a compiled function with arguments of the same shapes. On a GPU `spread` makes them in turn, as a loop would. On a
-CPU it makes a few at a time in threads, because a call keeps two cores busy for only half of the time. On n devices it
-makes n at a time: their arguments are stacked on a mesh with a single axis, and each device runs the program of a
-single device on arrays of the same shapes. Results therefore do not depend on the number of devices or threads, and
-devices exchange nothing.
+of a compiled function with arguments of the same shapes. On a GPU `map_on_devices` makes them in turn, as a loop would.
+On a CPU it makes a few at a time in threads, because a call keeps two cores busy for only half of the time. On n
+devices it makes n at a time: their arguments are stacked on a mesh with a single axis, and each device runs the program
+of a single device on arrays of the same shapes. Results therefore do not depend on the number of devices or threads,
+and devices exchange nothing.
 """
 
 import os
@@ -80,7 +80,7 @@ def filled_batches(rows: Int[np.ndarray, " n"], size: int) -> list[Int[np.ndarra
     return [np.resize(rows[start : start + size], size) for start in range(0, len(rows), size)]
 
 
-def spread(
+def map_on_devices(
     function: Callable[..., PyTree], calls: Iterable[Call], *, shared: Call = (), **static: Any
 ) -> Iterator[PyTree]:
     """Call `function(*call, *shared, **static)` for each call, as many at a time as there are devices, or a few on a
@@ -103,7 +103,7 @@ def spread(
         shared = _here(shared)
         yield from map_in_threads(lambda *call: function(*call, *shared, **static), chain(group, remaining))
         return
-    program, shared = _program(function, tuple(static.items()), _mesh()), everywhere(shared)
+    program, shared = _program(function, tuple(static.items()), _mesh()), put_on_all_devices(shared)
     by_call = NamedSharding(_mesh(), P(CALL_AXIS))
     while group:
         filled = group + group[-1:] * (devices - len(group))  # the remaining devices repeat the last call
@@ -151,14 +151,14 @@ def usable_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def spread_rows(
+def map_rows_on_devices(
     function: Callable[..., PyTree], rows: Call, *, shared: Call = (), multiple: int = 1, **static: Any
 ) -> PyTree:
     """Call `function(*rows, *shared, **static)` with the rows divided into equal parts, one for each device.
 
     Args:
-        function: A compiled function, as for `spread`. Every array of its result has the rows as axis 0, and rows do
-            not depend on each other.
+        function: A compiled function, as for `map_on_devices`. Every array of its result has the rows as axis 0, and
+            rows do not depend on each other.
         rows: Positional arguments whose arrays all have the rows as axis 0.
         shared: Positional arguments that follow.
         multiple: Number by which the size of a part is divisible. A function that processes this number of rows at a
@@ -176,7 +176,7 @@ def spread_rows(
     size = multiple * -(-groups // parts)
     index = np.resize(np.arange(length), (parts, size))  # filled up with the first rows
     calls = [jax.tree.map(lambda leaf, part=part: leaf[part], rows) for part in index]
-    results = list(spread(function, calls, shared=shared, **static))
+    results = list(map_on_devices(function, calls, shared=shared, **static))
     return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[:length], *results)
 
 
@@ -200,8 +200,8 @@ def size_classes(n: int, sizes: tuple[int, ...] = (64, 8, 1)) -> Iterator[np.nda
         start += size
 
 
-def everywhere(values: PyTree) -> PyTree:
-    """Put arrays on all devices, for arguments that several calls of `spread` share.
+def put_on_all_devices(values: PyTree) -> PyTree:
+    """Put arrays on all devices, for arguments that several calls of `map_on_devices` share.
 
     Args:
         values: Arrays on the host or on any device; those on all devices stay.

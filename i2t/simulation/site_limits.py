@@ -24,7 +24,7 @@ class SiteLimits:
     min_cos: Annotated[float, Limits(-1, 1)] = 0.25
     # m, largest height of any surface above the contact plane inside the square
     max_rise: Annotated[float, Limits(0, 0.1)] = 3e-3
-    half: Annotated[float, Limits(1e-3, 0.1)] = PAD_WINDOW / 2  # m, half the edge of the sensor's square
+    half_edge: Annotated[float, Limits(1e-3, 0.1)] = PAD_WINDOW / 2  # m, half the edge of the sensor's square
     # m, edge of the square bar that holds the skin, from the skin back to the flange
     mount: Annotated[float, Limits(0, 0.5)] = PAD_WINDOW
     flange: Annotated[float, Limits(0, 0.5)] = 75e-3  # m, edge of the square box around flange and wrist

@@ -117,7 +117,7 @@ def is_unoccluded(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimi
     Returns:
         Whether the rise is within its limit.
     """
-    return nearest_in_square(surface, inverse(T_w_t), limits.half, behind=jnp.inf) >= -limits.max_rise
+    return nearest_in_square(surface, inverse(T_w_t), limits.half_edge, behind=jnp.inf) >= -limits.max_rise
 
 
 def is_above_table(T_w_t: Float[Any, "4 4"], limits: SiteLimits) -> Bool[Any, ""]:
@@ -294,7 +294,7 @@ def sample_touch_sites(
         sites = sample_touch_sites(make_object("star").mesh, 20)
         patch = render_patch(surface, sites.T_o_t[0])
     """
-    n, seed = validation.count("n", n), validation.count("seed", seed, least=0)
+    n, seed = validation.count("n", n), validation.count("seed", seed, minimum=0)
     surface = mesh if isinstance(mesh, Surface) else prepare_surface(mesh)
     T_o_t = np.asarray(collect_sites(jax.random.key(seed), surface, n, limits, name))
     return TouchSites(T_o_t, T_o_t[:, :3, 3], -T_o_t[:, :3, 2])

@@ -31,11 +31,11 @@ from jaxtyping import Array, Float, Int, Key
 
 from i2t import geometry, validation
 from i2t.contact.approach import FirstContact, facing_surface, meet
-from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
+from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_at_stop, press_to_stop
 from i2t.patches.dimensions import REACH, VIEW_PIXELS, VIEW_WINDOW
 from i2t.patches.views import PatchView, camera_view, centre, pixels_on_skin
 from i2t.rendering.render import render_heights, stack_surfaces
-from i2t.runtime.batching import select_rows, spread
+from i2t.runtime.batching import map_on_devices, select_rows
 from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
 from i2t.simulation import sites as touch_sites
 from i2t.skin import faults
@@ -77,7 +77,7 @@ class SimulationErrors:
     num_pose_errors: ClassVar[int] = 7  # the first fields, which are errors of poses
 
     @classmethod
-    def none(cls) -> "SimulationErrors":
+    def error_free(cls) -> "SimulationErrors":
         """Describe a lab without errors, whose sensor has no noise and no faults."""
         sensor: dict[str, Any] = {"noise": Noise.none(), "faults": Faults()}
         return cls(**{error.name: sensor.get(error.name, 0.0) for error in fields(cls)})
@@ -259,7 +259,7 @@ def _press(
     if law is not None and limits.final != GRID:
         finer = facing_surface(surface, contact.T_w_t, limits.final)
         deeper = stop.indentation + facing.nearest - finer.nearest  # the finer grid may see a nearer point
-        stop = press_finally(pad, finer.depth, deeper, stop, final=limits.final, law=law, response=response)
+        stop = press_at_stop(pad, finer.depth, deeper, stop, final=limits.final, law=law, response=response)
     # The grid of the pad meets a point between its cells late. This distance is included, so that nearest and travel
     # agree.
     hit = contact.hit
@@ -431,7 +431,7 @@ def simulate_touches(
         key: Random key.
         objects: Surfaces, each at the world's origin.
         pad: The skin, whose board determines the number of values in a reading. It softens from session to session.
-        errors: Errors of the lab; `SimulationErrors.none()` is a lab without errors.
+        errors: Errors of the lab; `SimulationErrors.error_free()` is a lab without errors.
         n: Number of touches on each object, or a list with the number for each.
         limits: Limits at which a press ends.
         sites: Limits of safe sites.
@@ -474,7 +474,7 @@ def simulate_touches(
             yield jax.random.fold_in(key, session), surface, jnp.int32(presses)
             presses += kept
 
-    results = spread(
+    results = map_on_devices(
         _simulate(len(sessions)),
         calls(),
         shared=(np.eye(4, dtype=np.float32), pad, errors, limits, sites, pad_response(pad, limits.final), camera),
@@ -497,7 +497,7 @@ def _counts(objects: Sequence[Surface], n: int | Sequence[int]) -> list[int]:
     if not objects:
         raise ValueError("objects: the list is empty; give at least one surface")
     if isinstance(n, Sequence | np.ndarray) and not isinstance(n, str):
-        counts = [validation.count(f"n[{i}]", count, least=0) for i, count in enumerate(n)]
+        counts = [validation.count(f"n[{i}]", count, minimum=0) for i, count in enumerate(n)]
         if len(counts) != len(objects):
             raise ValueError(f"n: has {len(counts)} numbers for {len(objects)} objects; give one for each")
         validation.count("n, of all objects,", sum(counts))

@@ -280,7 +280,7 @@ def board_from_lists(lists: Any) -> Board | None:
 
 
 def _board(positions: np.ndarray, rotations: np.ndarray, depth: float) -> Board:
-    validation.number("depth", depth, "metres below the surface, 0 or more", least=0)
+    validation.number("depth", depth, "metres below the surface, 0 or more", minimum=0)
     chips = np.column_stack([positions, np.full(len(positions), -depth)])
     return Board(chips.astype(np.float32), rotations.astype(np.float32))
 
@@ -360,7 +360,7 @@ def without_silent_chips(readings: Float[np.ndarray, "n c"], *, differences: boo
     return np.where(np.repeat(silent, AXES_OF_CHIP, axis=1), np.nan, readings)
 
 
-def mean_known(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, "*m"]:
+def mean_finite(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, "*m"]:
     """Average the finite values; those of a missing chip are NaN.
 
     Args:

@@ -266,7 +266,7 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
         # so the mean is subtracted first, to keep the digits of the remainder.
         rigid = pressing(jnp.ones_like(pressure))
         own = pressing(mean(opened) - opened)
-        d_pressure = own - total(own) / at_least_tiny(total(rigid)) * rigid
+        d_pressure = own - total(own) / safe_divisor(total(rigid)) * rigid
     else:
         d_pressure = pressing(-opened)
     d_gap = deflect(d_pressure) + opened
@@ -295,10 +295,10 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
     def step(now: tuple) -> tuple:
         x, rest, way, square, steps = now
         change = operator(way)
-        length = square / at_least_tiny(jnp.sum(way * change))
+        length = square / safe_divisor(jnp.sum(way * change))
         rest = rest - length * change
         new = jnp.sum(rest * rest)
-        return x + length * way, rest, rest + new / at_least_tiny(square) * way, new, steps + 1
+        return x + length * way, rest, rest + new / safe_divisor(square) * way, new, steps + 1
 
     def unfinished(now: tuple) -> Array:
         return (now[3] > tolerance) & (now[4] < CONTACT_SOLVER.max_linear_steps)
@@ -354,7 +354,7 @@ def descend(
         # keeps the digits below it.
         reached = level(x, gap)
         target = project(x - length * (gap - reached))
-        deflection = at_least_tiny(lanes.lane_max(gap - offset))
+        deflection = safe_divisor(lanes.lane_max(gap - offset))
         moved = lanes.lane_max(target - x)
         # If nothing may move (no friction), length times deflection may be too small to divide by.
         residual = jnp.where(moved > 0, moved / jnp.where(moved > 0, length * deflection, 1), 0)
@@ -367,7 +367,7 @@ def descend(
         going = unfinished(now)
         d = now.target - now.point
         change = deflect(d)
-        dd, dk, kk = (at_least_tiny(lanes.lane_sum(product)) for product in (d * d, d * change, change * change))
+        dd, dk, kk = (safe_divisor(lanes.lane_sum(product)) for product in (d * d, d * change, change * change))
         fraction = jnp.clip(-lanes.lane_sum((now.gap - now.level) * d) / dk, 0, 1)
         fraction = jnp.where(going, fraction, 0)
         length = jnp.where(now.steps % 2 == 0, dk / kk, dd / dk)  # Barzilai and Borwein's two lengths, alternating
@@ -413,7 +413,7 @@ def _contact(pad: Pad, state: _Solution, scale: Array, indentation: Array, grid:
     )
 
 
-def at_least_tiny(x: Array) -> Array:
+def safe_divisor(x: Array) -> Array:
     """Raise a number to one that is safe to divide by.
 
     Args:

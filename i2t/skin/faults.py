@@ -187,7 +187,7 @@ def mullins_softening(
     return reading * (1 + size * (1 - jnp.exp(-presses / FAULT_MODEL.wear_presses)))
 
 
-def stress_left(seconds: Size, size: Size = 0.05) -> Float[Array, ""]:
+def remaining_stress(seconds: Size, size: Size = 0.05) -> Float[Array, ""]:
     """Compute the share of the layer's stress that is left after a hold: a Prony series with shares of size / 3.
 
     Args:
@@ -223,7 +223,7 @@ def creep(
     Returns:
         `(c,)` reading (uT) at the end of the hold.
     """
-    return reading / (1 - yielding * (1 - stress_left(seconds, size)))
+    return reading / (1 - yielding * (1 - remaining_stress(seconds, size)))
 
 
 def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: Size = 0.3) -> Float[Array, "n c"]:

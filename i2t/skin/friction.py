@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 from i2t.skin import lanes
-from i2t.skin.contact import CONTACT_SOLVER, at_least_tiny, conjugate_gradients, descend
+from i2t.skin.contact import CONTACT_SOLVER, conjugate_gradients, descend, safe_divisor
 from i2t.skin.elasticity import (
     GRID,
     Grid,
@@ -202,11 +202,11 @@ def _track(grid: Grid, at: tuple, change: tuple) -> tuple[tuple, tuple]:
     d_kernels, d_limit, d_wanted, *_ = change
     slipping = _slipping(traction, limit)
     sticking = (limit > 0) & ~slipping
-    towards = traction / at_least_tiny(_size(traction))  # against the slip
+    towards = traction / safe_divisor(_size(traction))  # against the slip
     across = jnp.stack([-towards[1], towards[0]])
     # The farther a cell has slipped, the less a small motion turns its traction.
     slid = jnp.maximum(-jnp.sum(slip * towards, axis=0, keepdims=True), 0)
-    stiff = jnp.where(slipping, slid / at_least_tiny(limit), 0)
+    stiff = jnp.where(slipping, slid / safe_divisor(limit), 0)
 
     def allowed(q: Array) -> Array:
         """Project a change of traction onto those that keep the size on slipping cells and vanish without contact."""

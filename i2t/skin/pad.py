@@ -243,7 +243,7 @@ def sample_pad(key: Key[Array, ""], *, spread: float | Array = 1.0, board: Board
     """
     validation.random_key("key", key)
     validation.number(
-        "spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", least=0
+        "spread", spread, "0 for pads that differ in their magnetization alone, 1 for real skins'", minimum=0
     )
     board = reskin_board() if board is None else board
     # Drawn separately: gains identify a board (`i2t.skin.faults.board_key`), and compiled with the rest their last bits
@@ -279,17 +279,17 @@ def _sample_pad(key: Key[Array, ""], spread: float | Array, board: Board, gains:
     return pad._replace(magnetization=pad.magnetization * jnp.minimum(1.0, NOMINAL_SKIN.max_range_share / use))
 
 
-def numbered_pad(number: int, *, board: Board | None = None) -> Pad:
-    """Make the random pad of a number, by which experiments, emulators and their results identify it.
+def pad_from_seed(seed: int, *, board: Board | None = None) -> Pad:
+    """Draw a random pad from a seed. Experiments, emulators and results identify simulated pads by this number.
 
     Args:
-        number: Number of the pad, from 0; equal numbers give equal pads.
+        seed: Seed of the pad, from 0; equal seeds give equal pads.
         board: As for `sample_pad`.
 
     Returns:
-        The random pad with this number.
+        The random pad of this seed.
     """
-    return sample_pad(jax.random.key(1000 + number), board=board)
+    return sample_pad(jax.random.key(1000 + seed), board=board)
 
 
 def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Float[Array, "m m 3"]:

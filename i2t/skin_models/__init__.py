@@ -1,4 +1,4 @@
-"""Models of one skin, fitted to its touches, with one interface (`base`): fit, predict, left_out, save and load.
+"""Models of one skin, fitted to its touches, with one interface (`base`): fit, predict, leave_one_out, save and load.
 
 `calibration` models one tip by the Gaussian process of `tip_gp`. Two models serve any contact: `pressure_gp`, a
 Gaussian process over contact pressure, and `pad_model`, which `pad_fit` fits to touches of known objects and which

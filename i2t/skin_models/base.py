@@ -1,8 +1,8 @@
-"""Interface of all models of one skin: fit, predict, left_out, save and load.
+"""Interface of all models of one skin: fit, predict, leave_one_out, save and load.
 
     fitted = model.fit(key, data)            # data: touches of one skin
     mean, std = fitted.predict(contact)      # (m, c) uT each, noise included
-    errors = fitted.left_out                 # (n, c) uT, of the same touches, each predicted from all others
+    errors = fitted.leave_one_out            # (n, c) uT, of the same touches, each predicted from all others
     fitted.save(path)
 
 A model is a frozen dataclass of options; `fit` returns the model of one skin.
@@ -38,7 +38,7 @@ class FittedSkinModel(Protocol[Contact]):
     """Fitted model of one skin."""
 
     @property
-    def left_out(self) -> Float[np.ndarray, "n c"]:
+    def leave_one_out(self) -> Float[np.ndarray, "n c"]:
         """Errors (uT) on the touches of the fit: measured minus predicted from all other touches."""
         ...
 

@@ -28,7 +28,7 @@ from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin_models.base import load_fitted
 from i2t.skin_models.tip_gp import population
 from i2t.skin_models.tip_gp.candidates import board_candidates
-from i2t.skin_models.tip_gp.left_out import Conditioned, limit_blas_threads
+from i2t.skin_models.tip_gp.leave_one_out import Conditioned, limit_blas_threads
 from i2t.skin_models.tip_gp.population import PopulationGP, PressTable
 from i2t.skin_models.tip_gp.structured import StructuredGPHyperparameters, fit_structured
 from i2t.types import Array, Board
@@ -95,10 +95,10 @@ class Calibration:
         return f"{board} by evidence ({shares[best]:.2f}; {rest})"
 
     @property
-    def left_out(self) -> Float[np.ndarray, "n c"]:
+    def leave_one_out(self) -> Float[np.ndarray, "n c"]:
         """Measured minus predicted readings (uT) of each press of the fit, predicted from all other presses."""
         with limit_blas_threads(len(self.gp.readings)):
-            return population.left_out_errors(self.gp)
+            return population.leave_one_out_errors(self.gp)
 
     def predict(
         self,

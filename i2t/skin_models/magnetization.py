@@ -58,7 +58,7 @@ class LinearRegression(NamedTuple):
     """Posterior of the map's weights, and the readings predicted without their own group of presses."""
 
     weights: Float[np.ndarray, " k"]  # posterior mean
-    left_out: Float[np.ndarray, "n c"]  # uT, each press as predicted from all other groups
+    leave_group_out: Float[np.ndarray, "n c"]  # uT, each press as predicted from all other groups
     log_density: Float[np.ndarray, " groups"]  # of each group, predicted from all other groups
 
 
@@ -88,7 +88,7 @@ def bayesian_linear_regression(
     half = linalg.solve_triangular(factor, rows.T, lower=True).T.reshape(n, channels, k)
     error = (values - rows @ weights).reshape(n, channels)
     group = np.arange(n) if group is None else group
-    sizes, left_out = np.bincount(group), np.empty((n, channels))
+    sizes, errors = np.bincount(group), np.empty((n, channels))
     log_density = np.empty(len(sizes))
     for size in np.unique(sizes):
         some = np.flatnonzero(sizes == size)
@@ -97,9 +97,9 @@ def bayesian_linear_regression(
         part = half[presses].reshape(len(some), size * channels, k)
         precision = np.eye(size * channels) - part @ part.swapaxes(1, 2)
         blocks = leave_out_blocks(precision, error[presses].reshape(len(some), -1, 1))
-        left_out[presses] = blocks.error.reshape(len(some), size, channels)
+        errors[presses] = blocks.error.reshape(len(some), size, channels)
         log_density[some] = blocks.log_density[:, 0] - size * channels * np.log(noise_std)
-    return LinearRegression(weights, np.asarray(readings, np.float64) - noise_std * left_out, log_density)
+    return LinearRegression(weights, np.asarray(readings, np.float64) - noise_std * errors, log_density)
 
 
 @in_one_line
@@ -108,8 +108,8 @@ class PadFit(NamedTuple):
 
     pad: Pad
     posterior: LayerPosterior
-    left_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other presses
-    left_out_places: Float[np.ndarray, "n c"]  # uT, measured minus predicted from the presses at all other places
+    leave_one_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other presses
+    leave_one_place_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from the presses at all other places
 
     def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m c"], Float[np.ndarray, "m c"]]:
         """Simulate the readings of contacts.
@@ -120,7 +120,7 @@ class PadFit(NamedTuple):
         Returns:
             `(m, c)` readings (uT), and `(m, c)` root mean squares of each channel's errors at places left out (uT).
         """
-        std = np.sqrt(np.mean(np.asarray(self.left_out_places, np.float64) ** 2, axis=0))
+        std = np.sqrt(np.mean(np.asarray(self.leave_one_place_out, np.float64) ** 2, axis=0))
         return _simulate_readings(self.pad, contact), np.broadcast_to(std, (len(contact.load), len(std)))
 
     def save(self, path: Path | str, about: dict[str, Any] | None = None) -> None:
@@ -133,11 +133,11 @@ class PadFit(NamedTuple):
         Raises:
             SerializationError: The file cannot be written.
         """
-        serialization.save(path, FILE_KIND, self.pad, about, beside=_FitRecord(*self[1:]))
+        serialization.save(path, FILE_KIND, self.pad, about, extra=_FitRecord(*self[1:]))
 
 
 class _FitRecord(NamedTuple):
-    """Fields of a fitted pad's file besides the pad's; all are None if the pad was saved alone."""
+    """Fields of a fitted pad's file besides the pad's, by their names there; all are None for a pad saved alone."""
 
     posterior: LayerPosterior | None
     left_out: np.ndarray | None
@@ -231,7 +231,7 @@ class MagnetizationModel:
             bayesian_linear_regression(features, readings, noise_std, group=group) for group in (None, places)
         )
         pad = make_pad(layer, data.board, magnetization_map(layer, solved.weights, self.grid.window))
-        fitted = PadFit(pad, posterior, *(readings - values.left_out for values in (solved, by_place)))
+        fitted = PadFit(pad, posterior, *(readings - values.leave_group_out for values in (solved, by_place)))
         if not all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(fitted)):
             raise ValueError(NO_PAD)
         return fitted

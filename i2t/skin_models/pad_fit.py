@@ -139,8 +139,8 @@ class ContactModel:
                 "force is not finite, and add some that press a known object"
             )
         softness = float(np.sum(nominal * travel) / np.sum(nominal**2))
-        left_out = partial(_left_out_positions, layer=layer, errors=errors, limits=limits, often=often)
-        folds = map_in_threads(left_out, product(sessions, range(_REGISTRATION.position_folds)))
+        leave_out = partial(_leave_positions_out, layer=layer, errors=errors, limits=limits, often=often)
+        folds = map_in_threads(leave_out, product(sessions, range(_REGISTRATION.position_folds)))
         positions = jax.tree.map(lambda *parts: np.concatenate(parts), *folds)
         position = _position_errors(positions, softness, limits)
         fitted = fit_readings(pressed, layer, data.dataset.board, softness=softness, discrepancy=self.prior.discrepancy)
@@ -174,7 +174,7 @@ def fit_oracle_pad_model(
     exact = press_at_truth(touches.truth, own.layer)
     fitted = fit_readings(exact, own.layer, dataset.board, softness=float(own.softness), discrepancy=discrepancy)
     recorded = np.asarray(touches.reading)
-    fitted = fitted._replace(left_out=fitted.left_out + recorded - exact.reading)
+    fitted = fitted._replace(leave_one_out=fitted.leave_one_out + recorded - exact.reading)
     position = ScaleMixture(np.asarray(likelihood.position_std), np.asarray(likelihood.position_share))
     return _pad_model(fitted, recorded, position, limits)
 
@@ -289,7 +289,7 @@ def _register_session(
     )  # fmt: skip
 
 
-def _left_out_positions(
+def _leave_positions_out(
     session: _Session, which: int, *, layer: Layer, errors: SimulationErrors, limits: PressLimits, often: bool
 ) -> _Positions:
     """Predict the ends of the touches of one fold of a session from the touches of its other folds."""
@@ -355,7 +355,7 @@ def _press(
 
 def _pad_model(fitted: FittedReadings, recorded: np.ndarray, position: ScaleMixture, limits: PressLimits) -> PadModel:
     """Combine a reading model with its leave-one-out errors, and with the errors (m) of where presses end."""
-    errors, model = fitted.left_out, fitted.model
+    errors, model = fitted.leave_one_out, fitted.model
     likelihood = fit_likelihood(
         errors, model.scale, model.loads,
         overtravel=limits.overtravel, position_std=position, stiffness=limits.stiffness,

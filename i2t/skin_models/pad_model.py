@@ -60,7 +60,7 @@ class KnownPad(NamedTuple):
     origin: PadOrigin
 
     @property
-    def left_out(self) -> Float[np.ndarray, "n c"]:
+    def leave_one_out(self) -> Float[np.ndarray, "n c"]:
         """Errors (uT) on the touches of the fit, each predicted from all other touches."""
         return np.asarray(self.model.held_out_errors)
 

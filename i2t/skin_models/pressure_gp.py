@@ -65,9 +65,9 @@ class GP(NamedTuple):
     scale: Float[Array, " channels"]  # uT, root mean square of each channel's signal
 
     @property
-    def left_out(self) -> Float[np.ndarray, "n channels"]:
+    def leave_one_out(self) -> Float[np.ndarray, "n channels"]:
         """Errors (uT) on the training touches: measured minus predicted from all other touches."""
-        return np.asarray(_left_out(self))
+        return np.asarray(_leave_one_out(self))
 
     def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m channels"], Float[Array, "m channels"]]:
         """Predict readings of contacts that were not measured.
@@ -285,7 +285,7 @@ _predict = jax.jit(predict)
 
 
 @jax.jit
-def _left_out(gp: GP) -> Float[Array, "n channels"]:
+def _leave_one_out(gp: GP) -> Float[Array, "n channels"]:
     half = jax.scipy.linalg.solve_triangular(gp.cholesky, jnp.eye(len(gp.cholesky)), lower=True)
     return leave_out_rows(jnp.sum(half**2, axis=0), gp.weights).error * gp.scale[None]
 
@@ -379,8 +379,8 @@ def _descend(
         K = gram(now, unit, linear, load, load)
         precision = _inverse(K + now.noise * jnp.eye(len(K)))
         weights = jnp.matmul(precision, standard, precision="highest")
-        left_out = [leave_out_blocks(precision[block, block], weights[block]) for block in blocks]
-        return sum(jnp.sum(fold.error**2) for fold in left_out) / jnp.sum(standard**2)
+        folds = [leave_out_blocks(precision[block, block], weights[block]) for block in blocks]
+        return sum(jnp.sum(fold.error**2) for fold in folds) / jnp.sum(standard**2)
 
     optimizer = optax.adam(0.25)
 

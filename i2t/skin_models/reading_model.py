@@ -116,7 +116,7 @@ class FittedReadings(NamedTuple):
     """Reading model of a pad, and its leave-one-out errors."""
 
     model: LinearReadingModel
-    left_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other touches
+    leave_one_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other touches
 
 
 class _Hyperparameters(NamedTuple):
@@ -294,9 +294,9 @@ def fit_readings(
         for (r, v), some in groupby(models, lambda at: (at.r, at.v)):
             weighted = _weigh(system, r, v)
             posteriors = [_posterior(weighted, at.a) for at in some]
-            errors += [left_out for left_out, _ in pool.map(partial(_left_out, system, weighted), posteriors)]
+            errors += [error for error, _ in pool.map(partial(_leave_one_out, system, weighted), posteriors)]
             groups.append(_Models(r, weighted.precision, posteriors))
-    left_out = np.einsum("m,mnc->nc", shares, errors) * system.scale
+    held_out_errors = np.einsum("m,mnc->nc", shares, errors) * system.scale
     mean, variance = _linear_maps(touches.pressure, system, maps, groups, shares, LOADS_N)
     model = LinearReadingModel(
         loads=jnp.float32(LOADS_N),
@@ -306,7 +306,7 @@ def fit_readings(
         softness=jnp.float32(softness),
         layer=Layer(*(jnp.float32(part) for part in layer)),
     )
-    return FittedReadings(model, left_out)
+    return FittedReadings(model, held_out_errors)
 
 
 @_single_threaded
@@ -420,7 +420,9 @@ def _posterior(weighted: _Weighted, a: float) -> _Posterior:
     return _Posterior(a, factor, solve_triangular(factor, half, lower=True, trans="T"))
 
 
-def _left_out(system: _System, weighted: _Weighted, posterior: _Posterior) -> tuple[Float[np.ndarray, "n c"], float]:
+def _leave_one_out(
+    system: _System, weighted: _Weighted, posterior: _Posterior
+) -> tuple[Float[np.ndarray, "n c"], float]:
     """Compute leave-one-out errors, in units of the channels' signals, and their log density."""
     n, c, k = weighted.features.shape
     alpha = weighted.vectors @ system.reading - posterior.a * (weighted.features @ posterior.mean)
@@ -428,14 +430,14 @@ def _left_out(system: _System, weighted: _Weighted, posterior: _Posterior) -> tu
     half = posterior.a * solve_triangular(posterior.factor, weighted.features.reshape(-1, k).T, lower=True)
     half = half.T.reshape(n, c, k)
     block = own[:, None, None] * np.eye(c) - np.einsum("nck,ndk->ncd", half, half, optimize=True)
-    left_out = leave_out_blocks(block, alpha[..., None])
-    return left_out.error[..., 0], float(np.sum(left_out.log_density) - n * np.sum(np.log(system.scale)))
+    held_out = leave_out_blocks(block, alpha[..., None])
+    return held_out.error[..., 0], float(np.sum(held_out.log_density) - n * np.sum(np.log(system.scale)))
 
 
 def _densities(system: _System, r: float, v: float, amplitudes: Sequence[float]) -> list[float]:
     """Compute the leave-one-out log density of the touches for each amplitude."""
     weighted = _weigh(system, r, v)
-    return [_left_out(system, weighted, _posterior(weighted, a))[1] for a in amplitudes]
+    return [_leave_one_out(system, weighted, _posterior(weighted, a))[1] for a in amplitudes]
 
 
 def _weigh_hyperparameters(

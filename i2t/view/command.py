@@ -9,7 +9,7 @@ import tyro
 
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, require_with, require_writable
-from i2t.files.reading import why_no_touches
+from i2t.files.reading import explain_no_dataset
 from i2t.objects.named import require_object
 
 
@@ -39,7 +39,7 @@ def _write(args: ViewArgs) -> None:
     require_with("--unit", args.unit is not None, "--mesh", args.mesh is not None)
     if args.mesh is not None:
         require_object(args.mesh, args.unit, flag="--mesh")
-    if args.path.is_file() and (why := why_no_touches(args.path)):
+    if args.path.is_file() and (why := explain_no_dataset(args.path)):
         raise ValueError(why)
     name = (args.path.resolve().stem or "view") + (f"-{args.skin_name}" if args.skin_name else "")
     page, recording = (args.out / f"{name}{ending}" for ending in (".html", ".rrd"))
@@ -50,14 +50,14 @@ def _write(args: ViewArgs) -> None:
     # Imported late, because --help and refusals do not need NumPy and HDF5.
     from i2t.view.contents import read_contents
     from i2t.view.page import write_page
-    from i2t.view.rerun_file import why_no_recording, write_recording
+    from i2t.view.rerun_file import explain_no_recording, write_recording
 
     contents = read_contents(args.path, mesh=args.mesh, unit=args.unit, max_touches=args.touches, skin=args.skin_name)
     args.out.mkdir(parents=True, exist_ok=True)
     print(f"wrote {write_page(contents, page)}")
     if args.html:
         return
-    missing = why_no_recording()
+    missing = explain_no_recording()
     if missing:
         print(missing, file=sys.stderr)
         return

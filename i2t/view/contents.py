@@ -46,7 +46,7 @@ class Field(NamedTuple):
     vectors: Float[np.ndarray, "n chips 3"]  # uT, tool axes
 
 
-class Picture(NamedTuple):
+class DepthImage(NamedTuple):
     """A depth image or a patch."""
 
     place: str  # "depth" or "patch"
@@ -62,7 +62,7 @@ class Events(NamedTuple):
     texts: tuple[str, ...]
 
 
-Item: TypeAlias = Poses | Numbers | Field | Picture | Events
+Item: TypeAlias = Poses | Numbers | Field | DepthImage | Events
 
 
 @dataclass(frozen=True)
@@ -151,12 +151,12 @@ def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
         rows = _thinned(series["pose"].time)
         yield Poses("tool", series["pose"].time[rows], series["pose"].values[rows].reshape(-1, 4, 4))
     yield Poses("tool", end_time, np.asarray(touches.T_w_t[:1], float))
-    yield Picture("patch", "tool", start, np.asarray(touches.patch[0], np.float32))
+    yield DepthImage("patch", "tool", start, np.asarray(touches.patch[0], np.float32))
     if "camera" in series and len(series["camera"].values):
         yield Poses("camera", begin_time, series["camera"].values[:1].reshape(1, 4, 4))
     if "depth" in record.images:
         image = record.images["depth"]
-        yield Picture("depth", "camera", start, (image.values * image.scale).astype(np.float32))
+        yield DepthImage("depth", "camera", start, (image.values * image.scale).astype(np.float32))
     time, readings = readings_of(number, record)
     names = tuple(f"chip{chip}/{axis}" for chip in range(board.num_chips) for axis in AXIS_NAMES)
     yield Numbers("readings", names, time, readings)

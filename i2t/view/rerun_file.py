@@ -18,20 +18,20 @@ from typing import Any
 
 import numpy as np
 
-from i2t.errors import require_extra, why_missing
+from i2t.errors import explain_missing_extra, require_extra
 from i2t.patches.dimensions import PAD_WINDOW
-from i2t.view.contents import Contents, Events, Field, Item, Numbers, Picture, Poses, camera_of, items, span
+from i2t.view.contents import Contents, DepthImage, Events, Field, Item, Numbers, Poses, camera_of, items, span
 
 NEEDS_RERUN = "a Rerun recording"  # purpose of the package, for messages
 
 
-def why_no_recording() -> str:
+def explain_no_recording() -> str:
     """Explain why no recording can be written here.
 
     Returns:
         One sentence with the remedy, or an empty string if a recording can be written.
     """
-    why = why_missing("rerun", NEEDS_RERUN)
+    why = explain_missing_extra("rerun", NEEDS_RERUN)
     return why and f"{why}, or pass --html alone"
 
 
@@ -104,7 +104,7 @@ def _log(rr: Any, stream: Any, contents: Contents, item: Item) -> None:
             chips = np.asarray(contents.dataset.board.chips)
             for time, field in zip(times, 1e-4 * vectors, strict=True):  # a field of 50 uT is drawn 5 mm long
                 put(time, "world/tool/chips/field", rr.Arrows3D(origins=chips, vectors=field, radii=2e-4))
-        case Picture(place, _, time, metres):
+        case DepthImage(place, _, time, metres):
             put(time, "world/camera/image" if place == "depth" else place, rr.DepthImage(metres, meter=1.0))
         case Events(times, texts):
             for time, text in zip(times, texts, strict=True):

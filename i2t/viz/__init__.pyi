@@ -11,10 +11,10 @@ from .patches import plot_patches as plot_patches
 from .rates import plot_confusions as plot_confusions
 from .rates import plot_intervals as plot_intervals
 from .rates import plot_rates as plot_rates
+from .scene import explain_no_scene as explain_no_scene
 from .scene import object_image as object_image
 from .scene import object_plotter as object_plotter
 from .scene import plot_object as plot_object
-from .scene import why_no_scene as why_no_scene
 from .skins import draw_reading as draw_reading
 from .skins import draw_skin as draw_skin
 from .skins import plot_press as plot_press

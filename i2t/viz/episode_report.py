@@ -24,8 +24,8 @@ from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
-from i2t.viz.scene import object_image, why_no_scene
-from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
+from i2t.viz.scene import explain_no_scene, object_image
+from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
 
 
@@ -42,7 +42,7 @@ class EpisodeRecord(NamedTuple):
     simulated: bool
 
     @property
-    def drawn(self) -> int:
+    def shown_candidate(self) -> int:
         """Index of the candidate that a scene shows: the true one, else the most probable one at the end."""
         return self.truth if self.truth >= 0 else int(self.p[-1].argmax())
 
@@ -52,7 +52,7 @@ class EpisodeRecord(NamedTuple):
         if self.truth >= 0:
             touched = self.names[self.truth]
         else:
-            touched = f"an unknown object, drawn on the {self.names[self.drawn]}"
+            touched = f"an unknown object, drawn on the {self.names[self.shown_candidate]}"
         return titled(f"One episode: {touched}", self.simulated)
 
 
@@ -70,10 +70,10 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
         ValueError: Poses, readings, beliefs, meshes and names do not fit together.
     """
     record = _checked(record)
-    mesh = record.meshes[record.drawn]
+    mesh = record.meshes[record.shown_candidate]
     picture = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
     if picture is None:
-        print(why_no_scene(), file=sys.stderr)
+        print(explain_no_scene(), file=sys.stderr)
     return [save_figure(plot_episode(record, picture), out / "story.png")]
 
 
@@ -143,7 +143,7 @@ def plot_episode(
     bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.5, aspect=40, pad=0.01)
     bar.set_label("predicted depth behind the nearest point (mm)", fontsize=8)
     bar.ax.tick_params(labelsize=8)
-    figure.suptitle(f"{record.headline}\nmeasured: {explained(record.board, scale)}", fontsize=10)
+    figure.suptitle(f"{record.headline}\nmeasured: {scale_legend(record.board, scale)}", fontsize=10)
     return figure
 
 

@@ -26,7 +26,7 @@ NO_GL = (
 
 
 @cache
-def why_no_scene() -> str:
+def explain_no_scene() -> str:
     """Explain in one sentence why no scene can be drawn here, or return an empty string if it can."""
     if find_spec("pyvista") is None:
         return 'There is no 3-D picture, because pyvista is missing: pip install "imagine2touch[notebooks]".'
@@ -108,7 +108,7 @@ def plot_object(
     axes.set_axis_off()
     picture = object_image(vertices, faces, T_o_t, numbers=True)
     if picture is None:
-        axes.text(0.5, 0.5, why_no_scene(), ha="center", va="center", wrap=True, transform=axes.transAxes)
+        axes.text(0.5, 0.5, explain_no_scene(), ha="center", va="center", wrap=True, transform=axes.transAxes)
     else:
         axes.imshow(picture)
     figure.suptitle(f"{titled(title, simulated)}\nsquares: the skin, 20 mm wide, where it touched", fontsize=11)
@@ -129,7 +129,7 @@ def object_image(
     Returns:
         `(rows, columns, 3)` 8-bit colours, or None if no scene can be drawn.
     """
-    return None if why_no_scene() else image_of(object_plotter(vertices, faces, T_o_t, numbers))
+    return None if explain_no_scene() else image_of(object_plotter(vertices, faces, T_o_t, numbers))
 
 
 def image_of(plotter: Any) -> Array:
@@ -191,8 +191,8 @@ def set_view(plotter: Any) -> None:
 
 def _pyvista() -> Any:
     """Import pyvista, or raise RuntimeError if no scene can be drawn here."""
-    if why_no_scene():
-        raise RuntimeError(why_no_scene())
+    if explain_no_scene():
+        raise RuntimeError(explain_no_scene())
     import pyvista
 
     return pyvista

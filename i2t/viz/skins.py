@@ -115,11 +115,11 @@ def plot_readings(
         axes.set_title(labels[i], fontsize=9)
     if len(sets) > 1:
         figure.legend(*panels[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=len(sets))
-    figure.suptitle(f"{titled(title, simulated)}\n{explained(board, scale)}", fontsize=10)
+    figure.suptitle(f"{titled(title, simulated)}\n{scale_legend(board, scale)}", fontsize=10)
     return figure
 
 
-def explained(board: Board, scale: float) -> str:
+def scale_legend(board: Board, scale: float) -> str:
     """Explain the arrows and discs of `draw_reading`.
 
     Args:
@@ -172,7 +172,7 @@ def plot_press(
     draw_reading(right, board, reading, scale)
     right.set_xlabel("x (mm)")
     right.set_title("field at the chips", fontsize=10)
-    figure.suptitle(f"{titled(title, simulated)}\n{explained(board, scale)}", fontsize=10)
+    figure.suptitle(f"{titled(title, simulated)}\n{scale_legend(board, scale)}", fontsize=10)
     return figure
 
 

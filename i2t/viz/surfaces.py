@@ -12,7 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Colormap, Normalize
 
 from i2t.types import Array
-from i2t.viz.scene import body_of, image_of, set_view, skin_square, why_no_scene
+from i2t.viz.scene import body_of, explain_no_scene, image_of, set_view, skin_square
 from i2t.viz.style import MM_PER_M, Colour, Picture, titled
 
 
@@ -42,8 +42,8 @@ def plot_growing_surface(
     """
     figure = Picture(figsize=(2.5 * (len(stages) + (truth is not None)), 2.9), layout="constrained")
     figure.suptitle(titled(title, simulated), fontsize=11)
-    if why_no_scene():
-        figure.text(0.5, 0.5, why_no_scene(), ha="center", va="center", wrap=True)
+    if explain_no_scene():
+        figure.text(0.5, 0.5, explain_no_scene(), ha="center", va="center", wrap=True)
         return figure
     high = max((float(np.quantile(stage.std, 0.98)) for stage in stages if len(stage.std)), default=1e-3)
     scale = ScalarMappable(Normalize(0, MM_PER_M * high), "plasma")

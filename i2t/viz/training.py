@@ -11,7 +11,7 @@ from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
-from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
+from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
 from i2t.viz.style import COLOURS, Colour, Picture, titled
 
 
@@ -56,7 +56,7 @@ def plot_predicted_touches(
     axes[1, 0].set_ylabel("tool y (mm)")
     figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
     figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="upper right", ncols=len(sets))
-    figure.suptitle(f"{titled(title, simulated)}\n{explained(board, scale)}", fontsize=10)
+    figure.suptitle(f"{titled(title, simulated)}\n{scale_legend(board, scale)}", fontsize=10)
     return figure
 
 

@@ -10,7 +10,13 @@ from helpers.closed_form import GAIN, HEIGHT, make, site
 from scipy.spatial.transform import Rotation
 
 from i2t.collect import first_touch as module
-from i2t.collect.first_touch import Look, RigContradictedError, depth_contradiction, first_touch, plan_first_touch
+from i2t.collect.first_touch import (
+    Look,
+    RigContradictedError,
+    check_rig_by_touch,
+    depth_contradiction,
+    plan_first_touch,
+)
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import UnreachableError
 from i2t.hardware.rig import Rig
@@ -44,7 +50,7 @@ def _looked(site, missed):
 
 def test_a_right_rig_passes_with_a_report():
     procedure, sentences = make(settings=QUICK), []
-    first_touch(procedure, Block(), sentences.append)
+    check_rig_by_touch(procedure, Block(), sentences.append)
     assert "0 % of the object's pixels" in sentences[0]
     assert [line.split(": met the object ")[0] for line in sentences[1:]] == [
         "first looks: they could not measure the lateral offset of the camera",
@@ -60,7 +66,7 @@ def test_a_displaced_view_is_refused_before_anything_is_touched(off):
     # The eye always sees something at 104 mm, so that the view is judged where the rig looks from.
     procedure.rig.__dict__["looking_distance"] = 0.104 + off
     with pytest.raises(RigContradictedError, match="is seen more than 6 mm from where the rig has it"):
-        first_touch(procedure, Block(HEIGHT + off))
+        check_rig_by_touch(procedure, Block(HEIGHT + off))
 
 
 @pytest.mark.parametrize(("off", "gain", "sentence"), [
@@ -73,7 +79,7 @@ def test_a_displaced_or_unfelt_contact_is_refused_and_the_tool_retreats(monkeypa
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 1.0))
     sampler.height = HEIGHT + off
     with pytest.raises(RigContradictedError, match=sentence):
-        first_touch(procedure, sampler, str)
+        check_rig_by_touch(procedure, sampler, str)
     assert procedure.arm.state().T_b_t[2, 3] > HEIGHT + 0.029
 
 
@@ -82,10 +88,10 @@ def test_a_wrong_payload_and_unreachable_sites_are_refused_before_any_motion():
     begun = procedure.clock.now()
     sampler.height = 2.0
     with pytest.raises(UnreachableError, match="none of 32 sites"):
-        first_touch(procedure, sampler)
+        check_rig_by_touch(procedure, sampler)
     procedure.arm.lab.robot.external_wrench = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
     with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg"):
-        first_touch(procedure, Block())
+        check_rig_by_touch(procedure, Block())
     limits = replace(procedure.rig.limits, approach_distance=QUICK.prepare + 1e-3)
     procedure.rig = replace(procedure.rig, limits=limits)
     with pytest.raises(UnreachableError, match=r"at none of 32; lower settings.prepare, or pass --skip-first-touch"):
@@ -159,7 +165,7 @@ def test_one_look_is_repeated_with_the_largest_reachable_turn():
     procedure.arm.why_unreachable = lambda goals: "wound up" if goals[0][0, 0] < 0.6 else ""
     assert plan_first_touch(procedure, sampler).pair == ()
     sentences = []
-    first_touch(procedure, sampler, sentences.append)
+    check_rig_by_touch(procedure, sampler, sentences.append)
     assert "none can be repeated with the tool turned" in sentences[1]
 
 
@@ -200,7 +206,7 @@ def test_a_flat_object_has_no_sides_and_its_looks_prove_nothing(monkeypatch):
     flat = Mesh(sampler.placed.vertices * np.array([1.0, 1.0, 0.1]), sampler.placed.faces)
     sampler.limits, sampler.placed = SiteLimits(), flat
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 0.0))
-    first_touch(procedure, sampler, sentences.append)
+    check_rig_by_touch(procedure, sampler, sentences.append)
     assert "prove nothing" in sentences[2]
     assert "0 of 2 sides can be touched" in sentences[-1]
 
@@ -251,7 +257,7 @@ def test_right_rigs_over_thin_small_and_shiny_objects_pass(number):
     *(("object 7 mm aside", place, "slow touch of the side met") for place in (0, 1)),
     *(("TCP 7 mm aside", place, "two looks at a site") for place in (0, 2)),
 ])  # fmt: skip
-def test_a_displaced_object_is_found_at_a_side_and_a_displaced_tcp_by_the_turned_look(what, place, sentence):
+def test_a_displaced_object_is_found_at_a_side_and_a_displaced_tcp_by_the_rotated_look(what, place, sentence):
     aside = [wrong for wrong in WRONG_RIGS if what in wrong[0].name]
     assert sentence in try_mistake(*aside[place]).sentence
 

@@ -80,7 +80,7 @@ def test_a_press_stops_by_the_skin_and_measures_the_spring_along_its_normal():
         assert len(memory.log.readings[""]) > 400 * settings.near / settings.press  # the whole press, at 400 Hz
 
 
-def test_a_press_without_an_object_meets_air():
+def test_a_press_without_an_object_has_no_contact():
     procedure, (outcome,), memory = pressed(site(0, height=HEIGHT + 0.02))
     touched = memory.saved[0]
     assert outcome.code == ReturnCode.AIR
@@ -272,7 +272,7 @@ def test_settings_beyond_the_limits_are_refused_before_any_motion(bad, sentence)
     assert procedure.clock.now() == begun
 
 
-def test_air_that_the_camera_contradicts_ends_the_run():
+def test_a_press_without_contact_where_the_camera_sees_a_surface_ends_the_run():
     """An arm and a skin that feel nothing go through what the camera sees."""
     procedure, memory = make(stiffness=1e-6, gain=np.zeros(READINGS)), Memory()
     with pytest.raises(MissedContactError, match=r"surface 6\.0 mm before its end"):

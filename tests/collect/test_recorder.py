@@ -11,7 +11,7 @@ from helpers.closed_form import GAIN, HEIGHT, WALL, listed, make, names, site
 
 from i2t import dataset
 from i2t.collect import folder_notes, recorder
-from i2t.collect.recorder import Recorder, StorageError, read_raw, touches_in, written_at
+from i2t.collect.recorder import Recorder, StorageError, list_touches, read_raw, touch_time
 from i2t.errors import DataError, DeviceError
 from i2t.files.writing import unwritable
 from i2t.types import ReturnCode
@@ -29,7 +29,7 @@ def lab(tmp_path):
 def test_a_touch_is_read_back_unchanged_with_the_whole_press_in_unix_time(lab):
     procedure, recording = lab
     (outcome,) = procedure.run(listed(site(3)), recording)
-    (path,) = touches_in(recording.folder)
+    (path,) = list_touches(recording.folder)
     record, touched = dataset.read_touch(path), outcome.touch
     touches = record.touch.touches
     assert touches.code[0] == ReturnCode.SKIN
@@ -48,7 +48,7 @@ def test_a_touch_is_read_back_unchanged_with_the_whole_press_in_unix_time(lab):
     events = {text: time for time, text in record.events}
     assert touches.time == tactile.time[-1]
     for series in (tactile, pose, wrench):
-        assert WALL < series.time[0] < series.time[-1] <= written_at(path)
+        assert WALL < series.time[0] < series.time[-1] <= touch_time(path)
         assert (np.diff(series.time) > 0).all()
     during = (tactile.time > events["press"]) & (tactile.time < events["stopped by skin"])
     # A line: the change of every sample is that of the force of the spring at the tool's height then.
@@ -72,7 +72,7 @@ def test_the_raw_file_of_an_interrupted_touch_is_kept_and_readable_at_any_cut(la
     procedure.arm.approach = interrupted
     with pytest.raises(KeyboardInterrupt):
         list(procedure.run(listed(site(0)), recording))
-    assert not touches_in(recording.folder)
+    assert not list_touches(recording.folder)
     (raw,) = (recording.folder / recorder.INTERRUPTED).iterdir()
     entries = list(read_raw(raw))
     assert entries[0] == ("event", [entries[0][1][0], "site 0, attempt 1"])
@@ -134,7 +134,7 @@ def test_a_failure_of_the_disk_is_one_sentence_and_the_arm_stops(lab, monkeypatc
         acknowledged.extend(procedure.run(listed(site(1)), recording))
     assert "\n" not in str(ended.value)
     assert not acknowledged
-    assert recording.saved == touches_in(recording.folder)
+    assert recording.saved == list_touches(recording.folder)
     assert not procedure.arm.state().moving
     assert np.linalg.norm(procedure.arm.state().wrench[:3]) == 0
     assert len(dataset.load_dataset(recording.folder)) == 1
@@ -153,8 +153,8 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
     for sentence in (r"jumped by -3600\.0 s; the touch is saved", "behind the newest touch"):
         with pytest.raises(StorageError, match=sentence):
             list(procedure.run(listed(site(1)), recording))
-    first, second = touches_in(recording.folder)
-    assert 5 < written_at(second) - written_at(first) < 30
+    first, second = list_touches(recording.folder)
+    assert 5 < touch_time(second) - touch_time(first) < 30
     assert any("jumped" in text for _, text in dataset.read_touch(second).events)
 
 
@@ -173,9 +173,9 @@ def test_names_of_touches_ascend_even_if_the_clock_goes_back(lab):
         recording._offset -= back
         recording.save(outcome.touch._replace(site=site(number)))
         clock.jump += back + 1e-3
-    files = touches_in(recording.folder)
+    files = list_touches(recording.folder)
     assert [recorder.site_number_of(path) for path in files] == [0, 1, 2, 3]
-    assert (np.diff([written_at(path) for path in files]) > 0).all()
+    assert (np.diff([touch_time(path) for path in files]) > 0).all()
     series = dataset.read_touch(files[1]).series
     for name in ("wrench", "pose", "joints"):
         np.testing.assert_allclose(np.diff(series[name].time), 1.0, atol=1e-6)

@@ -53,7 +53,7 @@ def test_sites_keep_clear_of_a_piece_that_is_not_touched(tmp_path, capsys):
     assert sampler.top == pytest.approx(0.161)
     sites = np.stack([sampler.site(number).T_w_t for number in range(64)])
     assert np.abs(sites[:, 2, 3] - 0.01).max() < 1e-6  # none on the post, and none whose skin would meet it
-    assert np.linalg.norm(sites[:, :2, 3] - (0.02, 0), axis=1).min() > SiteLimits().half
+    assert np.linalg.norm(sites[:, :2, 3] - (0.02, 0), axis=1).min() > SiteLimits().half_edge
     both = begin(CollectArgs(out=tmp_path / "set", world=replace(world, largest_piece=False))).target
     assert highest_point(both, T_w_o) == pytest.approx(0.161)
     low = replace(Rig(), limits=replace(Rig().limits, upper=(1.0, 1.0, 0.2)))
@@ -98,7 +98,7 @@ def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
     data = dataset.load_dataset(tmp_path / "set")
     assert (len(data), len(data.sessions)) == (2, 1)
     np.testing.assert_array_equal(data.touches.reading[:1], touches.reading)
-    assert [recorder.site_number_of(path) for path in recorder.touches_in(tmp_path / "set")] == [0, 1]
+    assert [recorder.site_number_of(path) for path in recorder.list_touches(tmp_path / "set")] == [0, 1]
     code, output = run(touches=2)
     assert code == 0
     assert "there already" in output
@@ -123,7 +123,7 @@ def test_a_defective_skin_stops_sessions_and_dry_runs(tmp_path, rig, capsys, mon
     options = ["--out", str(tmp_path / "set"), "--rig", str(rig), "--touches", "1"]
     assert command.main(options) == 1
     assert "skins: the simulated skin: chip 2" in capsys.readouterr().err
-    assert not (tmp_path / "set").exists() or not recorder.touches_in(tmp_path / "set")
+    assert not (tmp_path / "set").exists() or not recorder.list_touches(tmp_path / "set")
     assert command.main([*options, "--dry-run"]) == 1
     assert "BAD       skins: the simulated skin: chip 2" in capsys.readouterr().out
 
@@ -200,9 +200,10 @@ def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
         assert sentence in line
 
 
-def test_a_folder_of_an_earlier_version_is_resumed_with_its_pad(tmp_path):
+def test_a_folder_of_an_earlier_version_is_resumed_with_its_pad_and_site_limits(tmp_path):
     args = CollectArgs(out=tmp_path)
     begun = {key: value for key, value in begin(args).notes.items() if key != "pad-name"}
+    begun["sites"] = {"half" if limit == "half_edge" else limit: value for limit, value in begun["sites"].items()}
     folder_notes.write_notes(tmp_path, begun)
     assert begin(replace(args, pad_name="red")).notes["pad-name"] == "red"  # nobody knows
     random = random_touches.make(1)

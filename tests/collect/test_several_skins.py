@@ -12,7 +12,7 @@ from helpers.spring_plane import SpringPlane
 
 from i2t import dataset
 from i2t.collect import command, recorder
-from i2t.collect.recorder import Recorder, read_raw, touches_in
+from i2t.collect.recorder import Recorder, list_touches, read_raw
 from i2t.collect.touch import SkinOnTool
 from i2t.convert import commands
 from i2t.dataset import SkinChoiceError
@@ -23,7 +23,7 @@ from i2t.hardware.carried_skins import CarriedSkin
 from i2t.hardware.contract import refuse
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.rig import Rig
-from i2t.hardware.rig_checks import implausible
+from i2t.hardware.rig_checks import implausible_values
 from i2t.skin.boards import make_board
 from i2t.types import ReturnCode
 
@@ -80,7 +80,7 @@ def test_the_skin_that_protrudes_stops_the_press_and_has_its_force(tmp_path, out
     assert np.isnan(silent.force) or silent.force == pytest.approx(0.0, abs=1e-9)
     np.testing.assert_allclose(right.T_w_s, touch.T_w_t @ beside(out_by), atol=1e-12)
     np.testing.assert_allclose(right.seen.nearest, right.T_w_s[2, 3] - HEIGHT, atol=1e-9)
-    record = dataset.read_touch(touches_in(tmp_path)[0])
+    record = dataset.read_touch(list_touches(tmp_path)[0])
     assert f"stopped by skin {'left' if out_by < 0 else 'right'}" in [text for _, text in record.events]
     assert [name for name in record.counters if "seen" in name] == ["skin right seen percent"]
 
@@ -94,7 +94,7 @@ def test_the_force_of_a_press_that_two_skins_feel_is_unknown(tmp_path):
     sunk = HEIGHT - touch.T_w_t[2, 3]
     np.testing.assert_allclose(touch.reading, STIFFNESS * sunk * GAIN, rtol=1e-3)
     np.testing.assert_allclose(right.reading, STIFFNESS * sunk * SQUARE_GAIN, rtol=1e-3)
-    wrench = dataset.read_touch(touches_in(tmp_path)[0]).series["wrench"].values
+    wrench = dataset.read_touch(list_touches(tmp_path)[0]).series["wrench"].values
     deepest = wrench[np.argmin(wrench[:, 2])]
     np.testing.assert_allclose(deepest[2], -2 * STIFFNESS * sunk, rtol=0.02)
     np.testing.assert_allclose(deepest[4], ASIDE_M * STIFFNESS * sunk, rtol=0.02)  # r x F, x aside and F against z
@@ -123,7 +123,7 @@ def test_a_set_keeps_each_skin_with_its_board_and_is_loaded_by_its_name(tmp_path
     """The skin at the tool is where every version reads it; a set without a name of a skin has none to name."""
     both = tmp_path / "both"
     touch = touched(both, two(2e-3), 2)
-    record = dataset.read_touch(touches_in(both)[-1])
+    record = dataset.read_touch(list_touches(both)[-1])
     right = record.skins["right"]
     assert right.pads == ("right pad",)
     assert right.meta["skin"] == "right's"
@@ -201,7 +201,7 @@ def test_a_skin_that_protrudes_too_far_or_overlaps_another_is_doubted():
         (turned, (0.0, 0.0, -0.005), None),
     ):
         T = pose_from_vector([*where, *rotation])
-        doubts = implausible(replace(Rig(), skins=(CarriedSkin("right", "simulated", T),)))
+        doubts = implausible_values(replace(Rig(), skins=(CarriedSkin("right", "simulated", T),)))
         assert [sentence in doubt for doubt in doubts] == ([True] if sentence else [])
 
 

@@ -17,7 +17,7 @@ def plane(down: float, right: float) -> np.ndarray:
     return (1e-3 + down * ROW + right * COLUMN).astype(np.float32)
 
 
-def test_a_plane_stays():
+def test_smoothing_keeps_a_plane():
     seen = plane(-2e-4, 1.5e-4)
     inside = slice(RADIUS, N - RADIUS)
     # Weights are symmetric there, so the value is a mean: wrong by the rounding of sums of 121 heights below 17 mm.
@@ -39,7 +39,7 @@ def test_noise_is_averaged_over_the_effective_number_of_pixels():
     assert abs(ratio - 1) < 4.5 * np.sqrt(2 / values.size) + 2e-3
 
 
-def test_a_step_stays_a_step():
+def test_smoothing_keeps_a_step():
     seen = np.where(COLUMN < N // 2, 0.0, 3e-3).astype(np.float32)
     # Beside the step, 41 % of the Gaussian's weight is on the other side; agreement must keep out two thirds of that.
     weights = np.exp(-(OFFSETS**2) / (2 * SIGMA**2))

@@ -32,7 +32,7 @@ class TestSimulatedArm(OurArms):
     @staticmethod
     def make_device() -> GuardedArm:
         board = boards.reskin_board()
-        plane = SpringPlane(FLOOR, STIFFNESS, np.zeros(board.num_readings), SimulationErrors.none(), board)
+        plane = SpringPlane(FLOOR, STIFFNESS, np.zeros(board.num_readings), SimulationErrors.error_free(), board)
         return SimulatedArm(SimulatedLab(plane, MonotonicClock()), LIMITS)
 
 

@@ -37,7 +37,9 @@ class TestRecordingOfTheSdk(CameraContract):
 
 @pytest.fixture(scope="module")
 def scene() -> ObjectScene:
-    return ObjectScene(catalogue.make_object("square").mesh, np.eye(4), jax.jit(nominal_pad)(), SimulationErrors.none())
+    return ObjectScene(
+        catalogue.make_object("square").mesh, np.eye(4), jax.jit(nominal_pad)(), SimulationErrors.error_free()
+    )
 
 
 class TestSimulatedCamera(CameraContract):

@@ -7,7 +7,7 @@ import pytest
 from helpers.spring_plane import SpringPlane
 
 from i2t.emulators.in_process import SimulatedLab, SimulatedSkin
-from i2t.emulators.reskin_board import started
+from i2t.emulators.reskin_board import run_board
 from i2t.hardware.clock import MonotonicClock
 from i2t.hardware.contract import SkinContract
 from i2t.hardware.protocols import Skin
@@ -19,7 +19,7 @@ from i2t.skin import boards
 class TestEmulatedSkin(SkinContract):
     @pytest.fixture
     def make(self) -> Iterator[Callable[[], Skin]]:
-        with started() as (port, _):
+        with run_board() as (port, _):
             yield lambda: ReSkin(port)
 
 

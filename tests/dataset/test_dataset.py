@@ -72,7 +72,7 @@ def test_a_recorded_touch_reads_back_exactly(tmp_path):
                 np.testing.assert_array_equal(mine, yours)
 
 
-def test_what_could_not_be_read_is_not_written(tmp_path):
+def test_records_that_could_not_be_read_back_are_not_written(tmp_path):
     with pytest.raises(DataError, match="2 touches, not 1"):
         write_touch(tmp_path, Record(make(2)))
     bad = Series(np.zeros(3), np.zeros((4, 2)), ("a", "b"), "N")
@@ -249,13 +249,13 @@ RESKIN = boards.reskin_board()
         (replace(make(3), board=RESKIN._replace(rotations=np.ones((5, 3, 3)))), "board/rotations is neither"),
     ],
 )
-def test_what_no_touch_can_be_is_refused_in_one_sentence(tmp_path, dataset, problem):
+def test_impossible_touches_are_refused_in_one_sentence(tmp_path, dataset, problem):
     with pytest.raises(DataError, match=r"set\.h5: .*" + problem) as error:
         save_dataset(tmp_path / "set.h5", dataset)
     assert "\n" not in str(error.value)
 
 
-def test_unknown_values_are_no_error():
+def test_unknown_values_are_accepted():
     for name in ("force", "travel", "nearest", "T_w_t", "T_w_o"):
         validate(broken(name, np.nan))
     validate(broken("nearest", np.inf))

@@ -198,7 +198,7 @@ def tif(path, values):
     return path
 
 
-def test_files(tmp_path):
+def test_depth_files_are_read_in_metres(tmp_path):
     stored = np.array([[0, 1000, 65535], [5, 104, 7]], np.uint16)
     expected = np.where((stored == 0) | (stored == 65535), np.nan, stored * 1e-3).astype(np.float32)
     for path in (png(tmp_path / "a.png", stored), tif(tmp_path / "a.tif", stored)):

@@ -195,7 +195,7 @@ def plane(depth: float = LOOKING_DISTANCE_M) -> np.ndarray:
 
 
 @pytest.mark.full
-def test_holes():
+def test_small_holes_are_filled_and_large_ones_marked():
     """Small holes are bridged, large ones are marked, and both are distinguished from seen pixels."""
     T_w_t = pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
     depth = plane()

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import TICK_S, SimulatedArm, SimulatedLab, SimulatedSkin, SkinInLab, VirtualClock
-from i2t.emulators.scene import TABULATED_LOADS_N, ContactModel, ObjectScene, _meet
+from i2t.emulators.scene import TABULATED_LOADS_N, ObjectScene, SkinContactModel, _meet
 from i2t.geometry import transform
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.rig import Rig
@@ -44,7 +44,7 @@ def test_a_line_over_a_dome_follows_the_physics_between_its_loads(scene):
     loads that grow by 1.85, straight pieces of a force that grows as travel to the power 1.5 are off by up to 4 %.
     """
     start = pose(0.4, 0.0, 0.07)
-    line = scene.ahead(start)
+    line = scene.line_ahead(start)
     np.testing.assert_allclose(line.first, 0.07 - 0.03, atol=0.05e-3)  # chords of the mesh and cells of the grid
     T_o_t = jnp.asarray(np.linalg.inv(scene.T_b_o) @ start, jnp.float32)
     loads = TABULATED_LOADS_N * np.sqrt(TABULATED_LOADS_N[1] / TABULATED_LOADS_N[0])
@@ -57,7 +57,7 @@ def test_a_line_over_a_dome_follows_the_physics_between_its_loads(scene):
     # A softer mount sinks by force through stiffness.
     hard, scene.stiffness = scene.stiffness, 2e3
     try:
-        soft = scene.ahead(start)
+        soft = scene.line_ahead(start)
     finally:
         scene.stiffness = hard
     np.testing.assert_allclose(soft.past_contact - line.past_contact, line.force * (1 / 2e3 - 1 / hard), atol=1e-9)
@@ -71,12 +71,12 @@ def stand(model, x, z, turned=DOWN):
 
 @pytest.mark.full
 def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
-    line = scene.ahead(pose(0.5, 0.0, 0.07))
+    line = scene.line_ahead(pose(0.5, 0.0, 0.07))
     assert line.first == np.inf
     assert line.contact_at(0.1)[0] == 0.0
     assert line.distance_along(np.array([0.5, 0.0, 0.05]), DOWN) == pytest.approx(0.02)
     assert line.distance_along(np.array([0.501, 0.0, 0.05]), DOWN) is None
-    feeler = ContactModel(scene)
+    feeler = SkinContactModel(scene)
     for x in np.linspace(0.35, 0.45, 20):  # through the object, but never standing
         assert not feeler(np.array([x, 0.0, 0.01]), DOWN).any()
 
@@ -86,11 +86,14 @@ def test_an_object_is_met_from_where_the_tool_stands_next(scene):
     """On one line, of which 120 mm are known: from 130 mm above the object, then from 40 mm; and sideways, 10 mm above
     the table, first past the object and then in front of it.
     """
-    model = ContactModel(scene)
+    model = SkinContactModel(scene)
     stand(model, 0.4, 0.16)
     stand(model, 0.4, 0.07)
     assert model(np.array([0.4, 0.0, 0.0297]), DOWN)[2] > 0.3
-    model, sideways = ContactModel(scene), np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # tool z along the base's x
+    model, sideways = (
+        SkinContactModel(scene),
+        np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
+    )  # tool z along the base's x
     stand(model, 0.46, 0.01, sideways)
     stand(model, 0.33, 0.01, sideways)
     assert np.linalg.norm(model(np.array([0.3725, 0.0, 0.01]), sideways)[:3]) > 0.3
@@ -98,7 +101,7 @@ def test_an_object_is_met_from_where_the_tool_stands_next(scene):
 
 @pytest.mark.full
 def test_a_contact_model_in_a_thread_finds_the_same(scene):
-    waits, threaded = ContactModel(scene), ContactModel(scene, wait=False)
+    waits, threaded = SkinContactModel(scene), SkinContactModel(scene, wait=False)
     for model in (waits, threaded):
         stand(model, 0.4, 0.07)
     assert threaded._pending is not None
@@ -112,7 +115,7 @@ def test_a_contact_model_in_a_thread_finds_the_same(scene):
 @pytest.mark.full
 def test_force_off_the_middle_gives_a_torque(scene):
     """On the dome beside its top the contact lies off the tool's middle: torque is place x force."""
-    feeler = ContactModel(scene)
+    feeler = SkinContactModel(scene)
     stand(feeler, 0.405, 0.07)
     wrench = feeler(np.array([0.405, 0.0, 0.029]), DOWN)
     assert wrench[2] > 0.3
@@ -163,7 +166,7 @@ def test_a_sample_is_the_nearest_count_of_the_converter():
     skin = SkinInLab(SpringPlane(HEIGHT, 10e3, GAIN, NOISY, boards.reskin_board()))
     skin.recording, skin._noise = True, [(np.zeros(15), np.zeros(5))]
     skin.measure(0.0, np.eye(3))
-    exact = skin.contact_model.at_rest(np.eye(3)) + skin.contact_model.reading
+    exact = skin.contact_model.reading_at_rest(np.eye(3)) + skin.contact_model.reading
     assert (abs(skin.samples[0][2] - exact) <= np.tile([0.0751, 0.0751, 0.1211], 5)).all()
 
 

@@ -52,7 +52,7 @@ def touching(tmp_path_factory):
     host, link = ur_controller.loopback(200), str(tmp_path_factory.mktemp("pair") / "skin")
     options = ["--object", "star", "--no-pose-error", "--stiffness", str(STIFFNESS), "--noise", "0",
                "--pose", "0.4", "0", str(ABOVE), str(np.pi), "0", "0"]  # fmt: skip
-    with lab.started("--host", host, "--link", link, *options) as (_, running):
+    with lab.run_lab("--host", host, "--link", link, *options) as (_, running):
         yield host, link
         running.send_signal(signal.SIGTERM)
         assert running.wait(PATIENCE) == 0

@@ -134,7 +134,7 @@ def test_the_start_of_a_command_is_timed_with_nothing_compiled_and_once_more(
     assert "python -m i2t.imagine" in capsys.readouterr().out
 
 
-def test_a_command_that_fails_is_no_time(tmp_path: Path) -> None:
+def test_a_failing_command_raises_instead_of_being_timed(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=r"-m i2t.imagine nothing ended with exit code 2: .*nothing"):
         startup._run(startup.TimedCommand("-m i2t.imagine nothing", 1, 1), tmp_path, tmp_path / "compiled")
 

@@ -258,10 +258,8 @@ def test_a_pad_of_presses_is_fitted_by_force_and_kept_with_its_errors(tmp_path, 
     def fitting(model, _, pressed):
         given.update(model=model, load=np.asarray(pressed.load), readings=np.asarray(pressed.reading))
         given.update(board=pressed.board)
-        left_out = np.full((60, len(fitted.gains)), 2.0)
-        return PadFit(
-            fitted, LayerPosterior(*3 * [layer_prior(len(fitted.gains)).median], True), left_out, 1.5 * left_out
-        )
+        errors = np.full((60, len(fitted.gains)), 2.0)
+        return PadFit(fitted, LayerPosterior(*3 * [layer_prior(len(fitted.gains)).median], True), errors, 1.5 * errors)
 
     monkeypatch.setattr(pad.MagnetizationModel, "fit", fitting)
     words = ["--dataset", str(tmp_path / "set.h5"), "--save-pad", str(tmp_path / "pad.npz")]

@@ -211,7 +211,7 @@ def test_too_few_rows_say_how_many_are_enough():
     assert curves.hold_out_presses(press_set(presses_of_a_skin(15)), preset, 0)
 
 
-def test_what_may_be_chance_is_no_loss():
+def test_a_difference_within_chance_is_not_reported_as_a_loss():
     rng = np.random.default_rng(0)
     own = rng.exponential(size=200)
     assert not forward.loses_beyond_chance(own, own * rng.uniform(0.5, 1.5, 200))
@@ -310,8 +310,8 @@ def test_what_is_held_out_is_never_fitted_to():
     assert set(rows) == {heads.RANDOM_SPLIT, heads.GROUP_SPLIT, heads.LATER_SPLIT}
     assert rows[heads.LATER_SPLIT].tolist() == [False] * 72 + [True] * 18
     masked = heads._known_of(SKIN, "travel", np.arange(10))
-    assert masked.known("travel").sum() == 10
-    assert SKIN.known("travel").all()
+    assert masked.known_rows("travel").sum() == 10
+    assert SKIN.known_rows("travel").all()
 
 
 def test_heads_are_fitted_by_one_command(tmp_path, capsys):

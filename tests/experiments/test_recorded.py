@@ -68,7 +68,7 @@ REAL = ["live", "--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"]
         (REAL, ('the skin is "skin"', '"skin A"')),
         ([*REAL, "--pad-name", "skin B"], ('"skin B"', '"skin A"')),
         ([*REAL, "--pad-name", "skin A", "--board", "grid-4x4"], ("16 chips", "5 chips")),
-        ([*REAL, "--worn-pad", "b.npz"], ("--worn-pad is for simulated and emulated skins",)),
+        ([*REAL, "--pad-file", "b.npz"], ("--pad-file is for simulated and emulated skins",)),
     ],
 )
 def test_another_skin_is_refused_before_anything_moves(words, said, tmp_path, capsys):

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiments.common.runs import begin, exit_code_of_run, settle_begun
+from i2t.simulation.site_limits import SiteLimits
 
 
 @dataclass(frozen=True)
@@ -65,6 +66,15 @@ def test_a_run_does_not_go_on_with_other_data_under_the_same_name(tmp_path):
     table.write_text("what,v")
     with pytest.raises(ValueError, match="other settings or data"):
         begin(_TableArgs(out, (table,), resume=True), _Experiment())
+
+
+def test_a_run_with_a_former_name_of_a_setting_is_continued(tmp_path):
+    begin(_TableArgs(tmp_path / "run", ()), SiteLimits())
+    path = tmp_path / "run" / "config.json"
+    path.write_text(path.read_text().replace('"half_edge"', '"half"'))
+    begin(_TableArgs(tmp_path / "run", (), resume=True), SiteLimits())
+    with pytest.raises(ValueError, match="other settings or data"):
+        begin(_TableArgs(tmp_path / "run", (), resume=True), SiteLimits(half_edge=5e-3))
 
 
 def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):

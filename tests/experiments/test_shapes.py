@@ -20,7 +20,7 @@ from i2t.geometry import random_motion
 from i2t.objects import catalogue
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.rendering.render import prepare_surface, render_heights
-from i2t.skin.pad import numbered_pad
+from i2t.skin.pad import pad_from_seed
 
 CFG = PRESETS["debug"]
 
@@ -32,7 +32,7 @@ def one(name: str) -> world.Stamp:
 @cache
 def pressed():
     """Fifty presses on one skin."""
-    return world.press_stamps(jax.random.key(0), [numbered_pad(0)], 50, CFG.pressing)
+    return world.press_stamps(jax.random.key(0), [pad_from_seed(0)], 50, CFG.pressing)
 
 
 @pytest.mark.full

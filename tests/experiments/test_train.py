@@ -37,7 +37,7 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
 from i2t.skin.boards import grid_board
 from i2t.skin.files import load_pad, save_pad
-from i2t.skin.pad import nominal_pad, numbered_pad
+from i2t.skin.pad import nominal_pad, pad_from_seed
 from i2t.skin_models.pad_fit import ContactModel
 from i2t.skin_models.pad_model import load_pad_model
 from i2t.types import Board
@@ -101,7 +101,7 @@ def test_the_kept_pad_model_is_fitted_to_the_training_touches_that_were_kept(tra
     touches = simulated_touches(dataset.load_dataset(run.touches), names, known.origin.made_from)
     anew = ContactModel(plan.errors, plan.limits).fit(jax.random.split(jax.random.key(0))[0], touches)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-3, atol=1e-5), known.model, anew.model)
-    jax.tree.map(np.testing.assert_array_equal, load_pad(run.simulated_pad), numbered_pad(0))
+    jax.tree.map(np.testing.assert_array_equal, load_pad(run.simulated_pad), pad_from_seed(0))
     assert json.loads((trained_run / "metrics.json").read_text())["pad_model"]["r2"] == known.model.r2
 
 

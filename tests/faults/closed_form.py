@@ -13,7 +13,7 @@ from i2t.collect.touch import TOOL, SeenPatch, Site, SkinOnTool
 from i2t.depth.camera import Camera
 from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedLab, SimulatedSkin, VirtualClock
 from i2t.hardware.clock import MonotonicClock
-from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.poses import translated_along_z
 from i2t.hardware.protocols import ApproachResult, ArmState, View
 from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import PATCH_PIXELS, VIEW_PIXELS
@@ -78,7 +78,7 @@ class ForeignArm(SimulatedArm):
     ) -> ApproachResult:
         """Move along tool z until the distance is over, or the stop condition says so; force and torque are ignored."""
         start, answer = self.read_state().T_b_t, None
-        self.begin_line(shifted_along_z(start, distance + self.too_far), self.hasty * speed, acceleration)
+        self.begin_line(translated_along_z(start, distance + self.too_far), self.hasty * speed, acceleration)
         try:
             while self.read_state().moving and not answer:
                 self.clock.sleep(self.poll_s)

@@ -18,7 +18,7 @@ import numpy as np
 
 from i2t import dataset
 from i2t.collect.procedure import Procedure
-from i2t.collect.recorder import Recorder, touches_in
+from i2t.collect.recorder import Recorder, list_touches
 from i2t.collect.touch import SiteOutcome
 from i2t.emulators import reskin_board, ur_controller
 from i2t.errors import DataError, DeviceError
@@ -39,7 +39,7 @@ WATCHDOG_HZ = "10"  # a lab's
 
 def lost_touches(folder: Path, acknowledged: list[str]) -> Trial:
     """Numbers of acknowledged touches, of those that are lost, and of files that cannot be read."""
-    present = {path.name: path for path in touches_in(folder)}
+    present = {path.name: path for path in list_touches(folder)}
     bad = 0
     for path in present.values():
         try:
@@ -135,7 +135,7 @@ def killed_collection(signals: Sequence[int], number: int) -> Trial | None:
     with (
         tempfile.TemporaryDirectory() as folder,
         ur_controller.process(host, *PLANE),
-        reskin_board.started() as (port, _),
+        reskin_board.run_board() as (port, _),
     ):
         out = Path(folder) / "data"
         words = [sys.executable, "-m", "tests.faults.worker", host, port, str(out)]
@@ -157,12 +157,12 @@ def killed_collection(signals: Sequence[int], number: int) -> Trial | None:
             return None
         stands = watch(host, before["clock"])["stands after"]
         found = lost_touches(out, acknowledged)
-        wanted = len(touches_in(out)) + 1
+        wanted = len(list_touches(out)) + 1
         again = any(
             subprocess.run([*words, str(wanted), "1"], capture_output=True, check=False).returncode == 0
             for _ in range(MAX_ATTEMPTS)
         )
-        incomplete = not again or len(touches_in(out)) != wanted
+        incomplete = not again or len(list_touches(out)) != wanted
     said = "killed in a motion" if before["moving"] else "killed at rest"
     rambling = len([*filter(None, lines)]) > 1
     return {**found, "stands after": stands, "incomplete": incomplete, "rambling": rambling, "said": said}

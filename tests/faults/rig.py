@@ -7,7 +7,7 @@ the camera's lens, and then the first looks and the first slow touches are made.
 
 Sites are drawn on the surface by trimesh, with normals that point up, sideways and a little down. After each press a
 ray caster that is not ours (Embree, by trimesh) casts rays over the skin's square along its approach: a press that is
-said to have met something must have, and one that met air must not have gone through anything. All simulated.
+said to have met something must have, and one without contact must not have gone through anything. All simulated.
 """
 
 from dataclasses import replace
@@ -18,7 +18,7 @@ import jax
 import numpy as np
 import trimesh
 
-from i2t.collect.first_touch import RigContradictedError, first_touch
+from i2t.collect.first_touch import RigContradictedError, check_rig_by_touch
 from i2t.collect.procedure import Procedure
 from i2t.collect.site_plan import SiteSampler, extract_patch
 from i2t.collect.touch import TOOL, Site, SkinOnTool, UnreachableError
@@ -29,7 +29,7 @@ from i2t.geometry import contact_frame, inverse, nearest_rigid
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.protocols import ArmState, View
 from i2t.hardware.rig import Rig
-from i2t.hardware.rig_checks import other_lens, require_plausible
+from i2t.hardware.rig_checks import compare_lens, require_plausible
 from i2t.objects.solids import Object
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.simulation.site_limits import SiteLimits
@@ -167,11 +167,11 @@ def try_rig(wrong: Rig, name: str, seed: int = 0, right: Rig | None = None) -> F
         require_plausible(wrong, mesh.vertices)
     except ValueError as error:
         return Found("plausibility", str(error))
-    if different := other_lens(wrong.camera, right.camera):
+    if different := compare_lens(wrong.camera, right.camera):
         return Found("lens", different)
     try:
         sampler = SiteSampler(Object(name, mesh, "file"), wrong.T_world_object, SiteLimits(), seed, name)
-        first_touch(object_lab(name, right, seed, wrong)[0], sampler, said.append)
+        check_rig_by_touch(object_lab(name, right, seed, wrong)[0], sampler, said.append)
     except RigContradictedError as error:
         return Found("first touch", str(error))
     except (DeviceError, ValueError) as error:

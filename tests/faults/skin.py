@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t.emulators.reskin_board import Readings, started
+from i2t.emulators.reskin_board import Readings, run_board
 from i2t.errors import DeviceError
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.reskin.frames import RUN_LENGTH, Decoder, decode
@@ -37,7 +37,7 @@ def long_stream(rate: float, seconds: float, number: int) -> Trial:
     Returns:
         Samples, with those that were lost.
     """
-    with started("--rate", str(rate), "--seed", str(number)) as (port, _), ReSkin(port, rate=rate) as device:
+    with run_board("--rate", str(rate), "--seed", str(number)) as (port, _), ReSkin(port, rate=rate) as device:
         first, newest = device.counters.samples, int(device.latest().number[-1])
         end, start, read = time.monotonic() + seconds, newest, 0
         while time.monotonic() < end:
@@ -76,7 +76,7 @@ def flipped_bits(form: Format, share: float, number: int, count: int = STREAM_FR
 def dead_chip(number: int) -> Trial:
     """A chip that sends zeros from a moment on: missing (NaN) from its first zeros, and the others never."""
     words = ("--fail", str(DEAD_CHIP), "--fail-after", str(FAULT_S), "--seed", str(number))
-    with started(*words) as (port, _), ReSkin(port) as device:
+    with run_board(*words) as (port, _), ReSkin(port) as device:
         by_chip = device.read(FAULT_SAMPLES, PATIENCE_S).reading.reshape(-1, 5, 3)
     gone = np.isnan(by_chip).all(2)
     since = int(np.argmax(gone[:, DEAD_CHIP])) if gone[:, DEAD_CHIP].any() else len(gone)
@@ -88,7 +88,7 @@ def dead_chip(number: int) -> Trial:
 
 def frozen_board(number: int) -> Trial:
     """A board that sends the same values from a moment on, judged by each 24 successive samples."""
-    with started("--freeze-after", str(FAULT_S), "--seed", str(number)) as (port, _), ReSkin(port) as device:
+    with run_board("--freeze-after", str(FAULT_S), "--seed", str(number)) as (port, _), ReSkin(port) as device:
         samples = device.read(FAULT_SAMPLES, PATIENCE_S)
     reading, at = samples.reading, samples.time
     still = int(np.flatnonzero((np.diff(reading, axis=0) != 0).any(1))[-1]) + 1  # the first of those that are all alike
@@ -101,7 +101,7 @@ def frozen_board(number: int) -> Trial:
 
 def silent_board(number: int) -> Trial:
     """A board that falls silent."""
-    with started("--silent-after", "0.6", "--seed", str(number)) as (port, _), ReSkin(port) as device:
+    with run_board("--silent-after", "0.6", "--seed", str(number)) as (port, _), ReSkin(port) as device:
         return {"noticed": _noticed(device)}
 
 
@@ -109,7 +109,7 @@ def unplugged_board(number: int) -> Trial:
     """A board that is unplugged, and plugged in again."""
     with tempfile.TemporaryDirectory() as folder:
         words = ("--unplug-after", "0.6", "--replug-after", "1.4", "--link", str(Path(folder) / "skin"))
-        with started(*words, "--seed", str(number)) as (port, _), ReSkin(port) as device:
+        with run_board(*words, "--seed", str(number)) as (port, _), ReSkin(port) as device:
             noticed, end = _noticed(device), time.monotonic() + PATIENCE_S
             while time.monotonic() < end:
                 try:

@@ -13,7 +13,7 @@ from pathlib import Path
 from i2t.cli.exit_codes import exit_code_of
 from i2t.collect.command import exiting_on_signals
 from i2t.collect.procedure import Procedure
-from i2t.collect.recorder import Recorder, site_number_of, touches_in
+from i2t.collect.recorder import Recorder, list_touches, site_number_of
 from i2t.collect.settings import TouchSettings
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.depth.camera import Camera
@@ -34,7 +34,7 @@ LENS = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)
 def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") -> int:
     """Collect; returns the exit code."""
     rig, out = Rig(), Path(folder)
-    done = {site_number_of(path) for path in touches_in(out)}
+    done = {site_number_of(path) for path in list_touches(out)}
     payload, timeout = (rig.mass, rig.centre), max(WORKER_STATE_TIMEOUT_S, 2 / float(watchdog))
     arm = UrArm(host, rig.limits, rig.T_flange_tool, payload, state_timeout=timeout, watchdog_rate=float(watchdog))
     camera = SimulatedCamera(make_scene(), LENS, rig.T_tool_camera, lambda: arm.state().T_b_t, MonotonicClock())

@@ -12,7 +12,7 @@ from helpers.hostile_files import GIB, HOSTILE, READERS, make
 
 from i2t.errors import DataError, DeviceError
 from i2t.files.reading import read_bytes, read_text
-from i2t.files.writing import file_in, not_through_links
+from i2t.files.writing import file_in, open_without_links
 
 ROOT = Path(__file__).parents[2]
 MAX_SECONDS = 5.0
@@ -92,5 +92,5 @@ def test_a_file_is_not_written_through_a_link(tmp_path):
     (tmp_path / "theirs").write_text("precious")
     (tmp_path / "mine").symlink_to(tmp_path / "theirs")
     with pytest.raises(OSError, match=r"symbolic link|symlink|loop"):
-        open(tmp_path / "mine", "w", opener=not_through_links)  # noqa: SIM115
+        open(tmp_path / "mine", "w", opener=open_without_links)  # noqa: SIM115
     assert (tmp_path / "theirs").read_text() == "precious"

@@ -137,7 +137,7 @@ def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, see
 
 @settings(max_examples=40, deadline=None)
 @given(st.binary(max_size=3000), st.sampled_from(list(Format)))
-def test_noise_is_no_board(data, form):
+def test_noise_is_not_taken_for_a_board(data, form):
     decoder, delivered_frames = decoded(data, form)
     assert not delivered_frames
     assert adds_up(decoder, len(data))
@@ -185,7 +185,7 @@ def test_line_ends_within_numbers_do_not_mislead(noise):
 
 
 @pytest.mark.parametrize("start", [0, 3])
-def test_two_alignments_are_one_too_many(start):
+def test_a_stream_with_two_possible_alignments_is_refused(start):
     """A frame that repeated is just as plausible three bytes later."""
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
     assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE]) is not None
@@ -232,7 +232,7 @@ def test_flipped_bits_pass_an_exclusive_or_and_no_crc():
 
 
 @pytest.mark.parametrize("form", CHECKED)
-def test_a_counter_tells_what_is_missing(form):
+def test_a_frame_counter_reveals_lost_frames(form):
     readings, celsius = rest(300)
     gone = {5, 6, 7, 100, *range(200, 270)}
     whole = sent(readings, celsius, form)
@@ -263,7 +263,7 @@ def test_frames_without_any_chip_are_counted_and_not_delivered():
     assert np.isfinite([frame.reading for frame in delivered_frames]).all()
 
 
-def test_what_is_wrong_is_said():
+def test_the_problem_of_a_stream_is_reported():
     readings, celsius = rest(20)
     cold = np.where(np.arange(5) == 3, -998.1, celsius)  # what the firmware makes of a chip that does not answer
     for data, why in (

@@ -18,7 +18,7 @@ from i2t.hardware.contract import refuse
 from i2t.hardware.guarded import MotionWatch, free_limits
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.motion_limits import MotionLimits
-from i2t.hardware.poses import shifted_along_z
+from i2t.hardware.poses import translated_along_z
 from i2t.hardware.protocols import ArmState
 from tests.faults.closed_form import ForeignArm, MemoryLog
 
@@ -155,7 +155,7 @@ def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_
     procedure = make(stiffness=STIFFNESS)
     arm, driver_method = procedure.arm, procedure.arm.read_state
     arm.lab.robot.position = np.array([0.4, 0.0, HEIGHT + 3e-3])
-    goal = shifted_along_z(arm.state().T_b_t, 0.02)
+    goal = translated_along_z(arm.state().T_b_t, 0.02)
     arm.move(goal, 0.04)
     arm.clock.sleep(0.05)
     arm.read_state = lambda: lie(driver_method(), first=None)
@@ -188,7 +188,7 @@ def test_a_motion_is_judged_also_where_two_ask_for_states_a_brake_fails_or_it_be
 
         watcher = threading.Thread(target=look)
         watcher.start()
-        arm.move(shifted_along_z(home, 5e-3), 0.05)
+        arm.move(translated_along_z(home, 5e-3), 0.05)
         time.sleep(0.8)
         looking.set()
         watcher.join()
@@ -215,7 +215,7 @@ def test_a_motion_is_not_begun_where_a_stop_was_asked_for_meanwhile():
 
         arm.begin_line = stopped_before
         with pytest.raises(MotionStoppedError, match="by request"):
-            arm.move(shifted_along_z(arm.state().T_b_t, 0.05), 0.02)
+            arm.move(translated_along_z(arm.state().T_b_t, 0.05), 0.02)
         assert arm.lab.robot.motion is None
 
 
@@ -294,7 +294,7 @@ def test_an_arm_that_begins_late_is_waited_for_and_one_that_never_does_has_not_a
         driver_method, begun = arm.begin_line, threading.Timer
         arm.begin_line = lambda *line: begun(lag, driver_method, line).start()
         home = arm.state().T_b_t
-        arm.go(shifted_along_z(home, 0.01), 0.05)
+        arm.go(translated_along_z(home, 0.01), 0.05)
         assert not arm.state().moving
         arm.begin_line = lambda *line: None
         with pytest.raises(DeviceError, match=r"ended 10\.0 mm and 0\.0 degrees off its goal"):
@@ -312,7 +312,7 @@ def test_a_line_that_was_sent_is_taken_back_where_its_answer_fails_or_the_arm_is
     with arm:
         arm.begin_line = sent
         with pytest.raises(DeviceError, match="no answer"):
-            arm.move(shifted_along_z(arm.state().T_b_t, 0.05), 0.02)
+            arm.move(translated_along_z(arm.state().T_b_t, 0.05), 0.02)
         assert arm.lab.robot.motion is None
         arm.begin_line = driver_method
         state, looks = arm.state, []
@@ -326,14 +326,14 @@ def test_a_line_that_was_sent_is_taken_back_where_its_answer_fails_or_the_arm_is
 
         arm.state = closing
         with pytest.raises(MotionStoppedError, match="by request"):
-            arm.move(shifted_along_z(state().T_b_t, 0.05), 0.02)
+            arm.move(translated_along_z(state().T_b_t, 0.05), 0.02)
         assert arm.lab.robot.motion is None
 
 
 def test_a_second_ctrl_c_does_not_keep_an_arm_from_being_stopped():
     arm = slow_arm()
     arm.connect()
-    arm.move(shifted_along_z(arm.state().T_b_t, 0.05), 0.02)
+    arm.move(translated_along_z(arm.state().T_b_t, 0.05), 0.02)
     brake, before = arm.brake, signal.signal(signal.SIGINT, signal.default_int_handler)
     arm.brake = lambda: signal.raise_signal(signal.SIGINT) or brake()
     try:

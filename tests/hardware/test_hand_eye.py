@@ -66,7 +66,7 @@ def board_view(T_b_t, rng, noise, told=None):
     return BoardView(T_b_t if told is None else told, corners, rays)
 
 
-def test_without_noise_it_is_exact():
+def test_hand_eye_calibration_without_noise_is_exact():
     rng = np.random.default_rng(0)
     board_views = [board_view(T, rng, 0.0) for T in tools(6, rng)]
     for seen in board_views:
@@ -78,7 +78,7 @@ def test_without_noise_it_is_exact():
 
 
 @pytest.mark.full
-def test_the_error_it_states_is_the_error_it_makes():
+def test_the_stated_error_agrees_with_the_actual_error():
     """Over 8 calibrations: the stated standard error is a root mean square, so are the errors made. A mean of 8
     squares of three independent parts each scatters by sqrt(2 / 24) = 29 %, by 50 % where one part rules, so its root
     by 15 to 25 %, and the jackknife of 12 views by some 20 % of its own: within a factor of two they must agree.
@@ -146,7 +146,7 @@ def view(T_b_t, drawing, rng):
 def taken(tmp_path_factory):
     """A folder that `capture` has made of nine views, from a camera and an arm that report what they would."""
     rng = np.random.default_rng(4)
-    drawing = Image.fromarray(BOARD.drawn(EDGE / (1e3 * BOARD.square)))
+    drawing = Image.fromarray(BOARD.image(EDGE / (1e3 * BOARD.square)))
     T_c_colour = pose([0.0, 0.01, 0.0], [0.015, 0.0, 0.0])
     poses = list(tools(8, rng))
     poses.insert(4, poses[0] @ pose([1.5, 0, 0], [0, 0, 0]))  # looks away: no board
@@ -180,7 +180,7 @@ def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
     assert hand_eye.main(["estimate", str(path), "--write"]) == 2
 
 
-def test_what_is_missing_is_said(taken, tmp_path, capsys):
+def test_missing_input_is_reported(taken, tmp_path, capsys):
     shutil.copytree(taken[0], copy := tmp_path / "views")
     for file, text, why in (
         ("images/000.png", "no image", "000.png: cannot be read"),

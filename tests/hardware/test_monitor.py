@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from i2t.emulators.reskin_board import Readings, started
+from i2t.emulators.reskin_board import Readings, run_board
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin import monitor
 
@@ -35,7 +35,7 @@ def test_a_table_has_each_chips_change_and_says_which_is_missing():
 @pytest.mark.parametrize(("noise", "health"), [("1", "healthy at rest"), ("0", "UNHEALTHY: chip 0 stands still")])
 def test_a_board_is_drawn_kept_and_judged(capsys, monkeypatch, tmp_path, noise, health):
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
-    with started("--noise", noise, "--fail", "1") as (port, _):
+    with run_board("--noise", noise, "--fail", "1") as (port, _):
         output = shown(["--port", port, "--seconds", "1"], capsys, health)
         assert "emulated  binary" in output
         assert "missing" in output

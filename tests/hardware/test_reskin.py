@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from helpers.waiting import PATIENCE, eventually
 
-from i2t.emulators.reskin_board import Readings, started
+from i2t.emulators.reskin_board import Readings, run_board
 from i2t.errors import DeviceError
 from i2t.hardware import serial_port
 from i2t.hardware.contract import refuse
@@ -46,7 +46,7 @@ def failure(skin, words: str) -> str:
 
 @pytest.mark.parametrize("form", Format)
 def test_the_driver_finds_the_format(form):
-    with started("--format", form) as (port, _), ReSkin(port) as skin:
+    with run_board("--format", form) as (port, _), ReSkin(port) as skin:
         samples = skin.read(40, PATIENCE)
         assert skin.info == BoardInfo(port, 115200, form)  # a pseudo-terminal has any rate
         np.testing.assert_allclose(samples.reading.mean(axis=0), REST, atol=5 * 4.6 / np.sqrt(40))
@@ -55,7 +55,7 @@ def test_the_driver_finds_the_format(form):
 
 def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
     link = tmp_path / "skin"
-    with started("--link", str(link), "--unplug-after", "0.5", "--replug-after", "0.8") as (port, _):
+    with run_board("--link", str(link), "--unplug-after", "0.5", "--replug-after", "0.8") as (port, _):
         skin = ReSkin(port)
         assert skin.features.source == "emulated"
         with skin:
@@ -78,7 +78,7 @@ def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
 
 
 def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_board(monkeypatch):
-    with started("--silent-after", "0.4", "--silent-for", "2.0") as (port, _), ReSkin(port) as skin:
+    with run_board("--silent-after", "0.4", "--silent-for", "2.0") as (port, _), ReSkin(port) as skin:
         assert "check its cable" in failure(skin, "has been silent for")
         skin.read(20, PATIENCE)
         skin.latest(PATIENCE)
@@ -87,15 +87,15 @@ def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_boar
 
 
 @pytest.mark.full
-def test_a_wrong_baud_rate_is_said():
+def test_a_wrong_baud_rate_is_reported():
     search = BoardSearch(first_frame_timeout=0.3, startup_time=0.0)
-    with started("--baud", "460800") as (port, _), pytest.raises(DeviceError, match=r"at 9600 baud .* the baud rate"):
+    with run_board("--baud", "460800") as (port, _), pytest.raises(DeviceError, match=r"at 9600 baud .* the baud rate"):
         ReSkin(port, 9600, search=search).connect()
 
 
-def test_what_cannot_be_opened_says_why(tmp_path):
+def test_a_port_that_cannot_be_opened_is_reported_with_the_reason(tmp_path):
     (tmp_path / "file").write_bytes(b"")
-    with started() as (port, _), ReSkin(port):
+    with run_board() as (port, _), ReSkin(port):
         calls = [
             (ReSkin(port).connect, (), "already open in this program"),
             (ReSkin(str(tmp_path / "nowhere")).connect, (), r"there is no port .*nowhere"),
@@ -130,7 +130,7 @@ while True:
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for other programs in /proc")
 def test_a_port_that_another_program_reads_is_not_said_to_be_unplugged(tmp_path):
     link = tmp_path / "skin"  # of another name, as udev gives
-    with started("--link", str(link)) as (port, _):
+    with run_board("--link", str(link)) as (port, _):
         for lock, problem in (False, r"is read by \S+ \(process %d\) too"), (True, r"in use by \S+ \(process %d\)"):
             with reader_of(port, lock) as other, pytest.raises(DeviceError, match=problem % other):
                 ReSkin(str(link)).connect()
@@ -196,11 +196,11 @@ def test_a_forbidden_port_names_its_group_and_what_is_missing(monkeypatch, group
     monkeypatch.setattr(serial_port.os, "getegid", lambda: 1000)
     monkeypatch.setattr(serial_port.os, "stat", lambda path: SimpleNamespace(st_gid=20))
     monkeypatch.setattr(serial_port.grp, "getgrgid", lambda number: ("dialout", "x", number, members))
-    assert words in serial_port.why_forbidden("/dev/ttyACM0")
+    assert words in serial_port.explain_no_access("/dev/ttyACM0")
 
 
-def test_the_queue_lets_go_of_the_oldest():
-    with started("--rate", "2000") as (port, _), ReSkin(port, rate=2000.0, capacity=50) as skin:
+def test_a_full_queue_drops_the_oldest_samples():
+    with run_board("--rate", "2000") as (port, _), ReSkin(port, rate=2000.0, capacity=50) as skin:
         skin.since(-1)
         first = skin.read(1, PATIENCE).number[-1]
         skin.since(first - 1)
@@ -235,7 +235,7 @@ def test_a_late_read_is_dated_back_and_the_reader_does_not_die_quietly():
 
 
 def test_it_can_be_closed_from_anywhere_and_at_once():
-    with started() as (port, process):
+    with run_board() as (port, process):
         skin = ReSkin(port)
         skin.connect()
         with ThreadPoolExecutor() as pool:
@@ -280,9 +280,9 @@ def feel(process, field) -> None:
         out.sendto(np.asarray(field, "<f4").tobytes(), (host, int(number)))
 
 
-def test_what_was_sent_to_nobody_is_not_read():
+def test_bytes_sent_before_opening_are_not_read():
     """A board that talked for a second to a port that nobody read has filled its buffer with the past."""
-    with started("--field", "--noise", "0") as (port, process):
+    with run_board("--field", "--noise", "0") as (port, process):
         holder = os.open(port, os.O_RDWR | os.O_NOCTTY)
         tty.setraw(holder)
         time.sleep(0.5)
@@ -299,7 +299,7 @@ def test_what_was_sent_to_nobody_is_not_read():
 @pytest.mark.parametrize("form", Format)
 def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
     switches = ("--board", "grid-2x2", "--field", "--noise", "0", "--fail", "1", "--format", form)
-    with started(*switches) as (port, process):
+    with run_board(*switches) as (port, process):
         with pytest.raises(DeviceError, match="frames of 4 chips arrive, not of 5; name the right board"):
             ReSkin(port, 115200).connect()
         with ReSkin(port, 115200, chips=4) as skin:
@@ -315,6 +315,6 @@ def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
 def test_the_baud_rate_is_found_and_rubbish_after_a_reset_is_waited_out():
     search = BoardSearch(baud_rates=(115200, 921600))
     switches = ("--format", "framed", "--garbage-for", "1.6", "--baud", "921600")
-    with started(*switches) as (port, _), ReSkin(port, search=search) as skin:
+    with run_board(*switches) as (port, _), ReSkin(port, search=search) as skin:
         assert np.isfinite(skin.read(20, PATIENCE).reading).all()
         assert (skin.info.baud, skin.info.form) == (921600, Format.FRAMED)

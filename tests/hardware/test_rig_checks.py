@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from i2t.hardware.rig import Rig
-from i2t.hardware.rig_checks import implausible, other_lens, require_plausible
+from i2t.hardware.rig_checks import compare_lens, implausible_values, require_plausible
 from i2t.objects.catalogue import make_object
 from tests.faults.rig_mistakes import MISTAKES, right_rig
 
@@ -33,9 +33,9 @@ def test_there_are_enough_mistakes_and_right_rigs_are_plausible(vertices):
     assert len(names) == len(set(names)) >= 53
     assert set(names) >= LEFT_TO_THE_FIRST_TOUCH
     for rig in (Rig(), right_rig()):
-        assert implausible(rig) == implausible(rig, vertices) == []
+        assert implausible_values(rig) == implausible_values(rig, vertices) == []
         require_plausible(rig, vertices)
-        assert other_lens(rig.camera, rig.camera) == ""
+        assert compare_lens(rig.camera, rig.camera) == ""
 
 
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
@@ -43,8 +43,8 @@ def test_a_mistake_is_refused_in_one_sentence_or_left_to_the_first_touch(mistake
     right = right_rig()
     try:
         wrong = mistake.make(right)
-        doubts = implausible(wrong, vertices)
-        lens = other_lens(wrong.camera, right.camera)
+        doubts = implausible_values(wrong, vertices)
+        lens = compare_lens(wrong.camera, right.camera)
         doubts = [*doubts, *([lens] if lens else [])]
     except ValueError as error:
         doubts = [str(error)]
@@ -56,7 +56,7 @@ def test_a_mistake_is_refused_in_one_sentence_or_left_to_the_first_touch(mistake
 
 def test_a_doubt_is_refused_with_the_way_round_it_and_a_mesh_in_another_unit_is_noticed(vertices):
     wrong = replace(Rig(), T_world_object=np.diag([1.0, -1.0, -1.0, 1.0]))
-    with pytest.raises(ValueError, match=r"below the table: is it upside down.*--trust-rig"):
+    with pytest.raises(ValueError, match=r"below the table: is it upside down.*--accept-unusual-rig"):
         require_plausible(wrong, vertices)
-    (doubt,) = implausible(Rig(), 1e-3 * vertices)
+    (doubt,) = implausible_values(Rig(), 1e-3 * vertices)
     assert "check --unit" in doubt

@@ -95,7 +95,7 @@ def test_an_arm_finds_its_skin(z, rx, ry):
     assert len(messages) == 4
 
 
-def test_what_is_no_press_and_no_flat_is_said():
+def test_presses_without_an_onset_and_a_missing_flat_are_reported():
     few, falling = (np.array([0, 1e-3]), np.array([0, 1.0])), (np.arange(6.0), 6 - np.arange(6.0))
     lost = np.arange(8.0), np.where(np.arange(8) == 5, np.nan, np.arange(8.0))
     calls = [(contact_onset, few, "in at least 5 samples"), (contact_onset, falling, "did not rise with")]

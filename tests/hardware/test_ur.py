@@ -147,7 +147,7 @@ def test_a_motion_is_made_under_a_fed_watchdog_only():
         exit_timeout=2,
     )
     worker = rtde_worker.Worker(theirs, library, library, limits)
-    worker.observe()
+    worker.send_new_state()
     motion = {"pose": [0.0] * 6, "speed": 0.1, "acceleration": 0.1, "force": 1.0, "torque": 1.0}
     heartbeat, move = {"heartbeat": True}, {"command": "move", "id": 1, "arguments": motion}
 
@@ -238,7 +238,7 @@ def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start
         assert 0.09 < status(host)["fastest"] <= 0.1 * (1 + 1e-9)
 
 
-def test_what_is_beyond_the_limits_is_refused_before_anything_is_sent(above):
+def test_goals_beyond_the_limits_are_refused_before_anything_is_sent(above):
     host, arm = above
     commands = status(host)["commands"]
     goals = (arm.go, (pose(0.7, 0.0, 0.3),), "outside the box"), (arm.move, (pose(np.nan, 0.0, 0.3),), "finite")

@@ -90,7 +90,7 @@ def test_a_controller_whose_ports_all_answer_is_accepted():
     with FakeController().listen(*PORTS) as fake:
         access.check_controller(fake.host)
         assert ports.controller_version(fake.host) == (5, 11, 0, 7)
-        assert ports.why_no_answer(fake.host) == ""
+        assert ports.explain_no_answer(fake.host) == ""
 
 
 def test_polyscope_x_is_named_by_the_version_that_rtde_tells():

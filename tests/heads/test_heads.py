@@ -214,7 +214,7 @@ def test_sessions_of_eflesh_are_read_as_recorded(tmp_path):
     np.testing.assert_allclose(
         recording.targets["travel"][:, 0], 1e-3 * (states[:, 3].max() - states[:, 3]), atol=1e-12
     )
-    assert recording.known("force").sum() == 30
+    assert recording.known_rows("force").sum() == 30
     np.testing.assert_allclose(np.nanmax(recording.targets["force"]), 9.80665e-3 * states[::2, 4].max(), rtol=1e-12)
     assert len(np.unique(recording.session)) == 3
     assert is_stream(recording)

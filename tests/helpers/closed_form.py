@@ -26,8 +26,10 @@ WALL = 1.7e9  # Unix time at which a test begins
 BOARD = boards.reskin_board()
 GAIN = np.linspace(-9, 12, BOARD.num_readings)  # uT/N
 DOWN = np.diag([1.0, -1.0, -1.0])
-QUIET = SimulationErrors.none()
-NOISY = SimulationErrors.none().__class__(**{**vars(SimulationErrors.none()), "noise": Noise(), "force": 0.1})
+QUIET = SimulationErrors.error_free()
+NOISY = SimulationErrors.error_free().__class__(
+    **{**vars(SimulationErrors.error_free()), "noise": Noise(), "force": 0.1}
+)
 
 
 class Eye(DeviceBase):

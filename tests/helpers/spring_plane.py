@@ -29,10 +29,10 @@ class SpringPlane(ObjectScene):
         self.triangles = TABLES_SEEN * table_triangles(np.eye(4)) + np.array([*SEEN_AT_M, height])
         self.T_t_camera = np.eye(4)
 
-    def near(self, position: Array) -> bool:
+    def is_near(self, position: Array) -> bool:
         return bool(abs(position[2] - self.height) < LINE_LENGTH_M)
 
-    def ahead(self, T_b_t: Array) -> ContactLine:
+    def line_ahead(self, T_b_t: Array) -> ContactLine:
         down = -T_b_t[2, 2]
         first = (T_b_t[2, 3] - self.height) / down if down > 0 else np.inf
         force = np.array([0.0, 1.0])

@@ -269,7 +269,7 @@ MIXED = [QUADS[0], *TRIANGLES[2:6], *QUADS[3:]]
 def test_dialects_of_ply_are_read(tmp_path, form, options):
     mesh = parse(tmp_path, "a.ply", ply(form, **options))
     assert is_box(mesh)
-    assert mesh.left_out == (("1 faces of fewer than three corners",) if len(options.get("quads", ())) == 7 else ())
+    assert mesh.ignored == (("1 faces of fewer than three corners",) if len(options.get("quads", ())) == 7 else ())
 
 
 def test_a_ply_in_utf_16_is_read(tmp_path):
@@ -500,7 +500,7 @@ def test_strips_and_fans_in_glb_are_read_and_lines_left_out(tmp_path):
         data = scene(indices=indices, accessors=accessors, meshes=[{"primitives": [*primitives, lines]}])
         mesh = parse(tmp_path, "a.glb", data)
         assert is_box(mesh)
-        assert mesh.left_out == ("1 primitives of lines",)
+        assert mesh.ignored == ("1 primitives of lines",)
         with pytest.warns(UserWarning, match="left out 1 primitives of lines; faces are read"):
             read_mesh(tmp_path / "a.glb", "mm")
     with pytest.raises(DataError, match="holds no faces but 1 primitives of points"):
@@ -524,7 +524,7 @@ def test_the_default_of_several_scenes_is_read(tmp_path):
     nodes, scenes = [{"mesh": 0}, {"mesh": 0, "scale": [2, 2, 2]}], [{"nodes": [0]}, {"nodes": [1]}]
     mesh = parse(tmp_path, "a.glb", scene(nodes=nodes, scenes=scenes, scene=1))
     assert is_box(mesh, 2 * SIZE)
-    assert mesh.left_out == ("1 scenes that are not the default one",)
+    assert mesh.ignored == ("1 scenes that are not the default one",)
     data = scene(nodes=nodes, scenes=scenes, scene=None)
     refused(tmp_path, "a.glb", data, "2 scenes, none of which is the default")
 

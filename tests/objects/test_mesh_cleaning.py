@@ -108,13 +108,13 @@ def test_a_mirrored_half_is_turned_outward_and_the_wall_between_is_dropped(half,
     both = Mesh(both.vertices @ turn.T + 0.1, both.faces)
     order = np.random.default_rng(seed).permutation(len(both.faces))
     for given in (both, turned(both)):
-        mesh, left_out, report = clean_mesh(Mesh(given.vertices, given.faces[order]))
+        mesh, obstacles, report = clean_mesh(Mesh(given.vertices, given.faces[order]))
         assert whole(mesh).volume == pytest.approx(2 * whole(half).volume, rel=1e-6)
         assert whole(mesh).is_watertight
         assert whole(mesh).is_winding_consistent
         assert report.watertight
         assert report.repeated > 0
-        assert not len(left_out.faces)
+        assert not len(obstacles.faces)
 
 
 def test_four_quarters_that_meet_lose_all_walls_between_them():
@@ -261,6 +261,6 @@ def test_an_assembly_keeps_all_of_its_parts_however_small(small):
     housing = box((0.04, 0.04, 0.04))
     screws = [box((small,) * 3, [*rng.uniform(-0.02, 0.02, 2), 0.021 + 0.001 * i]) for i in range(60)]
     given = joined(housing, *(turned(screw) if i % 2 else screw for i, screw in enumerate(screws)))
-    mesh, left_out, report = clean_mesh(given)
+    mesh, obstacles, report = clean_mesh(given)
     assert whole(mesh).volume == pytest.approx(0.04**3 + 60 * small**3)
-    assert (report.pieces, len(left_out.faces)) == (61, 0)
+    assert (report.pieces, len(obstacles.faces)) == (61, 0)

@@ -108,12 +108,12 @@ def test_every_body_is_kept_but_a_stray_facet_is_dropped(tmp_path):
     trimesh.util.concatenate([body, facet, other]).export(path)
     both = load_object(path, "mm")
     assert whole(both.mesh).area == pytest.approx(6e-6 * (30**2 + 5**2), rel=1e-6)
-    assert both.left_out is not None
-    assert len(both.left_out.faces) == 1
+    assert both.obstacles is not None
+    assert len(both.obstacles.faces) == 1
     alone = load_object(path, "mm", largest_piece=True)
     assert whole(alone.mesh).area == pytest.approx(6e-6 * 30**2, rel=1e-6)
-    assert alone.left_out is not None
-    assert len(alone.left_out.faces) == 13
+    assert alone.obstacles is not None
+    assert len(alone.obstacles.faces) == 13
 
 
 @pytest.mark.parametrize("up", ["z", "y"])

@@ -92,7 +92,7 @@ def test_the_interval_widens_away_from_the_training_touches():
 def test_methods_share_values_of_the_same_touches_only():
     calls: list[int] = []
     given, rows = TrainingTouches(bare_dataset(np.zeros((4, 5, 5)), np.zeros((4, 6)))), np.arange(4) < 2
-    values = [given.once("sum", mask, lambda: calls.append(1) or len(calls)) for mask in (rows, rows, ~rows)]
+    values = [given.cached("sum", mask, lambda: calls.append(1) or len(calls)) for mask in (rows, rows, ~rows)]
     assert values == [1, 1, 2]
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from i2t.prediction.baselines import tuned
+from i2t.prediction.baselines import predict_with_best_option
 from i2t.prediction.metrics import nearest_neighbours, score
 
 
@@ -64,5 +64,5 @@ def test_options_are_chosen_between_groups():
         return nearest_neighbours(x, y, at, k)
 
     for groups, best in ((np.tile(np.arange(50), 2), 32), (np.repeat([0, 1], 50), 1)):  # copies together, and apart
-        tuned(method, (1.0, 32.0), x, y, groups, at=x[:3])
+        predict_with_best_option(method, (1.0, 32.0), x, y, groups, at=x[:3])
         assert asked[-1] == best

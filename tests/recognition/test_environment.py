@@ -12,7 +12,7 @@ from helpers.environments import OBJECTS, SITES, random_environment
 from i2t.recognition.environment import EnvironmentConfig, TouchAction, record
 from i2t.simulation.touches import SimulationErrors
 
-QUIET = EnvironmentConfig(touches=4, errors=SimulationErrors.none())
+QUIET = EnvironmentConfig(touches=4, errors=SimulationErrors.error_free())
 
 
 def touch(site: int, logits=(0.0,) * OBJECTS) -> TouchAction:
@@ -52,7 +52,7 @@ def test_an_unsafe_touch_moves_nothing_and_costs_a_step(begun):
         assert obs.refused
         assert not obs.contact
         assert not np.any(obs.reading)
-        np.testing.assert_array_equal(after.made.T_w_t, state.made.T_w_t)
+        np.testing.assert_array_equal(after.outcomes.T_w_t, state.outcomes.T_w_t)
         assert after.num_refused == state.num_refused + 1
         assert reward == pytest.approx(float(before) - QUIET.refusal_cost)
 
@@ -62,7 +62,7 @@ def test_an_episode_ends_after_its_last_touch_and_the_next_begins(begun):
 
     def step(state, key):
         obs, state, _, done, info = environment.step(key, state, touch(0), params)
-        return state, (done, obs.left, info["final"].left)
+        return state, (done, obs.remaining, info["final"].remaining)
 
     state, (done, left, final) = jax.lax.scan(step, state, jax.random.split(jax.random.key(1), 8))
     np.testing.assert_array_equal(done, [False, False, False, True] * 2)
@@ -92,12 +92,12 @@ def test_future_touches_do_not_change_past_readings():
         readings.append(environment.measure(state, params).reading)
     for count, reading in enumerate(readings[:2], 1):
         np.testing.assert_array_equal(reading[:count], readings[2][:count])
-    assert not np.array_equal(readings[2][:3], state.made.reading[:3])  # which is that of an ideal skin
+    assert not np.array_equal(readings[2][:3], state.outcomes.reading[:3])  # which is that of an ideal skin
 
 
 def test_press_errors_exclude_those_of_the_sensor():
     """Worlds that differ in these alone share what is compiled."""
-    none, usual = SimulationErrors.none(), SimulationErrors()
+    none, usual = SimulationErrors.error_free(), SimulationErrors()
     assert EnvironmentConfig(usual).press_errors == replace(usual, noise=none.noise, faults=none.faults)
     often = replace(usual, faults=replace(usual.faults, ambient_every=10))
     assert EnvironmentConfig(often).press_errors == EnvironmentConfig(usual).press_errors

@@ -1,4 +1,4 @@
-"""Recorded sessions as episodes: where the sites of touches lie, and what a touch that met air says."""
+"""Recorded sessions as episodes: where the sites of touches lie, and what a touch without contact says."""
 
 import inspect
 from unittest.mock import create_autospec
@@ -16,7 +16,7 @@ from i2t.recognition.episodes import (
     BeliefModel,
     Episodes,
     episodes_from_dataset,
-    weigh_evidence,
+    select_evidence,
 )
 from i2t.recognition.site_pool import SitePool
 from i2t.skin.boards import grid_board
@@ -75,7 +75,7 @@ def test_the_site_of_a_touch_without_contact_lies_before_its_end():
 
 def test_each_kind_of_evidence_has_its_own_weight_and_fused_has_all():
     for kind in EVIDENCE:
-        weighed = weigh_evidence(LIKELIHOOD, kind)
+        weighed = select_evidence(LIKELIHOOD, kind)
         on = [bool(x > 0) for x in (weighed.tactile_weight, weighed.spatial_weight, weighed.presence_weight)]
         assert on == [kind == "fused" or name in kind for name in ("readings", "position", "presence")]
 

@@ -96,7 +96,7 @@ def test_gains_are_mutual_information(prior):
         assert (np.diff(gain.object) > 0).all()  # all sites see the same draws
         assert (gain.object < bound + 1e-4).all()
         # Places feel alike here: nothing is learned of them, and the two are estimates of one number.
-        np.testing.assert_allclose(gain.both, gain.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
+        np.testing.assert_allclose(gain.object_and_pose, gain.object, atol=SIGMAS * 2 * bound / np.sqrt(DRAWS))
 
 
 @pytest.mark.full
@@ -128,17 +128,17 @@ def test_information_on_the_object_and_on_the_place():
     information = gains(jax.random.key(1), start(), table, TACTILE)
     close = partial(np.testing.assert_allclose, atol=1e-3)
     close(information.object, np.log([1, 2, 2, 1, 1, 2]))
-    close(information.both, np.log([8, 2, 16, 1, 2, 2]))
+    close(information.object_and_pose, np.log([8, 2, 16, 1, 2, 2]))
 
     # Where the place is known, all information is on the object; and where the object is, all of the place.
     placed = start()._replace(log_weight=jnp.where(jnp.arange(COUNT)[None] == 5, start().log_weight, -jnp.inf))
     information = gains(jax.random.key(2), placed, table, TACTILE)
     close(information.object, np.log([1, 2, 2, 1, 1, 2]))
-    close(information.both, np.log([1, 2, 2, 1, 1, 2]))
+    close(information.object_and_pose, np.log([1, 2, 2, 1, 1, 2]))
     named = start()._replace(log_weight=jnp.zeros((OBJECTS, COUNT)).at[1].set(-jnp.inf))
     information = gains(jax.random.key(3), named, table, TACTILE)
     close(information.object, 0)
-    close(information.both, np.log([8, 1, 8, 1, 2, 1]))
+    close(information.object_and_pose, np.log([8, 1, 8, 1, 2, 1]))
 
 
 def test_a_simulated_observation_is_the_prediction_plus_noise():

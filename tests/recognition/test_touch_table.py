@@ -11,13 +11,13 @@ from helpers.environments import OBJECTS, PADS, SITES, random_environment
 
 from i2t.contact.press import PressLimits
 from i2t.recognition import touch_table
-from i2t.recognition.environment import EnvironmentConfig, TabulatedTouches, TouchEnvironment, advance_from
+from i2t.recognition.environment import EnvironmentConfig, TabulatedTouches, TouchEnvironment, advance_along_approach
 from i2t.recognition.touch_table import make_environment, tabulate
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import press as press_pad
 
 QUIET = EnvironmentConfig(
-    errors=SimulationErrors.none(), limits=replace(PressLimits(), overshoot=0.0), touches=3, law=None
+    errors=SimulationErrors.error_free(), limits=replace(PressLimits(), overshoot=0.0), touches=3, law=None
 )
 
 
@@ -53,7 +53,7 @@ def test_a_linear_press_equals_the_full_physics_within_the_noise(world):
         ours, whole = both(jnp.arange(6), number)
         assert ours.contact.all()
         np.testing.assert_allclose(ours.force, whole.force, rtol=0.08)
-        advance = [advance_from(params.T_w_site, ends.T_w_t) for ends in (ours, whole)]
+        advance = [advance_along_approach(params.T_w_site, ends.T_w_t) for ends in (ours, whole)]
         np.testing.assert_allclose(*advance, atol=20e-6)
         assert np.linalg.norm(ours.reading - whole.reading, axis=1).max() < 3
         assert np.abs(np.linalg.norm(ours.reading, axis=1) / QUIET.limits.skin_change - 1).max() < 0.01
@@ -69,7 +69,7 @@ def test_a_row_of_the_table_equals_the_simulated_touch(world):
         here = environment.touch(jax.random.key(2), state, jnp.int32(site), params)
         row = jax.tree.map(lambda x, row=(pad, which, 1, site): x[row], table.touches)
         np.testing.assert_allclose(row.reading, here.reading, atol=0.05)
-        np.testing.assert_allclose(row.advance, advance_from(params.T_w_site[site], here.T_w_t), atol=1e-6)
+        np.testing.assert_allclose(row.advance, advance_along_approach(params.T_w_site[site], here.T_w_t), atol=1e-6)
 
 
 def test_a_table_has_the_touches_of_each_object_next_to_each_other(monkeypatch):

@@ -9,7 +9,7 @@ import i2t
 from i2t.contact.press import PressLimits
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.reconstruction import infer_patch
-from i2t.reconstruction.library import library_of, sample_contacts
+from i2t.reconstruction.library import library_from_contacts, sample_contacts
 from i2t.reconstruction.local_shape import (
     _at_force,
     _blurred,
@@ -18,7 +18,7 @@ from i2t.reconstruction.local_shape import (
     summarize,
     systematic_samples,
 )
-from i2t.reconstruction.press_models import imagine_presses
+from i2t.reconstruction.press_models import predict_presses
 from i2t.rendering.render import render_heights
 from i2t.simulation.press_curves import simulate_press_curve
 from i2t.simulation.touches import SimulationErrors
@@ -141,11 +141,11 @@ def test_predicted_readings_equal_those_of_the_full_physics():
     surface = i2t.prepare_surface(i2t.make_object("stamp-cross").mesh)
     contacts, objects = sample_contacts(jax.random.key(0), [surface], 3)
     pad = i2t.sample_pad(jax.random.key(1))
-    model = imagine_presses(pad, library_of(contacts, objects))
+    model = predict_presses(pad, library_from_contacts(contacts, objects))
 
     def press(T):
         heights = render_heights(surface, jnp.linalg.inv(T), PAD_WINDOW, 40)
-        errors, limits = SimulationErrors.none(), PressLimits()
+        errors, limits = SimulationErrors.error_free(), PressLimits()
         return simulate_press_curve(jax.random.key(2), pad, heights, errors=errors, limits=limits)
 
     presses = jax.jit(lambda T: jax.lax.map(press, T))(contacts.T_o_t)

@@ -31,7 +31,7 @@ from i2t.reconstruction.surface import (
     condition_on,
     estimate_surface,
     init,
-    likeliest,
+    most_probable_shapes,
     posterior_covariance,
     predict,
     regress,
@@ -252,7 +252,7 @@ def test_a_subsample_of_shapes_keeps_their_weights():
 
 
 def test_the_likeliest_shapes_share_all_weight():
-    shapes, weights = likeliest(np.array([0.1, 0.4, 0.2, 0.3]), 2)
+    shapes, weights = most_probable_shapes(np.array([0.1, 0.4, 0.2, 0.3]), 2)
     np.testing.assert_allclose(weights[np.argsort(shapes)], [4 / 7, 3 / 7], rtol=1e-6)
     assert sorted(shapes) == [1, 3]
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from i2t.errors import DataError
-from i2t.recordings.clocks import even_times, judge_stamps, row_clock
+from i2t.recordings.clocks import check_stamps, even_times, row_clock
 
 TIME = np.arange(400) * 0.01
 
@@ -20,7 +20,7 @@ def test_sound_stamps_increase_until_the_clock_restarts(data):
     for _ in range(data.draw(st.integers(1, 4))):
         first, length = data.draw(st.integers(0, 399)), data.draw(st.integers(1, 90))
         time[first : first + length] += data.draw(st.sampled_from([-1e5, -3600.0, -0.5, 0.2, 3600.0]))
-    verdict = judge_stamps(time)
+    verdict = check_stamps(time)
     ends = [0, *verdict.restarts.tolist(), len(time)]
     assert (np.diff(ends) >= 0).all()
     for start, end in pairwise(ends):
@@ -34,7 +34,7 @@ def test_only_the_rows_that_stand_out_are_damaged(first, length, by):
     time[first : first + length] += by
     away = np.zeros(400, bool)
     away[first : first + length] = True
-    verdict = judge_stamps(time)
+    verdict = check_stamps(time)
     if first + length < 400:
         np.testing.assert_array_equal(verdict.damaged, away)
         assert not len(verdict.restarts)
@@ -44,10 +44,10 @@ def test_judging_rows_in_two_parts_gives_the_same_result():
     time = TIME.copy()
     time[[100, 240]] += 3600
     time[250:270] -= 50
-    whole = judge_stamps(time)
-    first = judge_stamps(time[:300], last=False)
+    whole = check_stamps(time)
+    first = check_stamps(time[:300], last=False)
     context = np.flatnonzero(~first.damaged)[-1]
-    rest = judge_stamps(np.concatenate([[time[context]], time[first.settled :]]), begun=True)
+    rest = check_stamps(np.concatenate([[time[context]], time[first.settled :]]), begun=True)
     np.testing.assert_array_equal(np.concatenate([first.damaged, rest.damaged[1:]]), whole.damaged)
     assert whole.damaged.sum() == 22
 

@@ -48,7 +48,7 @@ def test_pooled_sessions_are_one_ridge_regression_on_all_of_them():
     information = np.eye(6) + design.T @ design
     expected = np.linalg.solve(information, design.T @ value)
     np.testing.assert_allclose(to_twist(pooled.T_t_camera) / STD, expected, atol=1e-4)
-    assert pooled.sessions == 4
+    assert pooled.num_sessions == 4
     widened = max(1.0, pooled.disagreement) ** 2
     np.testing.assert_allclose(pooled.covariance / np.outer(STD, STD), np.linalg.inv(information) * widened, rtol=1e-3)
 
@@ -69,15 +69,15 @@ def test_intervals_cover_the_truth_and_a_moved_camera_makes_sessions_disagree():
         pool_hand_eye([])
 
 
-@pytest.mark.parametrize("looked_from", [(0.0, 0.0, 0.0), (0.01, -0.02, -0.06)])
-def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
+@pytest.mark.parametrize("tool_offset_at_capture", [(0.0, 0.0, 0.0), (0.01, -0.02, -0.06)])
+def test_corrected_views_are_those_that_embree_sees_from_the_tool(tool_offset_at_capture):
     """The camera is displaced by 1.8 mm and turned by half a degree. Outside of silhouettes only noise remains."""
     back = np.eye(4)
-    back[:3, 3] = looked_from
+    back[:3, 3] = tool_offset_at_capture
     offset = np.asarray(from_twist(jnp.float32(OFFSET)), float)
     touches = embree_touches(MESHES[1], SURFACES["hammer"], np.eye(4), back @ offset @ np.linalg.inv(back))
     dataset = Dataset.simulated(touches, ("hammer",), i2t.nominal_pad())
-    corrected = with_hand_eye(dataset, offset, looked_from=looked_from).touches
+    corrected = with_hand_eye(dataset, offset, tool_offset_at_capture=tool_offset_at_capture).touches
     triangles = np.float32(MESHES[1].vertices)[np.asarray(MESHES[1].faces)]
     z = embree_heights(triangles, np.float32(touches.T_w_t), VIEW_WINDOW, VIEW_PIXELS)
     true = jax.vmap(camera_view)(jnp.float32(z))

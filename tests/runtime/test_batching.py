@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from i2t.runtime.batching import everywhere, map_batches, spread, spread_rows
+from i2t.runtime.batching import map_batches, map_on_devices, map_rows_on_devices, put_on_all_devices
 
 ROOT = Path(__file__).parents[2]
 
@@ -34,14 +34,14 @@ def output_of(process):
 def test_a_single_device_makes_calls_in_turn_when_they_are_requested():
     requested = []
     calls = (requested.append(i) or (jnp.float32(i),) for i in range(3))
-    results = spread(jax.jit(jnp.multiply), calls, shared=(2.0,))
+    results = map_on_devices(jax.jit(jnp.multiply), calls, shared=(2.0,))
     assert float(next(results)) == 0.0
     assert requested == [0]
     assert [float(result) for result in results] == [2.0, 4.0]
-    assert list(spread(jnp.multiply, [])) == []
+    assert list(map_on_devices(jnp.multiply, [])) == []
     x = jnp.arange(3.0)
-    assert spread_rows(lambda x: x, (x,)) is x
-    np.testing.assert_array_equal(everywhere(x), x)
+    assert map_rows_on_devices(lambda x: x, (x,)) is x
+    np.testing.assert_array_equal(put_on_all_devices(x), x)
 
 
 FOUR = """
@@ -49,7 +49,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from functools import partial
-from i2t.runtime.batching import everywhere, spread, spread_rows
+from i2t.runtime.batching import put_on_all_devices, map_on_devices, map_rows_on_devices
 
 @partial(jax.jit, static_argnames="power")
 def draw(key, x, shared, power):
@@ -57,7 +57,7 @@ def draw(key, x, shared, power):
 
 keys, x = jax.random.split(jax.random.key(0), 6), np.arange(12.0, dtype=np.float32).reshape(6, 2)
 shared = {"bias": jnp.ones(2), "nothing": None}
-made = list(spread(draw, zip(keys, x), shared=(everywhere(shared),), power=2))
+made = list(map_on_devices(draw, zip(keys, x), shared=(put_on_all_devices(shared),), power=2))
 assert [int(device) for *_, device in made] == [0, 1, 2, 3, 0, 1], "a call on each device"
 for key, row, (after, value, _) in zip(keys, x, made, strict=True):
     assert (after == jax.random.fold_in(key, 1)).all()
@@ -69,11 +69,12 @@ def by_row(keys, x, bias):
     return {"value": value, "keys": keys, "many": jnp.full(len(x), len(x))}
 
 for multiple, rows in ((1, 2), (3, 3)):  # six rows cut into parts of these
-    found = spread_rows(by_row, (keys, x), shared=(jnp.float32(1),), multiple=multiple)
+    found = map_rows_on_devices(by_row, (keys, x), shared=(jnp.float32(1),), multiple=multiple)
     assert found["many"].tolist() == [rows] * 6, found["many"]
     np.testing.assert_allclose(found["value"], by_row(keys, x, 1.0)["value"], rtol=1e-6)
     assert (found["keys"] == keys).all()
-(alone,) = spread(lambda x, bias: (x + bias).sharding.device_set, [(jnp.zeros(2),)], shared=everywhere((jnp.ones(2),)))
+bias = put_on_all_devices((jnp.ones(2),))
+(alone,) = map_on_devices(lambda x, bias: (x + bias).sharding.device_set, [(jnp.zeros(2),)], shared=bias)
 assert len(alone) == 1, "one call alone is made on one device"
 print(jax.device_count(), "devices")
 """
@@ -110,7 +111,7 @@ def test_calls_in_threads_keep_their_order_precision_and_exceptions():
         return i + shared, precision == "highest"
 
     with jax.default_matmul_precision("highest"):
-        results = spread(work, calls(), shared=(10.0,))
+        results = map_on_devices(work, calls(), shared=(10.0,))
         assert next(results) == (10.0, True)
         assert requested == [0]  # requested when they are needed
         assert [next(results) for _ in range(6)] == [(10.0 + i, True) for i in range(1, 7)]

@@ -46,7 +46,7 @@ from i2t.types import Pad, ReturnCode, Surface, Touches
 LIMITS = PressLimits(overshoot=0.0, final=Grid(40, 68))
 WITHIN = 0.02
 PLACED = replace(
-    SimulationErrors.none(), placement=4e-3, placement_angle=np.radians(1.0).item(), faults=Faults(softening=0.5)
+    SimulationErrors.error_free(), placement=4e-3, placement_angle=np.radians(1.0).item(), faults=Faults(softening=0.5)
 )
 RUNS, N = 3, 6  # touches of a run, touches of an object
 SEED = 5  # one of the four objects drawn lies too low to be met
@@ -111,11 +111,15 @@ def behind(z: np.ndarray, nearest: float) -> np.ndarray:
 
 
 def test_all_errors_of_a_lab_are_above_zero_unless_disabled():
-    for errors, sign in ((SimulationErrors(), 1), (SimulationErrors.none(), 0), (SimulationErrors().scaled(0.0), 0)):
+    for errors, sign in (
+        (SimulationErrors(), 1),
+        (SimulationErrors.error_free(), 0),
+        (SimulationErrors().scaled(0.0), 0),
+    ):
         sizes = [getattr(errors, error.name) for error in fields(errors)]
         np.testing.assert_array_equal(np.sign(sizes[: SimulationErrors.num_pose_errors]), sign)
         np.testing.assert_array_equal(np.sign(sizes[SimulationErrors.num_pose_errors : -2]), errors.force > 0)
-    assert SimulationErrors().scaled(0.0).noise == SimulationErrors().noise != SimulationErrors.none().noise
+    assert SimulationErrors().scaled(0.0).noise == SimulationErrors().noise != SimulationErrors.error_free().noise
 
 
 @pytest.mark.full
@@ -172,7 +176,7 @@ def test_a_press_ends_past_first_contact_by_indentation_and_compliance_and_what_
 
 def test_only_whole_numbers_and_grids_of_a_world_decide_which_program_it_runs():
     structure = jax.tree.structure
-    assert structure(SimulationErrors()) == structure(SimulationErrors.none().scaled(2.0))
+    assert structure(SimulationErrors()) == structure(SimulationErrors.error_free().scaled(2.0))
     assert structure(PressLimits()) == structure(PressLimits(force=3.0, overshoot=0.0)) != structure(LIMITS)
     assert structure(sites.SiteLimits()) == structure(sites.SiteLimits(min_cos=0.5))
     assert structure(Faults()) == structure(Faults.typical()) != structure(Faults(ambient_every=10))
@@ -211,7 +215,7 @@ def test_measured_force_and_travel_err_by_their_sizes_and_a_slant_is_felt_by_fri
     """The presses are on the top of the box, whose height is the same at all poses of the arm."""
     pad, n = sample_pad(jax.random.key(3)), 12
     T_w_site = jnp.diag(jnp.asarray([1.0, -1.0, -1.0, 1.0])).at[2, 3].set(0.06)
-    errors = replace(SimulationErrors.none(), force=0.2, slant=np.radians(2.0).item(), repeatability=0.1e-3)
+    errors = replace(SimulationErrors.error_free(), force=0.2, slant=np.radians(2.0).item(), repeatability=0.1e-3)
     press = partial(
         simulate_touch, session=SessionErrors(jnp.eye(4), jnp.eye(4)), errors=errors, limits=PressLimits(overshoot=0.0)
     )
@@ -277,7 +281,7 @@ camera = jax.jit(apply_camera_model, static_argnames="errors")
 
 def seen(z: np.ndarray, **errors: float) -> np.ndarray:
     """Heights in the view."""
-    patch, depth = camera(jax.random.key(0), jnp.float32(z), errors=replace(SimulationErrors.none(), **errors))
+    patch, depth = camera(jax.random.key(0), jnp.float32(z), errors=replace(SimulationErrors.error_free(), **errors))
     return np.asarray(depth, np.float64) + float(patch.nearest)
 
 

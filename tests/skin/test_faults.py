@@ -75,8 +75,8 @@ def test_stress_relaxes_like_maxwell_elements_and_creep_is_that_of_springs_in_se
     size, times, decay = 0.3, np.array([0.1, 1.0, 5.0, 100.0]), -1 / np.array(faults.FAULT_MODEL.prony_times)
     arms = solve_ivp(lambda _, s: decay * s, (0, 100), np.full(3, size / 3), t_eval=times, rtol=1e-9, atol=1e-12)
     stress = 1 - size + arms.y.sum(axis=0)
-    np.testing.assert_allclose([faults.stress_left(float(t), size) for t in times], stress, rtol=ROUNDING)
-    assert faults.stress_left(0.0, size) == 1
+    np.testing.assert_allclose([faults.remaining_stress(float(t), size) for t in times], stress, rtol=ROUNDING)
+    assert faults.remaining_stress(0.0, size) == 1
     for yielding in (0.0, 0.2, 0.7, 1.0):
         # If the arm's force equals the layer's, arm (travel - d) = stress d: the share of the travel that is d.
         arm, travel = 1 - yielding, yielding

@@ -1,4 +1,4 @@
-"""All models of a skin share one interface: fit, predict, left_out, save and load."""
+"""All models of a skin share one interface: fit, predict, leave_one_out, save and load."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -98,7 +98,7 @@ def assert_common_interface(fitted: Any, contact: tuple[Any, ...], path: Path) -
     fitted.save(path)
     again = skin_models.load(path)
     assert type(again) is type(fitted)
-    np.testing.assert_allclose(again.left_out, fitted.left_out, rtol=1e-5, atol=1e-4)
+    np.testing.assert_allclose(again.leave_one_out, fitted.leave_one_out, rtol=1e-5, atol=1e-4)
     for loaded, original in zip(again.predict(*contact), fitted.predict(*contact), strict=True):
         np.testing.assert_allclose(loaded, original, rtol=1e-4, atol=1e-3)
 
@@ -114,11 +114,11 @@ def test_a_model_of_a_skin_has_the_common_interface(make, pressed, tmp_path):
     mean, std = (np.asarray(part) for part in fitted.predict(*contact))
     assert mean.shape == std.shape == truth.shape
     assert (std > 0).all()
-    assert fitted.left_out.shape == (PRESSES, truth.shape[1])
+    assert fitted.leave_one_out.shape == (PRESSES, truth.shape[1])
     squared_error = np.mean((mean - truth) ** 2)
     assert squared_error < 0.7 * np.mean((truth - pressed.readings[FITTED_ROWS].mean(0)) ** 2)
     # Leave-one-out errors are comparable to the errors on new presses.
-    assert 0.25 < np.mean(fitted.left_out**2) / squared_error < 4
+    assert 0.25 < np.mean(fitted.leave_one_out**2) / squared_error < 4
 
 
 @pytest.mark.full
@@ -147,6 +147,9 @@ def test_a_fitted_pad_loads_as_a_pad_and_a_pad_alone_is_not_a_fit(pressed, tmp_p
     fitted = model.fit(None, data)
     fitted.save(tmp_path / "pad.npz")
     np.testing.assert_array_equal(i2t.load_pad(tmp_path / "pad.npz").magnetization, fitted.pad.magnetization)
+    with np.load(tmp_path / "pad.npz") as arrays:  # names in the file stay, because earlier files are read
+        np.testing.assert_array_equal(arrays["left_out"], fitted.leave_one_out)
+        np.testing.assert_array_equal(arrays["left_out_places"], fitted.leave_one_place_out)
     i2t.save_pad(tmp_path / "alone.npz", fitted.pad)
     with pytest.raises(
         SerializationError, match=r"alone\.npz: holds a pad without its fit; read it with i2t\.load_pad"

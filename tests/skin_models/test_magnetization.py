@@ -73,7 +73,7 @@ def test_a_pad_is_recovered_and_its_errors_are_estimated():
         low, high = (float(getattr(part, name)) for part in fitted.posterior[1:3])
         assert low < float(getattr(pad, name)) < high
     # Leave-one-out errors are comparable to the errors on new presses.
-    assert 0.5 * error < np.sqrt(np.mean(fitted.left_out**2)) < 2 * error
+    assert 0.5 * error < np.sqrt(np.mean(fitted.leave_one_out**2)) < 2 * error
 
 
 @pytest.mark.full
@@ -97,7 +97,7 @@ def test_a_pad_is_recovered_from_presses_by_force_at_symmetric_places():
     for name in ("thickness", "young"):
         low, high = (float(getattr(part, name)) for part in fitted.posterior[1:3])
         assert low < float(getattr(pad, name)) < high < 1.3 * low
-    errors = [np.sum(pad_fit.left_out**2) for pad_fit in (fitted, start)]
+    errors = [np.sum(pad_fit.leave_one_out**2) for pad_fit in (fitted, start)]
     assert errors[0] < 0.5 * errors[1]
 
 
@@ -114,7 +114,7 @@ def test_presses_that_are_not_finite_are_refused():
 
 
 @pytest.mark.parametrize("group", [None, np.array([2, 0, 1, 0, 2, 2])], ids=["presses", "places"])
-def test_left_out_predictions_agree_with_refitting(group):
+def test_leave_one_out_predictions_agree_with_refitting(group):
     rng = np.random.default_rng(3)
     phi, y, noise = rng.normal(size=(6, 15, 20)), rng.normal(size=(6, 15)), 0.5
     whole = bayesian_linear_regression(phi, y, noise, group=group)
@@ -124,7 +124,7 @@ def test_left_out_predictions_agree_with_refitting(group):
         covariance = np.linalg.inv(np.eye(20) + rows.T @ rows / noise**2)  # of the weights, given the other groups
         tested = phi[own].reshape(-1, 20)
         expected = tested @ covariance @ rows.T @ values / noise**2
-        np.testing.assert_allclose(whole.left_out[own].ravel(), expected, rtol=1e-8, atol=1e-10)
+        np.testing.assert_allclose(whole.leave_group_out[own].ravel(), expected, rtol=1e-8, atol=1e-10)
         normal = stats.multivariate_normal(expected, tested @ covariance @ tested.T + noise**2 * np.eye(len(tested)))
         np.testing.assert_allclose(whole.log_density[number], normal.logpdf(y[own].ravel()), rtol=1e-8)
 

@@ -101,17 +101,17 @@ def test_the_system_of_many_similar_touches_is_factored_in_double_precision():
     )
 
 
-def test_left_out_errors_agree_with_a_process_without_the_touch():
+def test_leave_one_out_errors_agree_with_a_process_without_the_touch():
     rng = np.random.default_rng(1)
     touches = spots(rng, 20)
     readings = rng.normal(scale=20, size=(20, CHANNELS)).astype(np.float32)
     K, _ = covariance(HYPER, touches, touches, None)
     K += (float(HYPER.noise)) * np.eye(20)
-    left_out = fit(HYPER, touches, jnp.asarray(readings)).left_out
+    errors = fit(HYPER, touches, jnp.asarray(readings)).leave_one_out
     for i in (0, 7):
         rest = np.delete(np.arange(20), i)
         expected = readings[i] - K[i, rest] @ np.linalg.solve(K[np.ix_(rest, rest)], readings[rest])
-        np.testing.assert_allclose(left_out[i], expected, rtol=1e-3, atol=1e-2)
+        np.testing.assert_allclose(errors[i], expected, rtol=1e-3, atol=1e-2)
 
 
 def test_no_pressure_gives_no_reading_and_predictions_are_independent():

@@ -69,7 +69,7 @@ def dense(touches: PressedTouches, maps: np.ndarray, scale: np.ndarray, at: Cont
     return mean.reshape(m, CHANNELS), variance.reshape(m, CHANNELS)
 
 
-def test_maps_and_left_out_errors_agree_with_the_dense_gaussian_process(touches, maps):
+def test_maps_and_leave_one_out_errors_agree_with_the_dense_gaussian_process(touches, maps):
     system = reading_model._system(touches, maps, DISCREPANCY)
     weighted = reading_model._weigh(system, AT.r, AT.v)
     posterior = reading_model._posterior(weighted, AT.a)
@@ -84,7 +84,7 @@ def test_maps_and_left_out_errors_agree_with_the_dense_gaussian_process(touches,
         got = np.sum((newtons @ root[i]) ** 2, axis=1)
         np.testing.assert_allclose(got, wanted_variance.mean(1), rtol=2e-3)
     # One touch is left out; scale and unit are those of all touches.
-    errors, density = reading_model._left_out(system, weighted, posterior)
+    errors, density = reading_model._leave_one_out(system, weighted, posterior)
     assert reading_model._densities(system, AT.r, AT.v, [3.0, AT.a])[1] == density  # amplitudes do not interact
     assert density > reading_model._densities(system, AT.r, 1e3, [AT.a])[0]  # a model of nearly all noise explains less
     full = np.linalg.inv(_covariance(touches, maps, system.scale))

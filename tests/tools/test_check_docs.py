@@ -12,7 +12,7 @@ import pytest
 
 from tools.check_docs import __main__ as command
 from tools.check_docs import code, linters, numbers, pages
-from tools.check_docs.pages import ROOT, Finding
+from tools.check_docs.pages import ROOT, PageProblem
 
 SCRIPTS = Path(sys.executable).parent
 LINTED = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]
@@ -165,7 +165,7 @@ def test_findings_are_lines_and_the_exit_code(monkeypatch, capsys):
         monkeypatch.setattr(module, "findings", lambda root: [])
     monkeypatch.setattr(linters, "start", lambda root, folder, site: {})
     assert command.main(["--no-site"]) == 0
-    monkeypatch.setattr(numbers, "findings", lambda root: [Finding(root / "docs" / "a.md", 3, "it is wrong")])
+    monkeypatch.setattr(numbers, "findings", lambda root: [PageProblem(root / "docs" / "a.md", 3, "it is wrong")])
     assert command.main([]) == 1
     assert capsys.readouterr().out.splitlines()[-1] == "docs/a.md:3: it is wrong"
     monkeypatch.setattr(numbers, "findings", lambda root: [])

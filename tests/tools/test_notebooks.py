@@ -55,10 +55,12 @@ def stamped(folder: Path) -> Path:
     from experiments.shapes import run as shapes
     from experiments.shapes.world import press_stamps
     from i2t import dataset
-    from i2t.skin.pad import numbered_pad
+    from i2t.skin.pad import pad_from_seed
 
     path = folder / "touches.h5"
-    dataset.save_dataset(path, press_stamps(jax.random.key(0), [numbered_pad(0)], 50, shapes.PRESETS["debug"].pressing))
+    dataset.save_dataset(
+        path, press_stamps(jax.random.key(0), [pad_from_seed(0)], 50, shapes.PRESETS["debug"].pressing)
+    )
     return path
 
 

@@ -78,7 +78,7 @@ def test_a_step_whose_recording_is_not_there_is_left_out(tmp_path, reproduced, m
     assert len(played) == 1
 
 
-def test_what_cannot_run_is_said_in_one_sentence(reproduced, capsys, monkeypatch):
+def test_a_step_that_cannot_run_is_reported_in_one_sentence(reproduced, capsys, monkeypatch):
     command, _ = reproduced
     monkeypatch.setattr(reproduce.subprocess, "run", lambda *_, **__: SimpleNamespace(returncode=3))
     for step, said in {"nothing": "no step nothing", "paper": "paper uses study", "study": "exit code 3"}.items():

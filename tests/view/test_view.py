@@ -113,12 +113,12 @@ def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, caps
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().err.strip()
-    assert said == rerun_file.why_no_recording()
+    assert said == rerun_file.explain_no_recording()
     assert "pip install 'imagine2touch[view]'" in said
     assert (tmp_path / "out" / "session.html").exists()
 
 
-def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
+def test_invalid_mesh_options_are_refused(session, tmp_path, capsys):
     for options, why in (
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
         ([str(session), "--unit", "cm"], "no effect without --mesh"),

@@ -68,19 +68,19 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
 
 
 def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
-    scene.why_no_scene.cache_clear()
+    scene.explain_no_scene.cache_clear()
     with monkeypatch.context() as broken:
         broken.setattr(scene, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-        assert "libegl1" in scene.why_no_scene()
-        scene.why_no_scene.cache_clear()
+        assert "libegl1" in scene.explain_no_scene()
+        scene.explain_no_scene.cache_clear()
         broken.setattr(scene, "find_spec", lambda name: None)
-        assert "pip install" in scene.why_no_scene()
-    scene.why_no_scene.cache_clear()
+        assert "pip install" in scene.explain_no_scene()
+    scene.explain_no_scene.cache_clear()
 
 
 def test_without_a_scene_the_page_is_written_all_the_same(meshes, tmp_path, monkeypatch, capsys):
     for module in (episode_report, scene):
-        monkeypatch.setattr(module, "why_no_scene", lambda: scene.NO_GL)
+        monkeypatch.setattr(module, "explain_no_scene", lambda: scene.NO_GL)
     written = viz.write_episode_report(record(meshes), tmp_path / "a")
     assert written == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
     assert capsys.readouterr().err == scene.NO_GL + "\n"
@@ -90,8 +90,8 @@ def test_without_a_scene_the_page_is_written_all_the_same(meshes, tmp_path, monk
 
 @pytest.mark.full
 def test_a_scene_shows_the_object_and_its_touches(meshes, tmp_path):
-    if scene.why_no_scene():
-        pytest.skip(scene.why_no_scene())
+    if scene.explain_no_scene():
+        pytest.skip(scene.explain_no_scene())
     picture = viz.object_image(meshes[0].vertices, meshes[0].faces, poses(), numbers=True)
     assert len(np.unique(picture.reshape(-1, 3)[::7], axis=0)) > 50  # shaded faces and coloured squares
     page = viz.plot_episode(record(meshes), picture)

@@ -80,7 +80,7 @@ def test_every_other_figure_can_be_written(tmp_path):
 
 
 def test_without_gl_a_picture_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(scene, "why_no_scene", lambda: scene.NO_GL)
+    monkeypatch.setattr(scene, "explain_no_scene", lambda: scene.NO_GL)
     vertices, faces = np.eye(3), np.array([[0, 1, 2]])
     figure = viz.plot_object(vertices, faces, np.eye(4)[None], "An object", True)
     assert "libegl1" in figure.axes[0].texts[0].get_text()
@@ -92,8 +92,8 @@ def test_without_gl_a_picture_says_what_to_install(monkeypatch):
 @pytest.mark.full
 def test_a_scene_shows_the_object_and_the_skin_and_a_surface_grows_from_nowhere():
     """Before any touch there may be no surface at all: that is drawn as nothing."""
-    if scene.why_no_scene():
-        pytest.skip(scene.why_no_scene())
+    if scene.explain_no_scene():
+        pytest.skip(scene.explain_no_scene())
     ball, T = trimesh.creation.icosphere(2, 30e-3), np.diag([1.0, -1, -1, 1])
     T[2, 3] = 30e-3
     figure = viz.plot_object(ball.vertices, ball.faces, T[None], "A ball", False)

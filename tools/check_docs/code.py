@@ -12,23 +12,23 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import i2t
-from tools.check_docs.pages import Finding
+from tools.check_docs.pages import PageProblem
 
 FREE = re.compile(r"overload|register|setter")  # decorators of what another's docstring describes
 REFERENCE = "as in `"  # to the docstring of the method that this one implements
 
 
-def findings(root: Path) -> Iterator[Finding]:
+def findings(root: Path) -> Iterator[PageProblem]:
     """Find mistakes in the code of `i2t`, and in the page that describes its packages."""
     for path in sorted((root / "i2t").rglob("*.py")):
         yield from docstrings(path, path.read_text())
     yield from architecture(root / "docs" / "architecture.md")
     for name in i2t.__all__:
         for sentence in face(name):
-            yield Finding(root / "i2t" / "__init__.pyi", 1, sentence)
+            yield PageProblem(root / "i2t" / "__init__.pyi", 1, sentence)
 
 
-def docstrings(path: Path, text: str) -> Iterator[Finding]:
+def docstrings(path: Path, text: str) -> Iterator[PageProblem]:
     """Public functions, methods and constructors that take arguments say in sections what they take and give.
 
     Ruff compares sections with the signature, and lets a docstring without any pass.
@@ -36,7 +36,7 @@ def docstrings(path: Path, text: str) -> Iterator[Finding]:
     for node in ast.parse(text).body:
         for member in node.body if isinstance(node, ast.ClassDef) else (node,):
             if isinstance(member, ast.FunctionDef) and (sections := _missing_sections(member, node)):
-                yield Finding(path, member.lineno, f"{member.name} has no section {', '.join(sections)}")
+                yield PageProblem(path, member.lineno, f"{member.name} has no section {', '.join(sections)}")
 
 
 def _missing_sections(function: ast.FunctionDef, holder: ast.stmt) -> list[str]:
@@ -57,7 +57,7 @@ def _missing_sections(function: ast.FunctionDef, holder: ast.stmt) -> list[str]:
     return [name for name, title in needed.items() if not re.search(f"^(?:{title})", docstring, re.M)]
 
 
-def architecture(page: Path) -> Iterator[Finding]:
+def architecture(page: Path) -> Iterator[PageProblem]:
     """The page has every package at the floor that the contract gives it."""
     contracts = tomllib.loads((page.parents[1] / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(contract["layers"] for contract in contracts if contract["id"] == "floors")
@@ -66,7 +66,7 @@ def architecture(page: Path) -> Iterator[Finding]:
     stated = {name: int(floor) for floor, names in rows for name in re.findall(r"`i2t/(\w+)(?:/|\.py)", names)}
     for name in sorted(floors.keys() | stated.keys()):
         if stated.get(name) != floors.get(name):
-            yield Finding(page, 1, f"i2t/{name} stands on floor {floors.get(name)} in pyproject.toml")
+            yield PageProblem(page, 1, f"i2t/{name} stands on floor {floors.get(name)} in pyproject.toml")
 
 
 def face(name: str) -> Iterator[str]:

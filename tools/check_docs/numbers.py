@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-from tools.check_docs.pages import BLOCK, Finding, blank, pages_of
+from tools.check_docs.pages import BLOCK, PageProblem, blank, pages_of
 from tools.reproduce.tables import MARK
 
 LINK = re.compile(r"\]\(([\w./]+\.md)?(?:#([\w-]+))?\)")
@@ -35,14 +35,14 @@ TABLE_ROW = re.compile(r"^\|.*$", re.M)
 SMALL = 1000  # whole numbers below it are free
 
 
-def findings(root: Path) -> Iterator[Finding]:
+def findings(root: Path) -> Iterator[PageProblem]:
     """Results that sentences of the pages name and no table holds; the list of changes tells history."""
     for page in pages_of(root):
         if page.stem != "CHANGELOG":
             yield from numbers(page, page.read_text())
 
 
-def numbers(page: Path, text: str) -> Iterator[Finding]:
+def numbers(page: Path, text: str) -> Iterator[PageProblem]:
     """Results that sentences of one page name and no table holds."""
     spoken = MARK.sub(blank, text) if page.stem == "README" else TABLE_ROW.sub(blank, text)
     spoken = UNSPOKEN_PATTERN.sub(blank, spoken)
@@ -60,7 +60,7 @@ def numbers(page: Path, text: str) -> Iterator[Finding]:
             if _is_result(found) and not _is_held(found, held):
                 line = text.count("\n", 0, found.start()) + 1
                 number = " ".join(filter(None, (found[1].strip(), found[2])))
-                yield Finding(page, line, f"no table holds the number {number}")
+                yield PageProblem(page, line, f"no table holds the number {number}")
 
 
 def slug(heading: str) -> str:

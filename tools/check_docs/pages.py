@@ -23,7 +23,7 @@ FILE = re.compile(r"`((?:i2t|experiments|tools|tests|examples|notebooks|docs)/[\
 BLOCK = re.compile(r"^```([a-z]*)\n(.*?)^```", re.M | re.S)
 
 
-class Finding(NamedTuple):
+class PageProblem(NamedTuple):
     """A mistake and its place."""
 
     path: Path
@@ -36,7 +36,7 @@ def pages_of(root: Path) -> list[Path]:
     return [*(root / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")), *sorted(root.glob("docs/*.md"))]
 
 
-def findings(root: Path) -> Iterator[Finding]:
+def findings(root: Path) -> Iterator[PageProblem]:
     """Find mistakes in pages and notebooks."""
     for page in pages_of(root):
         text = page.read_text()
@@ -57,28 +57,28 @@ def blank(found: re.Match[str]) -> str:
     return re.sub(r"[^\n]", " ", found[0])
 
 
-def files(page: Path, text: str) -> Iterator[Finding]:
+def files(page: Path, text: str) -> Iterator[PageProblem]:
     """Files of the repository that are named exist; Sphinx follows the links."""
     for found in FILE.finditer(text):
         if not (ROOT / found[1]).exists():
-            yield Finding(page, _line(text, found.start()), f"{found[1]} does not exist")
+            yield PageProblem(page, _line(text, found.start()), f"{found[1]} does not exist")
 
 
-def figures(page: Path, text: str) -> Iterator[Finding]:
+def figures(page: Path, text: str) -> Iterator[PageProblem]:
     """Every figure has a text for those who cannot see it."""
     for found in re.finditer(r"!\[([^\]]*)\]\(([^)]+)\)", text):
         if len(found[1]) <= 20 and "://" not in found[2]:
-            yield Finding(page, _line(text, found.start()), f"the figure {found[2]} has no text")
+            yield PageProblem(page, _line(text, found.start()), f"the figure {found[2]} has no text")
 
 
-def tests(page: Path, text: str) -> Iterator[Finding]:
+def tests(page: Path, text: str) -> Iterator[PageProblem]:
     """Tests that a page names exist."""
     for found in re.finditer(r"\b((?:tests/[\w/]+/|tests/)?test_\w+\.py)(?:::(\w+))?", text):
         file, name = found[1], found[2]
         paths = [ROOT / file] if "/" in file else [*(ROOT / "tests").rglob(file)]
         code = "".join(path.read_text() for path in paths if path.is_file())
         if not code or (name and f"def {name}(" not in code):
-            yield Finding(page, _line(text, found.start()), f"there is no test {found[0]}")
+            yield PageProblem(page, _line(text, found.start()), f"there is no test {found[0]}")
 
 
 def printed_commands(text: str) -> list[tuple[int, list[str]]]:
@@ -118,49 +118,49 @@ def help_of(module: str, part: str = "") -> str:
     return printed.buffer.getvalue().decode()
 
 
-def commands(page: Path, text: str) -> Iterator[Finding]:
+def commands(page: Path, text: str) -> Iterator[PageProblem]:
     """Commands that are printed exist, are complete, and have the options."""
     for line, (module, *args) in printed_commands(text):
         said = help_of(module)
         if not said:
-            yield Finding(page, line, f"there is no command {module}")
+            yield PageProblem(page, line, f"there is no command {module}")
         elif "..." in args:
-            yield Finding(page, line, f"the command {module} is not complete")
+            yield PageProblem(page, line, f"the command {module} is not complete")
         elif args and not args[0].startswith("-") and _mentions(said, args[0]):
             said += help_of(module, args[0])
         for flag in (arg.split("=")[0] for arg in args if arg.startswith("--") and said):
             if not _mentions(said, flag):
-                yield Finding(page, line, f"{module} has no option {flag}")
+                yield PageProblem(page, line, f"{module} has no option {flag}")
 
 
 def _mentions(said: str, word: str) -> bool:
     return bool(re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", said))
 
 
-def tables(page: Path, text: str) -> Iterator[Finding]:
+def tables(page: Path, text: str) -> Iterator[PageProblem]:
     """Tables are what was measured, on a page that prints the command."""
     printed = {step.name: f"python {step.command}" for step in STEPS}
     printed |= dict.fromkeys((README_TABLE[0], LIMITS_TABLE[0]), "")  # tables of no single command
     for found in MARK.finditer(text):
         line, step = _line(text, found.start()), found[2]
         if step not in printed:
-            yield Finding(page, line, f"there is no step {step}")
+            yield PageProblem(page, line, f"there is no step {step}")
         elif found[1] + table(ROOT / "docs", step, found[3], page.name) + "\n" + found[4] != found[0]:
-            yield Finding(page, line, f"the table {step} {found[3]} is not what docs/results holds")
+            yield PageProblem(page, line, f"the table {step} {found[3]} is not what docs/results holds")
         elif printed[step] not in text:
-            yield Finding(page, line, f"the table {step} has no command on this page")
+            yield PageProblem(page, line, f"the table {step} has no command on this page")
 
 
-def steps_printed(root: Path) -> Iterator[Finding]:
+def steps_printed(root: Path) -> Iterator[PageProblem]:
     """Each step of tools.reproduce is printed somewhere, perhaps with further options."""
     found = [set(words) for page in pages_of(root) for _, words in printed_commands(page.read_text())]
     for step in STEPS:
         words = set(shlex.split(step.command)) - {"-m"}
         if not any(words <= line for line in found):
-            yield Finding(root / "tools/reproduce/steps.py", 1, f"no page prints python {step.command}")
+            yield PageProblem(root / "tools/reproduce/steps.py", 1, f"no page prints python {step.command}")
 
 
-def versions(root: Path) -> Iterator[Finding]:
+def versions(root: Path) -> Iterator[PageProblem]:
     """The version is one everywhere."""
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
     stated = {"pyproject.toml": project["version"]}
@@ -169,26 +169,26 @@ def versions(root: Path) -> Iterator[Finding]:
         stated[name] = found[1] if found else "none"
     for name, version in stated.items():
         if version != i2t.__version__:
-            yield Finding(root / name, 1, f"the version is {version}, that of the package {i2t.__version__}")
+            yield PageProblem(root / name, 1, f"the version is {version}, that of the package {i2t.__version__}")
 
 
-def advice(page: Path, text: str) -> Iterator[Finding]:
+def advice(page: Path, text: str) -> Iterator[PageProblem]:
     """Advice to install names this distribution and extras that it has."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     for found in re.finditer(r"""pip install -?e? ?["'](\.|[\w.-]+)\[([\w,]+)\]""", text):
         known = set(found[2].split(",")) <= project["optional-dependencies"].keys()
         if found[1] not in (".", project["name"]) or not known:
-            yield Finding(page, _line(text, found.start()), f"{found[0]} installs what there is not")
+            yield PageProblem(page, _line(text, found.start()), f"{found[0]} installs what there is not")
 
 
-def notebook(path: Path, text: str) -> Iterator[Finding]:
+def notebook(path: Path, text: str) -> Iterator[PageProblem]:
     """A notebook is stored without outputs and needs the package only."""
     for cell in json.loads(text)["cells"]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "code" and (cell["outputs"] or cell["execution_count"] is not None):
-            yield Finding(path, 1, "it is stored with outputs")
+            yield PageProblem(path, 1, "it is stored with outputs")
         if cell["cell_type"] == "code" and re.search(r"^\s*(?:from|import) experiments\b", source, re.M):
-            yield Finding(path, 1, "it imports experiments, which is not installed")
+            yield PageProblem(path, 1, "it imports experiments, which is not installed")
 
 
 CHECKS = (files, figures, tests, commands, tables, advice)

@@ -121,7 +121,7 @@ def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray) -> None:
     axes.set_axis_off()
     picture = viz.object_image(mesh.vertices, mesh.faces, T_o_t[None])
     if picture is None:
-        axes.text(0.5, 0.5, viz.why_no_scene(), ha="center", va="center", wrap=True, fontsize=8)
+        axes.text(0.5, 0.5, viz.explain_no_scene(), ha="center", va="center", wrap=True, fontsize=8)
     else:
         axes.imshow(picture)
 

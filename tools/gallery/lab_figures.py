@@ -85,7 +85,7 @@ def rig(story: Story) -> Figure:
 
 def monitor(story: Story) -> Figure:
     """Output of `python -m i2t.hardware.reskin` for an emulated board while something presses it."""
-    with reskin_board.started("--press", "1", "--seed", "0") as (port, _), ReSkin(port) as skin:
+    with reskin_board.run_board("--press", "1", "--seed", "0") as (port, _), ReSkin(port) as skin:
         time.sleep(MONITOR_REST_S)
         rest = skin.read(skin_monitor.REST_SAMPLES).reading.mean(0)
         time.sleep(MONITOR_PRESS_S)

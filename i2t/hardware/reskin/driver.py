@@ -23,7 +23,7 @@ from i2t.hardware.protocols import SkinCounters
 from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.frames import Decoder, Frame
 from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
-from i2t.hardware.serial_port import COMMON_PORT_USERS, other_users, set_exclusive, users_of, why_forbidden
+from i2t.hardware.serial_port import COMMON_PORT_USERS, explain_no_access, other_users, set_exclusive, users_of
 from i2t.hardware.skin_stream import Measurement, StreamConfig, StreamedSkin
 
 VENDORS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}  # of boards with the firmware
@@ -274,7 +274,7 @@ class ReSkin(StreamedSkin):
             names = ", ".join(board.port for board in self.ports()) or "none"
             return f"there is no port {port} (USB serial ports here: {names}); plug the skin in or name its port"
         if code == errno.EACCES or "PermissionError" in message:
-            return why_forbidden(port)
+            return explain_no_access(port)
         if "exclusively lock" in message or code in (errno.EBUSY, errno.EAGAIN):
             if os.getpid() in users_of(port):
                 return f"{port} is already open in this program; name each skin's own port"

@@ -24,7 +24,7 @@ from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.skin_health import check_skin
-from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board, mean_known
+from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board, mean_finite
 
 SHOWN_SAMPLES, REST_SAMPLES = 20, 100  # number of samples in the mean that is shown, and in that at rest
 
@@ -58,7 +58,7 @@ def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]
     Returns:
         A line about the stream, a heading, a line for each chip, and a line about all chips.
     """
-    change = (mean_known(shown.reading, axis=0) - rest).reshape(-1, 3)
+    change = (mean_finite(shown.reading, axis=0) - rest).reshape(-1, 3)
     chips = [
         f"{i:4d}  {'missing':>29}"
         if np.isnan(chip).all()
@@ -106,9 +106,9 @@ def _show(skin: ReSkin, seconds: float, record: Callable[[], None] | None) -> No
             record()
         if rest is None and newest - first >= REST_SAMPLES:
             early = skin.since(first)
-            rest, defects = mean_known(early.reading, axis=0), check_skin(early).defects
+            rest, defects = mean_finite(early.reading, axis=0), check_skin(early).defects
             health = "; ".join(f"UNHEALTHY: {defect.sentence}" for defect in defects) or "healthy at rest"
-        lines = [*table(skin.counters, shown, mean_known(shown.reading, axis=0) if rest is None else rest), health]
+        lines = [*table(skin.counters, shown, mean_finite(shown.reading, axis=0) if rest is None else rest), health]
         if live:
             print(f"\x1b[{drawn}F\x1b[J" if drawn else "", "\n".join(lines), sep="")
             drawn = len(lines)

@@ -9,7 +9,7 @@ import tyro
 import i2t.hardware.rig
 from i2t.cli.exit_codes import command
 from i2t.hardware.rig import Rig, summary
-from i2t.hardware.rig_checks import implausible
+from i2t.hardware.rig_checks import implausible_values
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ def _check(args: RigArgs) -> int:
         Rig().write(args.file)
     rig = Rig.read(args.file)
     print(summary(rig))
-    doubts = implausible(rig)
+    doubts = implausible_values(rig)
     for doubt in doubts:
         print(f"DOUBT     {doubt}")
     return int(bool(doubts))

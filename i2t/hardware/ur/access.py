@@ -15,7 +15,7 @@ from typing import IO
 
 from i2t.errors import DeviceError
 from i2t.hardware.poses import pose_from_vector
-from i2t.hardware.ur.ports import DASHBOARD, RTDE, SCRIPT, Answer, Port, probe, why_no_answer
+from i2t.hardware.ur.ports import DASHBOARD, RTDE, SCRIPT, Answer, Port, explain_no_answer, probe
 from i2t.types import Array
 
 LIBRARY_REMEDY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
@@ -153,7 +153,7 @@ def _no_answer(host: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        why = why_no_answer(host) or f"The UR controller at {host} does not answer: {error}; connect again."
+        why = explain_no_answer(host) or f"The UR controller at {host} does not answer: {error}; connect again."
         raise DeviceError(why) from error
 
 

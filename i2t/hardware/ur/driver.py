@@ -37,7 +37,7 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from i2t.errors import DeviceError
-from i2t.hardware.guarded import BRAKING_SIGNALS, GuardedByPolling
+from i2t.hardware.guarded import BRAKING_SIGNALS, PolledArm
 from i2t.hardware.limits import SAFETY, range_of
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState
@@ -47,7 +47,7 @@ from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
 
 
-class UrArm(GuardedByPolling):
+class UrArm(PolledArm):
     """A UR arm (`i2t.hardware.protocols.GuardedArm`).
 
     Args:
@@ -146,7 +146,7 @@ class UrArm(GuardedByPolling):
         return self.connection.running(np.inf)
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion, as in `GuardedByPolling.begin_line`; the library's process keeps its bounds too."""
+        """Start a straight motion, as in `PolledArm.begin_line`; the library's process keeps its bounds too."""
         self.connection.start_motion(T_b_t, speed=speed, acceleration=acceleration, bounds=self.bounds)
 
     def brake(self) -> None:

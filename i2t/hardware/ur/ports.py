@@ -103,7 +103,7 @@ def controller_version(host: str, timeout: float = 1.0) -> tuple[int, ...]:
     return layout.unpack(data)[2:] if len(data) == layout.size else ()
 
 
-def why_no_answer(host: str) -> str:
+def explain_no_answer(host: str) -> str:
     """Probe all ports of a controller that did not answer, and say what to change.
 
     Args:

@@ -26,7 +26,7 @@ from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotC
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.poses import pose_from_vector, pose_to_vector
 from i2t.hardware.protocols import ArmState
-from i2t.hardware.rig_checks import other_tool
+from i2t.hardware.rig_checks import compare_tool
 from i2t.hardware.ur import rtde_worker
 from i2t.hardware.ur.access import ask_dashboard
 from i2t.hardware.ur.rtde_worker import POLL_S, Channel, Message, WorkerLimits
@@ -105,7 +105,7 @@ class RtdeConnection:
         reply = self._first_message(self._channel)
         if "ready" not in reply:
             raise DeviceError(f"The controller at {self.host} cannot be controlled: {reply['error']}.")
-        different = "" if tool is None else other_tool(tool, pose_from_vector(reply["pendant_tcp"]))
+        different = "" if tool is None else compare_tool(tool, pose_from_vector(reply["pendant_tcp"]))
         if different:
             raise DeviceError(f"The controller at {self.host} has another tool: {different}.")
         self._thread = threading.Thread(target=self._read_loop, args=(self._channel,), name=f"UR {self.host}")

@@ -125,7 +125,7 @@ class Streams:
                         continue
                 end.detach()  # leave the library's socket open
 
-    def silence(self) -> float:
+    def silent_time(self) -> float:
         """Measure the silence of the connection that has been silent longest.
 
         Returns:
@@ -167,10 +167,10 @@ class Worker:
         while True:
             if not self.control.isConnected() or not self.receive.isConnected():
                 raise ConnectionError("the controller closed it")
-            silence = self.streams.silence()
+            silence = self.streams.silent_time()
             if not silence <= self.limits.state_timeout:
                 raise ConnectionError(f"one of its streams has been silent for {silence:.2f} s")
-            self.observe()
+            self.send_new_state()
             self.process(self.channel.receive(POLL_S))
 
     def process(self, messages: list[Message]) -> None:
@@ -185,9 +185,9 @@ class Worker:
                 self.control.kickWatchdog()
         for message in messages:
             if "command" in message:
-                self.obey(message)
+                self.execute(message)
 
-    def obey(self, message: Message) -> None:
+    def execute(self, message: Message) -> None:
         """Carry out a command, send the state that it leads to, and answer.
 
         Args:
@@ -203,12 +203,12 @@ class Worker:
         error = None
         try:
             commands[message["command"]](**message["arguments"])
-            self.observe()
+            self.send_new_state()
         except (RuntimeError, ValueError) as failure:
             error = str(failure)
         self.channel.send({"answer": message["id"], "error": error})
 
-    def observe(self) -> None:
+    def send_new_state(self) -> None:
         """Send the controller's state if it is new, and brake if it is above the bounds of the motion.
 
         Raises:

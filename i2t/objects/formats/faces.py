@@ -16,7 +16,7 @@ class ParsedMesh(NamedTuple):
 
     vertices: NDArray[np.float64]  # (n, 3), in the file's unit; all finite, and all used
     faces: NDArray[np.int64]  # (m, 3)
-    left_out: tuple[str, ...]  # counts of elements that are not faces, such as "2 lines"
+    ignored: tuple[str, ...]  # counts of elements that are not faces, such as "2 lines"
 
 
 class MeshReader(Protocol):

@@ -72,10 +72,10 @@ def read_scene(
                 raise DataError(
                     f"{path}: its scene has more than {limits.max_faces} faces, all instances counted; simplify it"
                 )
-    left_out = [f"{count} primitives of {kind}" for kind, count in document.skipped.items()]
+    ignored = [f"{count} primitives of {kind}" for kind, count in document.skipped.items()]
     if len(document.scenes) > 1:
-        left_out.append(f"{len(document.scenes) - 1} scenes that are not the default one")
-    return np.concatenate(vertices), np.concatenate(faces), tuple(left_out)
+        ignored.append(f"{len(document.scenes) - 1} scenes that are not the default one")
+    return np.concatenate(vertices), np.concatenate(faces), tuple(ignored)
 
 
 class _Document:

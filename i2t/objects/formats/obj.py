@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from i2t.errors import DataError
 from i2t.objects.formats.faces import triangulate_polygons
-from i2t.objects.formats.text import number_rows, plain_text, unreadable
+from i2t.objects.formats.text import number_rows, plain_text, unreadable_file
 
 
 def read_obj(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
@@ -54,7 +54,7 @@ def _check_last_face(path: Path, face_rows: list[bytes]) -> None:
     sizes = {len(row) for row in others}
     fewer = len(last) < 3 or (len(others) > 1 and len(sizes) == 1 and len(last) < min(sizes))
     if fewer or len({corner.count(b"/") for corner in last}) > 1 or last[-1].endswith(b"/") > last[0].endswith(b"/"):
-        raise unreadable(
+        raise unreadable_file(
             path, "it is cut off within its last face, which no line break ends", "export or copy it again"
         )
 

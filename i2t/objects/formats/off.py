@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from i2t.errors import DataError
 from i2t.objects.formats.faces import triangulate_polygons
-from i2t.objects.formats.text import cut_off, number_rows, plain_text, ranges, to_utf8, unreadable
+from i2t.objects.formats.text import number_rows, plain_text, ranges, to_utf8, truncated_file, unreadable_file
 
 
 def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
@@ -17,12 +17,12 @@ def read_off(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
     head = re.match(rb"\s*(?:#[^\n]*\s*)*((?:ST|st)?[Cc]?N?4?n?(?:OFF|off|Off))?", data)
     kind = (head[1] or b"") if head else b""
     if b"4" in kind or b"n" in kind or re.match(rb"\s*BINARY", data[head.end() :] if head else b"", re.IGNORECASE):
-        raise unreadable(path, "it is binary, or not in three dimensions", "export it as plain OFF")
+        raise unreadable_file(path, "it is binary, or not in three dimensions", "export it as plain OFF")
     text = re.sub(rb"#[^\n]*", b"", plain_text(path, data))
     text = text.replace(kind, b"\n", 1) if kind else text
     rows = [row for row in text.split(b"\n") if row and not row.isspace()]
     if not rows:
-        raise unreadable(path, "it has no counts", "export or copy it again")
+        raise unreadable_file(path, "it has no counts", "export or copy it again")
     try:
         vertices, corners, sizes = _off_by_lines(path, rows)
     except DataError:
@@ -38,26 +38,26 @@ def _off_by_lines(path: Path, rows: list[bytes]) -> tuple[NDArray, NDArray, NDAr
     """Read vertices, corners and sizes of faces if each vertex and face is a line, which may end with a colour."""
     announced = number_rows(path, rows[:1], np.int64)[0]
     if len(announced) not in (2, 3) or min(announced) < 0:
-        raise unreadable(path, "its first line is not the numbers of vertices, faces and edges", "export it again")
+        raise unreadable_file(path, "its first line is not the numbers of vertices, faces and edges", "export it again")
     points, polygons = map(int, announced[:2])
     if len(rows) - 1 < points + polygons:
-        raise cut_off(path, f"{points} vertices and {polygons} faces", f"{len(rows) - 1} lines")
+        raise truncated_file(path, f"{points} vertices and {polygons} faces", f"{len(rows) - 1} lines")
     if extra := len(rows) - 1 - points - polygons:
-        raise unreadable(path, f"it has {extra} lines more than its header announces", "export it again")
+        raise unreadable_file(path, f"it has {extra} lines more than its header announces", "export it again")
     values, counts = number_rows(path, rows[1 : 1 + points])
     starts = np.cumsum(counts) - counts
     if points and (counts < 3).any():
         number = int((counts < 3).argmax())
-        raise unreadable(path, f"vertex {number + 1} has {counts[number]} numbers", "export or copy it again")
+        raise unreadable_file(path, f"vertex {number + 1} has {counts[number]} numbers", "export or copy it again")
     vertices = values[starts[:, None] + np.arange(3)] if points else np.empty((0, 3))
     values, counts = number_rows(path, rows[1 + points :])
     starts = np.cumsum(counts) - counts
     sizes = values[starts].astype(np.int64) if polygons else np.empty(0, np.int64)
     if (short := (sizes < 0) | (sizes + 1 > counts)).any():
-        raise unreadable(path, f"face {short.argmax() + 1} has too few corners", "export or copy it again")
+        raise unreadable_file(path, f"face {short.argmax() + 1} has too few corners", "export or copy it again")
     corners = values[ranges(starts + 1, sizes)]
     if (corners != np.floor(corners)).any():
-        raise unreadable(path, "a corner of a face is not a whole number", "export it again")
+        raise unreadable_file(path, "a corner of a face is not a whole number", "export it again")
     return vertices, corners.astype(np.int64), sizes
 
 

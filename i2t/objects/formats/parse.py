@@ -19,7 +19,7 @@ from i2t.objects.formats.obj import read_obj
 from i2t.objects.formats.off import read_off
 from i2t.objects.formats.ply import read_ply
 from i2t.objects.formats.stl import read_stl
-from i2t.objects.formats.text import unreadable
+from i2t.objects.formats.text import unreadable_file
 
 
 def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
@@ -39,20 +39,20 @@ def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
     suffix = path.suffix.lower()
     check_kind(path, suffix, data)
     try:
-        vertices, faces, left_out = _READERS[suffix](path, data)
+        vertices, faces, ignored = _READERS[suffix](path, data)
     except DataError:
         raise
     except Exception as error:  # an error of a parser is caused by the file
         reason = " ".join(f"{type(error).__name__} {error}".split())[:300]
-        raise unreadable(path, reason, "export it again") from error
-    left_out = tuple(text for text in left_out if text)
+        raise unreadable_file(path, reason, "export it again") from error
+    ignored = tuple(text for text in ignored if text)
     if not len(faces):
-        others = f" but {' and '.join(left_out)}" if left_out else ""
+        others = f" but {' and '.join(ignored)}" if ignored else ""
         raise DataError(
             f"{path}: holds no faces{others}; export it as a mesh (a point cloud has to be made one first, for "
             "instance with Open3D)"
         )
-    return ParsedMesh(*_drop_unused(path, vertices, faces), left_out)
+    return ParsedMesh(*_drop_unused(path, vertices, faces), ignored)
 
 
 def _drop_unused(path: Path, vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:

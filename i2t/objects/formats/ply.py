@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.objects.formats.faces import triangulate_polygons
-from i2t.objects.formats.text import PADDING, cut_off, number_rows, plain_text, ranges, to_utf8, unreadable
+from i2t.objects.formats.text import PADDING, number_rows, plain_text, ranges, to_utf8, truncated_file, unreadable_file
 from i2t.objects.polygons import strip_triangles
 
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -35,7 +35,7 @@ def read_ply(path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]
     form, schema, body = _ply_header(path, data)
     elements = _ply_text(path, schema, body) if form == "ascii" else _ply_binary(path, schema, body)
     if "vertex" not in elements or not {"x", "y", "z"} <= set(elements["vertex"].columns):
-        raise unreadable(path, "it has no vertices with x, y and z", "export it again")
+        raise unreadable_file(path, "it has no vertices with x, y and z", "export it again")
     vertices = np.stack([np.asarray(elements["vertex"].columns[axis], np.float64) for axis in "xyz"], 1)
     loops = [_ply_corners(path, name, elements[name]) for name in ("face", "tristrips") if name in elements]
     corners, sizes = loops[0] if "face" in elements else (np.empty(0, np.int64), np.empty(0, np.int64))
@@ -57,10 +57,10 @@ def _ply_corners(path: Path, name: str, element: _Element) -> tuple[NDArray, NDA
     indices = element.columns.get("vertex_indices", element.columns.get("vertex_index"))
     if not isinstance(indices, tuple):
         reason = f"its element {name!r} has no list vertex_indices, but {', '.join(element.columns)}"
-        raise unreadable(path, reason, "export it again")
+        raise unreadable_file(path, reason, "export it again")
     corners, sizes = indices[0].astype(np.int64), indices[1]
     if not np.array_equal(corners, indices[0]):
-        raise unreadable(path, "a corner of a face is not a whole number", "export it again")
+        raise unreadable_file(path, "a corner of a face is not a whole number", "export it again")
     return corners, sizes
 
 
@@ -69,7 +69,7 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list
     data = to_utf8(data)
     end = re.search(rb"\nend_header *(\r\n|\n)|\rend_header *\r", data[: 2**16])
     if not data.startswith(b"ply") or not end:
-        raise unreadable(path, "it has no PLY header, or is cut off within it", "export or copy it again")
+        raise unreadable_file(path, "it has no PLY header, or is cut off within it", "export or copy it again")
     form, schema = "", list[tuple[str, int, list[_Property]]]()
     for line in data[: end.start()].decode("utf-8", "replace").splitlines()[1:]:
         words = line.split()
@@ -80,11 +80,11 @@ def _ply_header(path: Path, data: bytes) -> tuple[str, list[tuple[str, int, list
         elif words[:1] == ["property"]:
             types = words[2:4] if words[1] == "list" else words[1:2]
             if unknown := [name for name in types if name not in PLY_TYPES]:
-                raise unreadable(path, f"its header has the type {unknown[0]!r}", "export it again")
+                raise unreadable_file(path, f"its header has the type {unknown[0]!r}", "export it again")
             *count, dtype = (np.dtype(PLY_ORDERS.get(form, "=") + PLY_TYPES[name]) for name in types)
             schema[-1][2].append(_Property(words[-1], dtype, count[0] if count else None))
     if form not in PLY_ORDERS or any(count < 0 for _, count, _ in schema):
-        raise unreadable(path, f"its header has the format {form!r}, or a negative number", "export it again")
+        raise unreadable_file(path, f"its header has the format {form!r}, or a negative number", "export it again")
     return form, schema, data[end.end() :]
 
 
@@ -97,11 +97,13 @@ def _ply_text(path: Path, schema: list[tuple[str, int, list[_Property]]], body: 
             continue
         rows = lines[start : start + count]
         if len(rows) < count:
-            raise cut_off(path, f"{count} entries of element {name!r}", len(rows))
+            raise truncated_file(path, f"{count} entries of element {name!r}", len(rows))
         start += count
         elements[name] = _text_element(path, name, rows, properties)
     if start < len(lines):
-        raise unreadable(path, f"it has {len(lines) - start} lines more than its header announces", "export it again")
+        raise unreadable_file(
+            path, f"it has {len(lines) - start} lines more than its header announces", "export it again"
+        )
     return elements
 
 
@@ -125,7 +127,7 @@ def _text_element(path: Path, name: str, rows: list[bytes], properties: list[_Pr
     if short.any():
         number = int(short.argmax())
         reason = f"{name} {number + 1} has {counts[number]} numbers, and its header announces others"
-        raise unreadable(path, reason, "export or copy it again")
+        raise unreadable_file(path, reason, "export or copy it again")
     return _Element(len(rows), columns)
 
 
@@ -144,7 +146,7 @@ def _ply_binary(path: Path, schema: list[tuple[str, int, list[_Property]]], body
         elements[name] = element
     if body[start:].strip(PADDING):
         reason = f"it has {len(body) - start} bytes more than its header announces"
-        raise unreadable(path, reason, "export it again, or copy it as a binary file")
+        raise unreadable_file(path, reason, "export it again, or copy it as a binary file")
     return elements
 
 
@@ -216,7 +218,7 @@ def _unequal_rows(
             sizes[i].append(size)
             start += size * prop.dtype.itemsize
             if size < 0 or start > len(body):
-                raise cut_off(path, f"{count} entries of element {name!r}", number)
+                raise truncated_file(path, f"{count} entries of element {name!r}", number)
     columns: dict[str, NDArray | tuple[NDArray, NDArray]] = {}
     for prop, begins, lengths in zip(properties, places, sizes, strict=True):
         length = np.array(lengths, np.int64)

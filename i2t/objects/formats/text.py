@@ -14,7 +14,7 @@ from i2t.errors import DataError
 PADDING = b"\0\n\r\t \x1a"  # meaningless bytes that programs append to binary files
 
 
-def unreadable(path: Path, reason: str, remedy: str) -> DataError:
+def unreadable_file(path: Path, reason: str, remedy: str) -> DataError:
     """Make the error for a file that does not follow its format.
 
     Args:
@@ -28,7 +28,7 @@ def unreadable(path: Path, reason: str, remedy: str) -> DataError:
     return DataError(f"{path}: cannot be read as {path.suffix[1:].upper()} ({reason}); {remedy}")
 
 
-def cut_off(path: Path, announced: str, present: int | str) -> DataError:
+def truncated_file(path: Path, announced: str, present: int | str) -> DataError:
     """Make the error for a file that ends too early.
 
     Args:
@@ -40,7 +40,7 @@ def cut_off(path: Path, announced: str, present: int | str) -> DataError:
         The error, for the caller to raise.
     """
     reason = f"it is cut off: its header announces {announced}, and {present} are there"
-    return unreadable(path, reason, "export or copy it again")
+    return unreadable_file(path, reason, "export or copy it again")
 
 
 def plain_text(path: Path, data: bytes) -> bytes:
@@ -58,7 +58,7 @@ def plain_text(path: Path, data: bytes) -> bytes:
     """
     data = to_utf8(data).rstrip(b"\x1a")  # marks the end of a file in DOS
     if b"\0" in data:
-        raise unreadable(path, "it is not text", "export it again, or check its ending")
+        raise unreadable_file(path, "it is not text", "export it again, or check its ending")
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").replace(b"\t", b" ")
 
 

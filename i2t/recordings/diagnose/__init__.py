@@ -14,7 +14,7 @@ takes arrays and returns a `Finding`, which also records whether the recording c
 package needs only NumPy and SciPy, so that readers and converters can use it.
 """
 
-from i2t.recordings.diagnose.board import find_board, turn_board
+from i2t.recordings.diagnose.board import find_board, rotate_board
 from i2t.recordings.diagnose.changes import check_presses, repeated_rows
 from i2t.recordings.diagnose.findings import (
     Correction,
@@ -56,5 +56,5 @@ __all__ = [
     "lag_rows",
     "metrics_of",
     "repeated_rows",
-    "turn_board",
+    "rotate_board",
 ]

@@ -93,7 +93,7 @@ def find_board(
         config: Thresholds and size of the model.
 
     Returns:
-        The finding. Its correction holds the matrix that `turn_board` takes.
+        The finding. Its correction holds the matrix that `rotate_board` takes.
     """
     n, chips = len(presses.readings), len(board.chips)
     if n < config.min_presses or chips < config.min_chips or presses.position.std(0).min() < 1e-3:
@@ -112,7 +112,7 @@ def find_board(
     return _stage_finding({name: value - recorded for name, value in evidence.items()}, recorded, config)
 
 
-def turn_board(board: Board, matrix: Float[np.ndarray, "2 2"]) -> Board:
+def rotate_board(board: Board, matrix: Float[np.ndarray, "2 2"]) -> Board:
     """Express a board in the axes of the stage.
 
     Args:

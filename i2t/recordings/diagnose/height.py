@@ -29,7 +29,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize_scalar
 
 from i2t.recordings.diagnose.findings import Finding, FindingName, not_identifiable
-from i2t.recordings.diagnose.smooth import left_out, subsample
+from i2t.recordings.diagnose.smooth import leave_one_out, subsample
 from i2t.recordings.presses import Presses
 
 
@@ -357,7 +357,7 @@ def _score(presses: Presses, zero: float, power: float, model: _GrowthModel) -> 
     covariance = np.exp(-square / (2 * model.length**2)) * growth
     covariance[np.diag_indices_from(covariance)] += model.noise + (model.relative_noise * power_law) ** 2
     values = presses.readings / max(np.sqrt(np.mean(presses.readings**2)), 1e-30)
-    prediction = left_out(covariance, values)
+    prediction = leave_one_out(covariance, values)
     return prediction.log_density, 1 - float((prediction.error**2).sum() / max((values**2).sum(), 1e-30))
 
 

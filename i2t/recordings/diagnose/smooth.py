@@ -12,14 +12,14 @@ from scipy.linalg import LinAlgError, cho_solve, cholesky
 from i2t.leave_one_out import leave_out_rows
 
 
-class LeftOut(NamedTuple):
+class LeaveOneOutRows(NamedTuple):
     """Leave-one-out predictions of rows."""
 
     error: Float[np.ndarray, "n c"]  # of each row, predicted from all others
     log_density: float  # of all rows, each predicted from all others, at the most likely scale
 
 
-def left_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n c"]) -> LeftOut:
+def leave_one_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n c"]) -> LeaveOneOutRows:
     """Predict each row from all others.
 
     Args:
@@ -33,12 +33,12 @@ def left_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n 
     try:
         factor = cholesky(covariance, lower=True)
     except LinAlgError:
-        return LeftOut(np.full_like(values, np.inf), -np.inf)
+        return LeaveOneOutRows(np.full_like(values, np.inf), -np.inf)
     inverse = cho_solve((factor, True), np.eye(len(values)))
     error, variance = leave_out_rows(np.diagonal(inverse), inverse @ values)
     squared_scale = max(float(np.mean(error**2 / variance)), 1e-300)  # the most likely s^2
     density = -0.5 * values.shape[1] * np.log(variance).sum() - 0.5 * values.size * np.log(squared_scale)
-    return LeftOut(error, float(density))
+    return LeaveOneOutRows(error, float(density))
 
 
 def smooth_r2(

@@ -52,37 +52,37 @@ class SlopedErrors(NamedTuple):
     height: Float[np.ndarray, " n"]  # typical loads, used in the predictions
 
 
-def measured_heights(std: Float[np.ndarray, " j"], length: Float[np.ndarray, " j"], left_out: SlopedErrors) -> Heights:
+def measured_heights(std: Float[np.ndarray, " j"], length: Float[np.ndarray, " j"], held_out: SlopedErrors) -> Heights:
     """Measure heights by leave-one-out errors, and give each hypothesis the probability 1.
 
     Args:
         std: `(j,)` standard deviations of the heights (typical loads), one for each hypothesis.
         length: `(j,)` correlation lengths of the heights (m).
-        left_out: Leave-one-out errors of n presses.
+        held_out: Leave-one-out errors of n presses.
 
     Returns:
         The heights at the n presses under each hypothesis.
     """
-    error, variance, slope, own = left_out
+    error, variance, slope, own = held_out
     total = np.maximum(np.sum(slope**2 / variance, axis=1), 1e-12)
     measured = own + np.sum(slope * error / variance, axis=1) / total
     return Heights(std, length, np.ones(len(std)), measured, 1 / total + ROUGHNESS.measurement_std**2)
 
 
 def hypothesis_shares(
-    heights: Heights, position: Float[np.ndarray, "n 2"], left_out: SlopedErrors
+    heights: Heights, position: Float[np.ndarray, "n 2"], held_out: SlopedErrors
 ) -> Float[np.ndarray, " j"]:
     """Weigh the hypotheses by leave-one-out errors, corrected by heights that are left out as well.
 
     Args:
         heights: Heights measured under all hypotheses.
         position: `(n, 2)` positions of the presses (m).
-        left_out: Leave-one-out errors of the presses.
+        held_out: Leave-one-out errors of the presses.
 
     Returns:
         `(j,)` probabilities of the hypotheses; the remainder up to 1 is that of a flat skin.
     """
-    error, _, slope, own = left_out
+    error, _, slope, own = held_out
     missed = [np.sum((error + slope * own[:, None]) ** 2)]
     for inverse in height_inverses(heights, position):
         without = leave_out_rows(np.diagonal(inverse), (inverse @ heights.measured)[:, None])

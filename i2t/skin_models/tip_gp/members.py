@@ -24,7 +24,7 @@ class Components(NamedTuple):
     board: Int[np.ndarray, " k"]  # number of the board whose chips the member uses, or NO_BOARD
 
 
-def on_boards(
+def kernels_on_boards(
     kernels: SkinKernels,
     log_share: Float[np.ndarray, " s"],
     column: int,
@@ -64,7 +64,7 @@ def on_boards(
     return join_members(without, *(on(board, falls, board_weight / boards) for board in range(boards)))
 
 
-def with_previous(
+def add_previous_session(
     components: Components, *, previous_weight: float = 0.5, noise_factors: tuple[float, ...] = (1.0, 10.0, 100.0)
 ) -> Components:
     """Add members that model the difference of the readings from the prediction of a previous session.

@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from i2t.skin_models.tip_gp import kernel
 from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
-from i2t.skin_models.tip_gp.left_out import Observed, condition_all
+from i2t.skin_models.tip_gp.leave_one_out import Observed, condition_all
 
 
 @dataclass(frozen=True)

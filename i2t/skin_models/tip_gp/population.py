@@ -1,7 +1,7 @@
 """Gaussian process of one skin whose hyperparameters are marginalised over a population of skins.
 
 The model is a mixture over the kernels of the population (`prior`, `kernel`), weighted by leave-one-out errors
-(`left_out`).
+(`leave_one_out`).
 
 Marginal likelihood was misleading on real presses. The weight of a kernel is therefore its share of the population
 times two leave-one-out scores: the log density (Student's t, so that one bad press does not decide; pseudo-Bayesian
@@ -48,18 +48,25 @@ from i2t.skin_models.tip_gp.heights import (
     measured_heights,
 )
 from i2t.skin_models.tip_gp.kernel import PressGeometry, SkinKernels, squared_distance
-from i2t.skin_models.tip_gp.left_out import (
+from i2t.skin_models.tip_gp.leave_one_out import (
     Conditioned,
-    LeftOutPresses,
+    LeaveOneOutPresses,
     Observed,
     condition_all,
-    left_out,
-    left_out_slopes,
+    leave_one_out,
+    leave_one_out_slopes,
     spatial_parts,
     ungrouped,
 )
-from i2t.skin_models.tip_gp.members import NO_BOARD, Components, join_members, on_boards, take_members, with_previous
-from i2t.skin_models.tip_gp.prior import KernelPrior, load_prior, with_plain
+from i2t.skin_models.tip_gp.members import (
+    NO_BOARD,
+    Components,
+    add_previous_session,
+    join_members,
+    kernels_on_boards,
+    take_members,
+)
+from i2t.skin_models.tip_gp.prior import KernelPrior, add_plain_members, load_prior
 from i2t.types import in_one_line
 
 
@@ -286,7 +293,7 @@ def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
         `(c,)` factors, one for each channel.
     """
     prior = _CONFIG.scaling
-    n, (mean, variance) = len(gp.readings), _left_out_mixture(gp)
+    n, (mean, variance) = len(gp.readings), _leave_one_out_mixture(gp)
     ratios = np.abs(gp.readings - mean) / np.sqrt(variance) / STDS_WITHIN_90
     level = min(0.9 * (n + 1) / n, 1.0)
     together = (n * np.quantile(ratios, level) + prior.prior_presses * prior.factor) / (n + prior.prior_presses)
@@ -294,7 +301,7 @@ def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
     return by_channel / (n + prior.shared_presses)
 
 
-def left_out_errors(gp: PopulationGP) -> Float[np.ndarray, "n c"]:
+def leave_one_out_errors(gp: PopulationGP) -> Float[np.ndarray, "n c"]:
     """Compute the leave-one-out errors of a mixture, with the weights that all its presses gave.
 
     Args:
@@ -303,7 +310,7 @@ def left_out_errors(gp: PopulationGP) -> Float[np.ndarray, "n c"]:
     Returns:
         `(n, c)` measured minus predicted readings (uT).
     """
-    return gp.readings - _left_out_mixture(gp)[0]
+    return gp.readings - _leave_one_out_mixture(gp)[0]
 
 
 # --- members of the mixture and their weights ---
@@ -323,11 +330,15 @@ def _unweighted_members(
     presses = presses._replace(loads=loads)
     parts = []
     for column, kind in enumerate(load_kinds or ("force",)):
-        kernels, log_share = with_plain(prior, kind, presses.position, loads[:, column] / typical[column], readings)
-        parts.append(on_boards(kernels, log_share, column, 0 if chip_positions is None else len(chip_positions)))
+        kernels, log_share = add_plain_members(
+            prior, kind, presses.position, loads[:, column] / typical[column], readings
+        )
+        parts.append(
+            kernels_on_boards(kernels, log_share, column, 0 if chip_positions is None else len(chip_positions))
+        )
     components = join_members(*parts)
     if presses.previous_mean is not None:
-        components = with_previous(components)
+        components = add_previous_session(components)
     return _unweighted(presses, readings, components, typical, chip_positions)
 
 
@@ -361,7 +372,7 @@ def _on_likeliest_board(gp: PopulationGP) -> PopulationGP:
     common = np.argsort(-components.log_share[of_board[0]], kind="stable")[: _CONFIG.selection.board_kernels]
     short_list = _select_members(gp, of_board[:, common].ravel())
     short = _subsample(short_list, min(_CONFIG.selection.stages[0][0], len(gp.readings)))
-    near, far = _weights(short, _left_out_all(short))
+    near, far = _weights(short, _leave_one_out_all(short))
     board = int(np.argmax(board_shares(short._replace(weights=near, far_weights=far))[1:]))
     gp = _select_members(gp, np.flatnonzero((components.board == NO_BOARD) | (components.board == board)))
     own = gp.components.board != NO_BOARD
@@ -378,7 +389,7 @@ def _weigh_in_stages(gp: PopulationGP) -> PopulationGP:
         if len(gp.weights) > members:
             gp = _select_members(gp, np.argsort(-_shares(gp), kind="stable")[:members])
         some = _subsample(gp, min(presses, n))
-        near, far = _weights(some, _left_out_all(some))
+        near, far = _weights(some, _leave_one_out_all(some))
         gp = gp._replace(weights=near, far_weights=far)
         if presses >= n:
             break
@@ -420,7 +431,7 @@ def _rows_of(presses: PressTable, rows: slice | np.ndarray) -> PressTable:
 
 def _reweighted(gp: PopulationGP) -> PopulationGP:
     """Weigh the members by all presses of the mixture."""
-    near, far = _weights(gp, _left_out_all(gp))
+    near, far = _weights(gp, _leave_one_out_all(gp))
     return gp._replace(weights=near, far_weights=far)
 
 
@@ -430,7 +441,7 @@ def _reading_weights(gp: PopulationGP) -> np.ndarray:
 
 
 def _weights(
-    gp: PopulationGP, left_out: LeftOutPresses, rows: slice | np.ndarray = slice(None)
+    gp: PopulationGP, held_out: LeaveOneOutPresses, rows: slice | np.ndarray = slice(None)
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Weigh the members by some presses: weights (k, c) near the presses and far from them, 1 in sum per channel."""
     weighting = _CONFIG.weighting
@@ -450,10 +461,10 @@ def _weights(
         by_channel = (gp.components.log_share + tempered * total)[:, None] + weighting.channel_exponent * density
         return np.exp(by_channel - logsumexp(by_channel, axis=0, keepdims=True))
 
-    alone = score(left_out.error, left_out.variance)
-    if left_out.part_error is left_out.error:
+    alone = score(held_out.error, held_out.variance)
+    if held_out.part_error is held_out.error:
         return weights_of(*alone), None
-    together = score(left_out.part_error, left_out.part_variance)
+    together = score(held_out.part_error, held_out.part_variance)
     near, far = (
         weights_of(*((1 - share) * single + share * part for single, part in zip(alone, together, strict=True)))
         for share in (weighting.near_part_share, weighting.far_part_share)
@@ -461,16 +472,16 @@ def _weights(
     return near, far
 
 
-def _left_out_all(gp: PopulationGP, part: np.ndarray | None = None) -> LeftOutPresses:
+def _leave_one_out_all(gp: PopulationGP, part: np.ndarray | None = None) -> LeaveOneOutPresses:
     """Compute the leave-one-out errors of all members, by default with the parts of `_parts`."""
     (n, c), components = gp.readings.shape, gp.components
     k = len(components.log_share)
     part = _parts(gp) if part is None else part
     arrays = [np.empty((k, n, c)), np.empty((k, n, c)), np.empty((k, c))]
     arrays += arrays[:2] if part is None else [np.empty((k, n, c)), np.empty((k, n, c))]
-    result = LeftOutPresses(*arrays)
+    result = LeaveOneOutPresses(*arrays)
     for rows, at, observed in _groups_by_input(gp):
-        group = left_out(kernel.take(components.kernels, rows), at, observed, part)
+        group = leave_one_out(kernel.take(components.kernels, rows), at, observed, part)
         for into, values in zip(result, group, strict=True):
             into[rows] = values
     return result
@@ -517,16 +528,16 @@ def _observed(gp: PopulationGP, previous: bool) -> Observed:
     return Observed(target, gp.extra_noise if gp.extra_noise.any() else gp.extra_noise[:, :1])
 
 
-def _mixed(gp: PopulationGP, left_out: LeftOutPresses) -> tuple[np.ndarray, np.ndarray]:
+def _mixed(gp: PopulationGP, held_out: LeaveOneOutPresses) -> tuple[np.ndarray, np.ndarray]:
     """Compute the mixture's means and variances (n, c) of presses left out."""
-    error = np.einsum("kc,knc->nc", gp.weights, left_out.error)
-    spread = left_out.variance + (left_out.error - error[None]) ** 2
+    error = np.einsum("kc,knc->nc", gp.weights, held_out.error)
+    spread = held_out.variance + (held_out.error - error[None]) ** 2
     return gp.readings - error, np.einsum("kc,knc->nc", gp.weights, spread)
 
 
-def _left_out_mixture(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray]:
+def _leave_one_out_mixture(gp: PopulationGP) -> tuple[np.ndarray, np.ndarray]:
     """Predict each press from all others, with the weights that all presses gave."""
-    return _mixed(gp, _left_out_all(gp))
+    return _mixed(gp, _leave_one_out_all(gp))
 
 
 # --- heavy tails ---
@@ -537,14 +548,14 @@ def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
     n, c = gp.readings.shape
     groups = gp.extra_noise.shape[1]
     channels = c // groups
-    left_out = _left_out_all(gp)
-    mean, variance = _mixed(gp, left_out)
+    held_out = _leave_one_out_all(gp)
+    mean, variance = _mixed(gp, held_out)
     square = ((gp.readings - mean) ** 2 / variance).reshape(n, groups, channels).mean(2)
     ratio = (_CONFIG.tail_dof + channels * square) / (_CONFIG.tail_dof + channels)
     outlying = square > _CONFIG.tail_limit
     if not outlying.any():
         return gp
-    scale = np.einsum("kc,kc->c", gp.weights, left_out.scale)
+    scale = np.einsum("kc,kc->c", gp.weights, held_out.scale)
     relative = (variance / scale[None] ** 2).reshape(n, groups, channels).mean(2)
     gp = gp._replace(extra_noise=np.where(outlying, (ratio - 1) * relative, 0.0))
     return _reweighted(gp)
@@ -559,9 +570,9 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
         np.array(part) for part in zip(*((s, x) for x in ROUGHNESS.lengths for s in ROUGHNESS.stds), strict=True)
     )
     for _ in range(_CONFIG.height_passes):
-        left_out = _sloped_errors(gp)
-        tried = measured_heights(std, length, left_out)
-        share = hypothesis_shares(tried, gp.presses.position, left_out)
+        held_out = _sloped_errors(gp)
+        tried = measured_heights(std, length, held_out)
+        share = hypothesis_shares(tried, gp.presses.position, held_out)
         kept = share > ROUGHNESS.min_share
         if not kept.any():
             return gp
@@ -572,11 +583,11 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
 
 def _sloped_errors(gp: PopulationGP) -> SlopedErrors:
     """Compute the mixture's leave-one-out errors and their slopes by the first load."""
-    mean, variance = _left_out_mixture(gp)
+    mean, variance = _leave_one_out_mixture(gp)
     slopes = np.zeros((len(gp.weights), *gp.readings.shape))
     for rows, at, observed in _groups_by_input(gp):
         if gp.components.load_column[rows[0]] == 0:
-            slopes[rows] = left_out_slopes(kernel.take(gp.components.kernels, rows), at, observed)
+            slopes[rows] = leave_one_out_slopes(kernel.take(gp.components.kernels, rows), at, observed)
     slope = np.einsum("kc,knc->nc", gp.weights, slopes)
     return SlopedErrors(gp.readings - mean, variance, slope, _heights_at_presses(gp))
 
@@ -609,10 +620,10 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
     if not cuts:
         return gp
     near, far = zip(*(_errors_by_other_parts(gp, part) for part in cuts), strict=True)
-    alone = [_left_out_all(gp._replace(components=plain), part) for part in cuts]
-    best = int(np.argmin(sum((_reading_weights(gp) * left_out.part_error**2).sum((1, 2)) for left_out in alone)))
-    near_share = _stacking_share(gp, np.stack(near), np.stack([left_out.error[best] for left_out in alone]), 0.0)
-    plain_far = np.stack([left_out.part_error[best] for left_out in alone])
+    alone = [_leave_one_out_all(gp._replace(components=plain), part) for part in cuts]
+    best = int(np.argmin(sum((_reading_weights(gp) * held_out.part_error**2).sum((1, 2)) for held_out in alone)))
+    near_share = _stacking_share(gp, np.stack(near), np.stack([held_out.error[best] for held_out in alone]), 0.0)
+    plain_far = np.stack([held_out.part_error[best] for held_out in alone])
     far_share = _stacking_share(gp, np.stack(far), plain_far, _CONFIG.stacking.far_plain_presses)
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     return gp._replace(
@@ -624,13 +635,13 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
 
 def _errors_by_other_parts(gp: PopulationGP, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute the mixture's errors (n, c) on presses left out alone and by parts, with weights from the other parts."""
-    left_out = _left_out_all(gp, part)
+    held_out = _leave_one_out_all(gp, part)
     alone, together = np.empty_like(gp.readings), np.empty_like(gp.readings)
     for i in range(part.max() + 1):
         rows = part == i
-        near, far = _weights(gp, left_out, ~rows)
-        alone[rows] = np.einsum("kc,knc->nc", near, left_out.error[:, rows])
-        together[rows] = np.einsum("kc,knc->nc", near if far is None else far, left_out.part_error[:, rows])
+        near, far = _weights(gp, held_out, ~rows)
+        alone[rows] = np.einsum("kc,knc->nc", near, held_out.error[:, rows])
+        together[rows] = np.einsum("kc,knc->nc", near if far is None else far, held_out.part_error[:, rows])
     return alone, together
 
 

@@ -113,7 +113,7 @@ def fitted_kernel(
     return plain_kernel(*(np.array([value]) for value in (scales.length, scales.width, scales.noise, _PLAIN.constant)))
 
 
-def with_plain(
+def add_plain_members(
     prior: KernelPrior,
     kind: str,
     position: Float[np.ndarray, "n 2"],

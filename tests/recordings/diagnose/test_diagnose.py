@@ -120,10 +120,10 @@ def test_approaches_show_first_contact():
 def test_a_rotated_board_measures_the_same_field():
     board = reskin_board()
     for matrix in STAGES.values():
-        turned = diagnose.turn_board(board, matrix.astype(float))
+        turned = diagnose.rotate_board(board, matrix.astype(float))
         # In the stage's axes a chip lies where the matrix maps to its place on the board.
         np.testing.assert_allclose(turned.chips[:, :2] @ matrix.T, board.chips[:, :2], atol=1e-9)
-        back = diagnose.turn_board(turned, np.linalg.inv(matrix))
+        back = diagnose.rotate_board(turned, np.linalg.inv(matrix))
         np.testing.assert_allclose(back.rotations, board.rotations, atol=1e-6)
 
 
@@ -179,6 +179,6 @@ def test_sound_real_recordings_raise_no_alarm(shared_data, kind):
         at = 1e-3 * states[:, 1:4]
         middle = (at.min(0) + at.max(0)) / 2
         recording = Presses(at[:, :2] - middle[:2], values[:, 1:16], height=at[:, 2])
-        board = diagnose.turn_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
+        board = diagnose.rotate_board(eflesh_board(), STAGES["turned by +90 degrees"].astype(float))
         findings = diagnose.diagnose(recording, board)
         assert not [finding.sentence for finding in findings if finding.wrong]

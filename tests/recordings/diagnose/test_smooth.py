@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from i2t.recordings.diagnose.smooth import left_out, smooth_r2
+from i2t.recordings.diagnose.smooth import leave_one_out, smooth_r2
 
 
 def drawn() -> tuple[np.ndarray, np.ndarray]:
@@ -28,7 +28,7 @@ def refitted(K: np.ndarray, values: np.ndarray) -> np.ndarray:
 def test_leave_one_out_errors_match_refits():
     labels, values = drawn()
     K = covariance(labels, 0.7, 0.03)
-    np.testing.assert_allclose(left_out(K, values).error, refitted(K, values), rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(leave_one_out(K, values).error, refitted(K, values), rtol=1e-8, atol=1e-10)
 
 
 def test_r2_is_that_of_the_best_refit():

@@ -16,7 +16,7 @@ def drawn() -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
 
 
 @pytest.mark.parametrize("smooth", [True, False])
-def test_heights_get_weight_if_those_of_neighbours_predict_a_left_out_height(smooth):
+def test_heights_get_weight_if_those_of_neighbours_predict_a_held_out_height(smooth):
     x, height, rng = drawn()
     height = height if smooth else rng.permutation(height)
     slope = np.full((80, CHANNELS), 30.0)

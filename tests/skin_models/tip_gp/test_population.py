@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from i2t.skin_models.tip_gp import kernel, prior
-from i2t.skin_models.tip_gp import left_out as lo
+from i2t.skin_models.tip_gp import leave_one_out as lo
 from i2t.skin_models.tip_gp import population as mixture
 from i2t.skin_models.tip_gp.kernel import SkinKernels
 from i2t.skin_models.tip_gp.plain import fit_scales, predict_plain
@@ -100,8 +100,8 @@ def test_leave_one_out_agrees_with_refitting_without_the_press(chips):
     readings, extra = rng.normal(size=(9, CHANNELS)), np.abs(rng.normal(size=(9, 5)))
     at = kernel.geometry(x, d, chips)
     part = np.array([0, 1, 2, 0, 1, 2, 0, 0, 1])
-    result = lo.left_out(KINDS, at, lo.Observed(readings, extra), part)
-    alone = lo.left_out(KINDS, at, lo.Observed(readings, extra))
+    result = lo.leave_one_out(KINDS, at, lo.Observed(readings, extra), part)
+    alone = lo.leave_one_out(KINDS, at, lo.Observed(readings, extra))
     np.testing.assert_array_equal(alone.part_error, alone.error)
     for s in range(2):
         for c in (0, 4, 14):
@@ -295,7 +295,7 @@ def test_weights_far_from_the_presses_come_from_presses_left_out_together():
     k, n, c = len(gp.weights), 30, CHANNELS
     error, part_error = np.ones((k, n, c)), np.ones((k, n, c))
     error[0], part_error[0] = 0.01, 100.0
-    near, far = mixture._weights(gp, lo.LeftOutPresses(error, error**2, np.ones((k, c)), part_error, part_error**2))
+    near, far = mixture._weights(gp, lo.LeaveOneOutPresses(error, error**2, np.ones((k, c)), part_error, part_error**2))
     assert near[0].min() > 0.5
     assert far is not None
     assert far[0].max() < 0.01
@@ -370,13 +370,13 @@ def test_a_short_list_of_kernels_chooses_one_of_several_boards(monkeypatch):
     near = np.exp(-((x[:, None] - CHIPS) ** 2).sum(-1) / 2 / 4e-3**2).repeat(3, axis=1)
     readings = near * skin(101)(x, d) + np.random.default_rng(102).normal(size=(30, CHANNELS))
     turned = CHIPS @ np.array([[0.8, -0.6], [0.6, 0.8]]).T
-    counts, left_out = [], mixture.left_out
+    counts, leave_one_out = [], mixture.leave_one_out
 
     def counting(kernels, at, *rest):
         counts.append((len(kernels.load_power), at.chip_square is not None))
-        return left_out(kernels, at, *rest)
+        return leave_one_out(kernels, at, *rest)
 
-    monkeypatch.setattr(mixture, "left_out", counting)
+    monkeypatch.setattr(mixture, "leave_one_out", counting)
     monkeypatch.setattr(mixture, "_with_heavy_tails", lambda gp: gp)
     monkeypatch.setattr(mixture, "_with_heights", lambda gp: gp)
     monkeypatch.setattr(mixture, "_stacked_on_plain", lambda gp, _: gp)

@@ -21,7 +21,7 @@ class Observed(NamedTuple):
     extra_noise: Float[np.ndarray, "n groups"]  # additional relative variance of outlying presses
 
 
-class LeftOutPresses(NamedTuple):
+class LeaveOneOutPresses(NamedTuple):
     """Leave-one-out predictions of n presses by s kernels."""
 
     error: Float[np.ndarray, "s n c"]  # uT, reading minus mean
@@ -57,9 +57,9 @@ def _blas() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-def left_out(
+def leave_one_out(
     kernels: SkinKernels, at: PressGeometry, observed: Observed, part: Int[np.ndarray, " n"] | None = None
-) -> LeftOutPresses:
+) -> LeaveOneOutPresses:
     """Predict each press from all others with each kernel, and from all presses that are not of its part.
 
     Args:
@@ -82,7 +82,7 @@ def left_out(
         error[i], variance[i], scale[i] = *map(ungrouped, alone), given.scale
         if part is not None:
             part_error[i], part_variance[i] = map(ungrouped, leave_out_parts(given.inverse, weights, part, own_scale))
-    return LeftOutPresses(error, variance, scale, part_error, part_variance)
+    return LeaveOneOutPresses(error, variance, scale, part_error, part_variance)
 
 
 def spatial_parts(position: Float[np.ndarray, "n 2"], parts: int, *, curve_bits: int = 6) -> Int[np.ndarray, " n"]:
@@ -104,7 +104,7 @@ def spatial_parts(position: Float[np.ndarray, "n 2"], parts: int, *, curve_bits:
     return part
 
 
-def left_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Float[np.ndarray, "s n c"]:
+def leave_one_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Float[np.ndarray, "s n c"]:
     """Compute the slopes of the leave-one-out means by the load.
 
     Args:
