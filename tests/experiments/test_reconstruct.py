@@ -210,7 +210,7 @@ def test_touches_of_a_data_set_are_taken_back_to_first_contact_in_the_objects_fr
     shifted = dataset.touches.T_w_t.copy()
     shifted[:2, 0, 3] += 20.0  # millimetres taken for metres
     far = replace(dataset, touches=dataset.touches._replace(T_w_t=shifted))
-    with pytest.raises(DataError, match=r"contacts lie 20\.00 m apart"):
+    with pytest.raises(DataError, match=r"contacts span 20\.00 m"):
         read_touches(far, "thing")
     with pytest.raises(DataError, match="holds no touch of other; pass --object with one of thing"):
         choose_object(dataset, "other", Path("DATA"))
