@@ -10,10 +10,10 @@ data, and its scores on unknown objects from the run's metrics. docs/model_card.
     python -m tools.ready_models --eflesh SESSION --out runs/ready_eflesh
 
 This makes the calibration of a real skin, calibration.npz and its card, the contents of i2t/models/eflesh
-(`i2t.load_calibration("eflesh")`). It is fitted to presses of one eFlesh session and contains none of them:
-a structured Gaussian process conditioned on many presses (the teacher) predicts readings on a grid of positions and depths, and a
-small one is conditioned on these predictions. The widths of its intervals are fitted to separate presses. All scores
-are at positions held out from the teacher and from the widths, a fifth of all, drawn once.
+(`i2t.load_calibration("eflesh")`). It is fitted to presses of one eFlesh session and contains none of them: a
+structured Gaussian process conditioned on many presses (the teacher) predicts readings on a grid of positions and
+depths, and a small one is conditioned on these predictions. The widths of its intervals are fitted to separate
+presses. All scores are at positions held out from the teacher and from the widths, a fifth of all, drawn once.
 """
 
 import json
