@@ -17,9 +17,7 @@ def main(out: str = "runs/patch.png") -> i2t.Patch:
     patch = i2t.render_patch(i2t.prepare_surface(mesh), T_o_t)
 
     inside = np.asarray(patch.depth) < 4e-3  # metres behind the nearest point, clipped to 4 mm
-    print(
-        f"{inside.mean():.0%} of the window shows a surface, {1e3 * patch.nearest:.2f} mm from the skin at its nearest point"
-    )
+    print(f"{inside.mean():.0%} of the window shows a surface; its nearest point is at {1e3 * patch.nearest:.2f} mm")
     figure = viz.plot_patches(np.asarray(patch.depth)[None], ["hammer"], "Surface in front of the skin", simulated=True)
     print(f"figure: {viz.save_figure(figure, out)}")
     return patch

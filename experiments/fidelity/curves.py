@@ -16,13 +16,7 @@ from experiments.calibrate.methods import CALIBRATED
 from experiments.calibrate.report import figure
 from experiments.common.tables import cell
 from experiments.fidelity.config import FidelityPreset
-from experiments.fidelity.forward import (
-    SIMPLE_GP,
-    explained_share,
-    loses_beyond_chance,
-    press_set,
-    simple_gp,
-)
+from experiments.fidelity.forward import SIMPLE_GP, explained_share, loses_beyond_chance, press_set, simple_gp
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.dataset import square_blocks
 from i2t.recordings.loads import ASSUMED_DEPTH_M
@@ -30,8 +24,7 @@ from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import SkinRecording
 from i2t.types import Board
 
-RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"
-MIN_TEST_ROWS, MIN_POOL_ROWS = 5, 5
+MIN_ROWS = 5  # for calibration and for the test
 OWN_PRESSES = 20  # presses of the predicted session that its own Gaussian process is fitted to
 Splits: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]  # calibration and test rows by way of holding out
 
@@ -68,24 +61,23 @@ def hold_out_presses(presses: LoadedPresses, preset: FidelityPreset, seed: int) 
     """Split the presses into calibration and test rows in each way that leaves enough of both."""
     n, rng, share = len(presses.load), np.random.default_rng(seed), preset.held_out_share
     order = rng.permutation(n)
-    held_out = max(round(share * n), min(MIN_TEST_ROWS, n // 3))
-    splits = {RANDOM_ROWS: (order[held_out:], order[:held_out])}
+    held_out = max(round(share * n), min(MIN_ROWS, n // 3))
+    splits = {"random presses": (order[held_out:], order[:held_out])}
     block = square_blocks(presses.position, 1e-3 * preset.block_mm)
     if block.max() >= 4:
         chosen = rng.permutation(block.max() + 1)[: max(round(share * (block.max() + 1)), 1)]
         held = np.isin(block, chosen)
-        splits[WHOLE_BLOCKS] = (order[~held[order]], order[held[order]])
+        splits["whole blocks"] = (order[~held[order]], order[held[order]])
     later = np.arange(n) >= n - held_out
-    splits[LATER_ROWS] = (order[~later[order]], order[later[order]])
+    splits["later in time"] = (order[~later[order]], order[later[order]])
     usable = {
         name: (pool, np.sort(test[: preset.test_rows]))
         for name, (pool, test) in splits.items()
-        if len(test) >= MIN_TEST_ROWS and len(pool) >= MIN_POOL_ROWS
+        if min(len(test), len(pool)) >= MIN_ROWS
     }
     if not usable:
         raise CannotTellError(
-            f"{n} presses are too few to calibrate with some and test on others; "
-            f"{MIN_POOL_ROWS + 2 * MIN_TEST_ROWS} are enough."
+            f"{n} presses are too few to calibrate with some and test on others; {3 * MIN_ROWS} are enough."
         )
     return usable
 
@@ -139,10 +131,10 @@ def _across(
     before, now = _alike(source, target)
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]
-    if len(test) < MIN_TEST_ROWS:
+    if len(test) < MIN_ROWS:
         raise CannotTellError(
             f"{target.name} has {len(now.load)} presses, too few to test {source.name} on; "
-            f"{OWN_PRESSES + MIN_TEST_ROWS} are enough."
+            f"{OWN_PRESSES + MIN_ROWS} are enough."
         )
     both = now._replace(
         position=np.concatenate([before.position, now.position]),

@@ -33,7 +33,7 @@ def describe(recording: SkinRecording, section: Section) -> None:
     if np.isfinite(seconds).any():
         gap, span = float(np.nanmedian(seconds)), float(np.nanmax(recording.time) - np.nanmin(recording.time))
         numbers["time"] = {"median_gap_s": gap, "span_s": span}
-        section.sentences.append(f"Rows come every {gap:.3g} s (median) over {span / 60:.1f} minutes.")
+        section.sentences.append(f"There is a row every {gap:.3g} s (median) over {span / 60:.1f} minutes.")
     else:
         section.sentences.append("No times are known, so rates, creep and drift per hour are unknown.")
     section.tables["known targets"] = _known(recording, numbers)
@@ -83,7 +83,7 @@ def _unit(recording: SkinRecording, numbers: dict) -> str:
         fits = np.argwhere((np.abs(ratio - 1) < 0.02).all(-1))
         if len(fits):
             numbers["unit"] = unit
-            chip = f"an MLX90393 in {unit} (such as gain {fits[0, 0]} and resolution {fits[0, 1]})"
+            chip = f"an MLX90393 in {unit} (for example gain {fits[0, 0]} and resolution {fits[0, 1]})"
             wrong = "" if unit == "uT" else f": multiply them by {factor:g} to have uT"
             return f"{values}, the steps of {chip}{wrong}."
     return f"{values}, which match no known chip; the unit is assumed to be uT."

@@ -13,13 +13,7 @@ from scipy.spatial import cKDTree
 from experiments.common.tables import cell
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.describe import changes_in_air
-from experiments.fidelity.forward import (
-    explained_share,
-    load_of,
-    one_tip,
-    predicted_from_others,
-    press_set,
-)
+from experiments.fidelity.forward import explained_share, load_of, one_tip, predicted_from_others, press_set
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import MAX_STREAM_STEP_S, SkinRecording

@@ -79,7 +79,7 @@ class ReconstructArgs(RunOptions):
     out: Path = Path("runs/reconstruct")  # output folder
     preset: Literal["paper", "debug"] = "paper"
     objects: Path | None = None  # folder of closed meshes for library and test, instead of random objects
-    unit: UnitName | None = None  # of --objects
+    unit: UnitName | None = None  # unit of the lengths in --objects
     across_mm: tuple[float, float] | None = None  # range of largest edges to which --objects are scaled at random
     dataset: Path | None = None  # recorded touches of an object to reconstruct, instead of simulated ones
     object: str | None = None  # object of --dataset, if it holds several
