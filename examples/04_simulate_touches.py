@@ -1,4 +1,4 @@
-"""Touches in bulk: objects, a random skin and the errors of a lab become a data set on disk.
+"""Simulate a data set of touches with a random skin and the errors of a lab.
 
 python examples/04_simulate_touches.py
 """
@@ -17,10 +17,10 @@ def main(path: str = "runs/touches.h5", n: int = 36) -> i2t.Dataset:
     pad = i2t.sample_pad(jax.random.key(0))  # every skin is different
     touches = i2t.simulate_touches(jax.random.key(1), surfaces, pad, SimulationErrors(), n)
 
-    i2t.save_dataset(path, i2t.Dataset.simulated(touches, names, pad))  # in sessions, each with an object placed anew
+    i2t.save_dataset(path, i2t.Dataset.simulated(touches, names, pad))  # the object is placed anew in each session
     dataset = i2t.load_dataset(path)
     size = np.linalg.norm(dataset.touches.reading, axis=1)
-    print(f"{len(dataset)} touches (simulated) in {path}; a reading changes by {np.median(size):.0f} uT (norm, median)")
+    print(f"{len(dataset)} touches (simulated) in {path}; median magnitude of a reading: {np.median(size):.0f} uT")
     return dataset
 
 

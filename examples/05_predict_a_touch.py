@@ -1,8 +1,8 @@
-"""Imagine a touch: a trained predictor, a mesh and a pose become a reading with its uncertainty.
+"""Predict the reading of a touch, with its uncertainty, from a mesh and a pose.
 
 python examples/05_predict_a_touch.py
 
-The ready model is of one simulated pad; give main "runs/train" for a run of your own.
+The ready model is of one simulated pad; pass "runs/train" to `main` for your own run.
 """
 
 import numpy as np
@@ -11,10 +11,10 @@ import i2t
 
 
 def main(run: str = "nominal") -> i2t.Reading:
-    """Predict the reading of a press on the screwdriver with 1 N, and return it."""
+    """Predict presses of 1 N at four sites of a screwdriver, and return the last reading."""
     predictor = i2t.load_predictor(run)
-    mesh = i2t.make_object("screwdriver").mesh  # an object that training has not seen
-    sites = i2t.sample_touch_sites(mesh, 4, seed=0)  # safe places for the skin
+    mesh = i2t.make_object("screwdriver").mesh  # not in the training set
+    sites = i2t.sample_touch_sites(mesh, 4, seed=0)  # safe sites for the skin
 
     for T_o_t in sites.T_o_t:
         reading = predictor.predict_touch(mesh, T_o_t, force=1.0)

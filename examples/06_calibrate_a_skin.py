@@ -1,4 +1,4 @@
-"""Your skin from a few presses: positions, forces and readings of one tip become a model of all other presses.
+"""Calibrate a skin from a few presses: a model of readings from positions and forces of one tip.
 
 python examples/06_calibrate_a_skin.py
 """
@@ -12,10 +12,10 @@ from i2t.skin.elasticity import GRID
 
 
 def main(presses: int = 60, tip_radius: float = 4e-3) -> float:
-    """Calibrate a simulated skin from some presses; return R2 over 60 others."""
-    pad = i2t.sample_pad(jax.random.key(2))  # here the "real" skin; bring your own presses instead
+    """Calibrate a simulated skin from some presses, and return R2 on 60 others."""
+    pad = i2t.sample_pad(jax.random.key(2))  # plays the real skin; use your own presses instead
     random = np.random.default_rng(0)
-    positions = random.uniform(-6e-3, 6e-3, (presses + 60, 2))  # m, of the tip in the tool frame
+    positions = random.uniform(-6e-3, 6e-3, (presses + 60, 2))  # m, tip in the tool frame
     travels = random.uniform(0.1e-3, 0.5e-3, presses + 60)  # m past first contact
 
     def press(at: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -26,12 +26,12 @@ def main(presses: int = 60, tip_radius: float = 4e-3) -> float:
     readings, forces = map(np.asarray, jax.lax.map(press, jnp.column_stack([positions, travels])))
     readings = readings + random.normal(0, 1.0, readings.shape)  # uT of noise
 
-    known, others, board = slice(None, presses), slice(presses, None), i2t.Board(*map(np.asarray, pad.board))
-    calibration = i2t.calibrate(positions[known], forces[known], readings[known], load_kind="force", board=board)
-    mean, std = calibration.predict(positions[others], forces[others])
-    error, spread = readings[others] - mean, readings[others] - readings[others].mean(0)
+    fitted, test, board = slice(None, presses), slice(presses, None), i2t.Board(*map(np.asarray, pad.board))
+    calibration = i2t.calibrate(positions[fitted], forces[fitted], readings[fitted], load_kind="force", board=board)
+    mean, std = calibration.predict(positions[test], forces[test])
+    error, spread = readings[test] - mean, readings[test] - readings[test].mean(0)
     r2, inside = float(1 - (error**2).sum() / (spread**2).sum()), (np.abs(error) < 1.645 * std).mean()
-    print(f"{presses} presses predict 60 others with R2 {r2:.2f}; 90 % ranges hold {inside:.0%} (simulated)")
+    print(f"{presses} presses predict 60 others with R2 {r2:.2f}; coverage of 90 % intervals: {inside:.0%} (simulated)")
     return r2
 
 

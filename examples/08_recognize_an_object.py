@@ -1,4 +1,4 @@
-"""Object recognition: a pad model fitted to touches of known objects, and touches that the belief chooses.
+"""Recognise an object with a pad model fitted to other objects and touches chosen from the belief.
 
 python examples/08_recognize_an_object.py
 """
@@ -13,26 +13,27 @@ from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.types import ReturnCode
 
-FEW = RecognizerConfig(num_sites=12, num_particles=32)  # of each object; half of the default, to start sooner
-
 
 def main(training_touches: int = 36, config: RecognizerConfig | None = None) -> str | None:
-    """Fit a pad model on the hexagon, recognise a hidden object among three, and return its name."""
+    """Fit a pad model to touches of a hexagon, recognise a hidden object among three, and return its name."""
     pad, errors, limits = i2t.sample_pad(jax.random.key(0)), SimulationErrors(), PressLimits()
     hexagon = i2t.prepare_surface(i2t.make_object("hexagon").mesh)
     touches = i2t.simulate_touches(jax.random.key(1), [hexagon], pad, errors, training_touches)
     dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.ones(training_touches, bool)
-    known = ContactModel(errors, limits).fit(jax.random.key(2), ObjectTouches(dataset, rows, {"hexagon": hexagon}))
+    fitted = ContactModel(errors, limits).fit(jax.random.key(2), ObjectTouches(dataset, rows, {"hexagon": hexagon}))
 
     meshes = {name: i2t.make_object(name).mesh for name in ("star", "cylinder", "hammer")}
-    recognizer = i2t.ObjectRecognizer(jax.random.key(3), known.model, meshes, config=config or FEW)
-    hidden = i2t.prepare_surface(meshes["cylinder"])  # your robot touches the real one
+    config = config or RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, to start sooner
+    recognizer = i2t.ObjectRecognizer(jax.random.key(3), fitted.model, meshes, config=config)
+    hidden = i2t.prepare_surface(meshes["cylinder"])  # your robot touches a real object
     touch = touch_simulator(jax.random.key(4), hidden, pad, errors=errors, limits=limits)
     state, info = recognizer.init(), None
     while (site := recognizer.choose_touch(state)) is not None:
-        made = touch(site.T_w_t)
-        contact = int(made.code) != ReturnCode.AIR
-        observation = recognizer.observe(site, made.reading, force=float(made.force), T_w_t=made.T_w_t, contact=contact)
+        result = touch(site.T_w_t)
+        contact = int(result.code) != ReturnCode.AIR
+        observation = recognizer.observe(
+            site, result.reading, force=float(result.force), T_w_t=result.T_w_t, contact=contact
+        )
         state, info = recognizer.update(state, observation)
         print(f"touch {state.touches}: {info.name} with probability {info.confidence:.2f} (simulated)")
     return info.name if info else None

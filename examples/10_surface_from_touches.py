@@ -1,4 +1,4 @@
-"""Surface reconstruction: a hidden object's surface from touches chosen by expected error reduction.
+"""Reconstruct the surface of a hidden object from touches chosen by expected error reduction.
 
 python examples/10_surface_from_touches.py   (needs scikit-image)
 """
@@ -14,22 +14,22 @@ from i2t.reconstruction.exploration import AROUND_LIMITS, ExplorationConfig, cho
 from i2t.reconstruction.surface import SurfaceConfig, estimate_surface, init, surface_model, update
 
 
-def main(touches: int = 12, known: int = 20, across: int = 32) -> i2t.Mesh:
-    """Touch an object of which only others of its family are known, and return its reconstructed mesh."""
-    library = [random_object(seed).mesh for seed in range(1, 1 + known)]
+def main(touches: int = 12, library_size: int = 20, across: int = 32) -> i2t.Mesh:
+    """Touch an unknown object, with a library of others of its family, and return the reconstructed mesh."""
+    library = [random_object(seed).mesh for seed in range(1, 1 + library_size)]
     model = surface_model(library, config=SurfaceConfig(across=across))
-    hidden = i2t.prepare_surface(random_object(0).mesh)  # your robot touches the real one
+    hidden = i2t.prepare_surface(random_object(0).mesh)  # your robot touches a real object
     press = jax.jit(lambda site: first_contact(hidden, site, before=0.1, beyond=0.01))
-    config = ExplorationConfig(limits=AROUND_LIMITS)  # held in a gripper: reached from all sides
+    config = ExplorationConfig(limits=AROUND_LIMITS)  # held in a gripper, reachable from all sides
 
     state, _ = init(model)
     for step in range(touches):
         site = choose_touch(model, state, config=config, seed=step).T_o_t
-        if site is None:  # nothing is safe
+        if site is None:  # no site is safe
             break
         contact = press(jnp.asarray(site, jnp.float32))
         state, info = update(model, state, contact_evidence(contact.T_w_t, hit=bool(contact.hit), swept=0.1))
-        print(f"touch {step + 1}: as sure as among {info.effective_shapes:.0f} shapes (simulated)")
+        print(f"touch {step + 1}: effective number of shapes {info.effective_shapes:.0f} (simulated)")
     return estimate_surface(model, state).mesh
 
 

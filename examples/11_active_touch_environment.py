@@ -1,6 +1,8 @@
-"""Touch an object again and again, and say before each touch what it may be.
+"""Run a random policy in the environment for recognition by active touch. Everything is simulated.
 
-Everything is simulated. The policy here touches at random and knows nothing; yours does better.
+Replace the random site and the empty prediction of the object by those of your own policy.
+
+python examples/11_active_touch_environment.py
 """
 
 import jax
@@ -15,7 +17,7 @@ from i2t.runtime.compiling import jit_quickly
 
 
 def main(touches: int = 4) -> np.ndarray:
-    """One episode of a random policy; returns its rewards."""
+    """Run one episode of a random policy, and return its rewards."""
     config = EnvironmentConfig(touches=touches, law=None)
     environment, params = make_environment(("star", "hexagon"), config=config, sites=4, pads=1)
 

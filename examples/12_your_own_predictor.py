@@ -1,4 +1,4 @@
-"""A predictor of your own: one file, and one line to train, compare, keep and load it like those that come with i2t.
+"""Write your own predictor in one file; train, compare, save and load it as those of i2t.
 
 python examples/12_your_own_predictor.py
 python -m experiments.train --method examples.12_your_own_predictor:Slopes
@@ -19,24 +19,24 @@ from i2t.simulation.touches import SimulationErrors
 
 @dataclass(frozen=True)
 class SlopeModel(TouchModel):
-    """A linear function of the slopes, the spread and the near share of a patch. Its fields are what is saved."""
+    """A linear function of a patch's slopes, spread and near fraction; its fields are saved."""
 
     weights: np.ndarray  # (5, c) uT
     spread: np.ndarray  # (c,) uT, standard deviation of the errors
 
     @property
     def channels(self) -> int:
-        """Values of a reading."""
+        """Number of values of a reading."""
         return len(self.spread)
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Predict n touches; `touches` has their force and travel too, where they were measured."""
+        """Predict n touches; `touches` also contains force and travel if measured."""
         mean = features(touches.patch) @ self.weights
         return Reading(mean, np.broadcast_to(self.spread, mean.shape))
 
 
 def features(patch: np.ndarray) -> np.ndarray:
-    """Features (n, 5) of patches (n, p, p) m, each of order one."""
+    """Features (n, 5), each of order one, of patches (n, p, p) in metres."""
     rows, columns = patch.mean(2), patch.mean(1)
     near = (patch < 0.5e-3).mean((1, 2))
     slope = [1e3 * (line[:, -1] - line[:, 0]) for line in (rows, columns)]
@@ -49,7 +49,7 @@ class Slopes(Method):
     title = "least squares on slopes"
 
     def fit(self, key: jax.Array, touches: TrainingTouches, split: Split) -> i2t.Predictor:
-        """Fit; a method that validates by itself finds those touches in `split.validation`."""
+        """Fit to the training touches; a method with its own validation uses `split.validation`."""
         seen = touches.dataset.touches
         x, y = features(seen.patch[split.train]), seen.reading[split.train]
         weights = np.linalg.lstsq(x, y)[0]
@@ -58,7 +58,7 @@ class Slopes(Method):
 
 
 def main(out: str = "runs/slopes", n: int = 72) -> i2t.Predictor:
-    """Fit the model to simulated touches, save it, and return it as loaded."""
+    """Fit the model to simulated touches, save it, load it, and return it."""
     surface, pad = i2t.prepare_surface(i2t.make_object("hexagon").mesh), i2t.nominal_pad()
     touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, SimulationErrors(), n)
     dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.arange(n) < n * 2 // 3
@@ -66,7 +66,7 @@ def main(out: str = "runs/slopes", n: int = 72) -> i2t.Predictor:
     save(out, Slopes().fit(jax.random.key(1), TrainingTouches(dataset), split))
     predictor = i2t.load_predictor(out)
     error = predictor.predict(dataset.touches.patch[~rows]).mean - dataset.touches.reading[~rows]
-    print(f"errors of {np.sqrt((error**2).mean()):.0f} uT (root mean square) on the last {(~rows).sum()} (simulated)")
+    print(f"RMS error {np.sqrt((error**2).mean()):.0f} uT on the last {(~rows).sum()} (simulated)")
     return predictor
 
 

@@ -123,7 +123,7 @@ def test_an_object_is_recognised():
 
 @pytest.mark.full
 def test_a_surface_grows_under_touches():
-    mesh = _load(10).main(touches=3, known=4, across=20)
+    mesh = _load(10).main(touches=3, library_size=4, across=20)
     assert np.ptp(mesh.vertices, axis=0) == pytest.approx([64e-3, 64e-3, 25e-3], abs=12e-3)
 
 

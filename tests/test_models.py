@@ -17,7 +17,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.boards import make_board, name_of_board, same_board
 from i2t.skin.pad import pad_from_seed
 from i2t.skin_models.pad_model import load_pad_model
-from tools.ready_models import GRID_PLACES, GRID_TRAVELS, main
+from tools.ready_models import SIZES, main
 
 ROOT = Path(__file__).parents[1]
 MAX_BYTES = 5_000_000  # of all together
@@ -68,8 +68,8 @@ def test_the_ready_calibration_is_of_one_real_skin_and_holds_no_press_of_it():
     calibration = i2t.load_calibration("eflesh")
     assert calibration.metadata["source"] == "real"
     presses = calibration.gp.presses
-    assert len(np.unique(np.round(presses.loads, 6))) == GRID_TRAVELS  # a grid
-    assert len(np.unique(np.round(presses.position, 6), axis=0)) == GRID_PLACES**2
+    assert len(np.unique(np.round(presses.loads, 6))) == SIZES.grid_travels  # a grid
+    assert len(np.unique(np.round(presses.position, 6), axis=0)) == SIZES.grid_positions**2
     mean, std = calibration.predict([[0.0, 0.0]] * 2, [1e-3, 3e-3])
     assert (std > 0).all()
     assert np.linalg.norm(mean[1]) > 1.2 * np.linalg.norm(mean[0])  # deeper is stronger

@@ -1,3 +1,3 @@
-"""Tools: what makes and checks the documents, the pictures and the models that come with the package."""
+"""Tools that make and check the documents, the figures and the models of the package."""
 
 import experiments  # noqa: F401  # bounds the threads of BLAS before NumPy is loaded

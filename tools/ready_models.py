@@ -1,19 +1,19 @@
-"""The models that come with the package: the predictor and the pad model of a run.
+"""Make the models that come with the package from the predictor and the pad model of a run.
 
     python -m experiments.train                    touches of a simulated pad, a predictor and a pad model
     python -m tools.ready_models                   runs/ready_models, some seconds
 
-predictor/, pad_model.npz and metrics.json of --out are what i2t/models/nominal holds; `i2t.load_predictor("nominal")`
-and `i2t.load_pad_model("nominal")` read them. metrics.json is the model's card: what it was made of, and how well it
-predicts objects that it has not seen, from the run's own metrics. docs/model_card.md gives these figures.
+predictor/, pad_model.npz and metrics.json in --out are the contents of i2t/models/nominal, which
+`i2t.load_predictor("nominal")` and `i2t.load_pad_model("nominal")` read. metrics.json is the model's card: its training
+data, and its scores on unknown objects from the run's metrics. docs/model_card.md gives these figures.
 
     python -m tools.ready_models --eflesh SESSION --out runs/ready_eflesh
 
-makes the calibration of a real skin, calibration.npz and its card, which i2t/models/eflesh holds
-(`i2t.load_calibration("eflesh")`). It is fitted to presses of one eFlesh session and holds none of them: a structured
-Gaussian process conditioned on many presses (the teacher) predicts readings on a grid of places and travels, and a
-small one is conditioned on these predictions. The widths of its intervals are measured on presses of their own.
-All is judged at places that neither the teacher nor the widths have seen: a fifth of all, drawn once.
+This makes the calibration of a real skin, calibration.npz and its card, the contents of i2t/models/eflesh
+(`i2t.load_calibration("eflesh")`). It is fitted to presses of one eFlesh session and contains none of them: a
+structured Gaussian process conditioned on many presses (the teacher) predicts readings on a grid of positions and
+travels, and a small one is conditioned on these predictions. The widths of its intervals are fitted to separate
+presses. All scores are at positions held out from the teacher and from the widths, a fifth of all, drawn once.
 """
 
 import json
@@ -34,36 +34,44 @@ from i2t.cli.options import require_path
 if TYPE_CHECKING:
     from i2t.skin_models import Calibration
 
-ORBAX_NOTE = "commit_success.txt"  # names the folder of the machine that wrote it; nobody reads it
 CARD_SCORES = ("r2", "r2_interval", "rmse", "rmse_sigma", "cosine", "coverage_90")
-TEST_SHARE = 0.2  # of the places
-TEACHER_PRESSES, INTERVAL_PRESSES = 1000, 500
-GRID_PLACES, GRID_TRAVELS = 10, 3  # along an edge of the skin, and at each place
-PLACE_DECIMALS = 4  # m: places that differ by less are one
-RANGE_STDS, RANGE_SHARE = 1.645, 0.9  # of a normal distribution
-BASELINE_PRESSES, BASELINE_NEIGHBOURS = 20, 3
-MM_PER_M = 1e3
+
+
+@dataclass(frozen=True)
+class DistillationSizes:
+    """Sizes of the calibration of a real skin."""
+
+    test_share: float = 0.2  # fraction of the positions
+    teacher_presses: int = 1000
+    interval_presses: int = 500  # to which the widths of the intervals are fitted
+    grid_positions: int = 10  # along each edge of the skin
+    grid_travels: int = 3  # at each position
+    baseline_presses: int = 20
+    baseline_neighbours: int = 3
+
+
+SIZES = DistillationSizes()
 
 
 @dataclass(frozen=True)
 class ReadyModelsArgs(RunOptions):
-    """Make the ready models of the package: of a simulated pad from a finished run, or of a real skin."""
+    """Make the models of the package for a simulated pad from a finished run, or for a real skin."""
 
     FORMER_NAMES: ClassVar = FORMER_NAMES
 
-    out: Path = Path("runs/ready_models")  # folder for predictor/, pad_model.npz and metrics.json
+    out: Path = Path("runs/ready_models")  # output folder
     pad_model: Path = Path("runs/train")  # folder of a run of experiments.train that simulated its touches
-    eflesh: Path | None = None  # a session of eFlesh (states.csv ...): make the calibration of that skin instead
+    eflesh: Path | None = None  # a session of eFlesh (states.csv ...), for the calibration of that skin instead
 
     def check(self) -> None:
-        """Refuse a run or a session that is not there."""
+        """Refuse a missing run or session."""
         require_path("--eflesh", self.eflesh, "folder")
         if self.eflesh is None:
             require_simulated_runs(self.pad_model)
 
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:
-    """Make the models and their card."""
+    """Make the models and write their card."""
     begin(args, args)
     card = _of_a_run(args) if args.eflesh is None else _of_a_session(args, args.eflesh)
     card["megabytes"] = round(sum(path.stat().st_size for path in args.out.rglob("*") if path.is_file()) / 1e6, 2)
@@ -73,15 +81,17 @@ def run(args: ReadyModelsArgs) -> dict[str, Any]:
 
 
 def _of_a_run(args: ReadyModelsArgs) -> dict[str, Any]:
-    """Copy the run's predictor on predicted contact pressure and its pad model; their card."""
+    """Copy the run's predictor on predicted contact pressure and its pad model; return their card."""
     from i2t.skin_models.pad_model import load_pad_model
 
     trained = finished_runs(args.pad_model)[0]
     metrics = json.loads((trained.folder / METRICS).read_text())
-    shutil.copytree(trained.on_pressure, args.out / "predictor", ignore=shutil.ignore_patterns(ORBAX_NOTE))
+    # Orbax's commit_success.txt contains a path of the machine that wrote it, and is not needed.
+    ignore = shutil.ignore_patterns("commit_success.txt")
+    shutil.copytree(trained.on_pressure, args.out / "predictor", ignore=ignore)
     shutil.copyfile(trained.pad_model, args.out / PAD_MODEL)
-    known = load_pad_model(args.out / PAD_MODEL)
-    origin = known.origin
+    pad_model = load_pad_model(args.out / PAD_MODEL)
+    origin = pad_model.origin
     return {
         "source": origin.source,
         "pad": origin.pad,
@@ -94,24 +104,24 @@ def _of_a_run(args: ReadyModelsArgs) -> dict[str, Any]:
             name: {key: scores[key] for key in CARD_SCORES if key in scores}
             for name, scores in metrics["methods"].items()
         },
-        "pad model": {"touches": origin.touches, "r2": known.model.r2},
+        "pad model": {"touches": origin.touches, "r2": pad_model.model.r2},
     }
 
 
 class _Session(NamedTuple):
-    """Presses in the skin, in the order of time."""
+    """Presses of a session, in the order of time."""
 
     position: np.ndarray  # (n, 2) m
     travel: np.ndarray  # (n,) m
     reading: np.ndarray  # (n, c) uT
 
     def some(self, rows: np.ndarray) -> "_Session":
-        """Some of the presses."""
+        """Select presses."""
         return _Session(*(part[rows] for part in self))
 
 
 def _of_a_session(args: ReadyModelsArgs, folder: Path) -> dict[str, Any]:
-    """Fit and save a small calibration of a real skin; its card."""
+    """Fit and save a small calibration of a real skin; return its card."""
     from i2t.convert import eflesh
     from i2t.skin_models import calibrate
 
@@ -120,20 +130,20 @@ def _of_a_session(args: ReadyModelsArgs, folder: Path) -> dict[str, Any]:
     rows = np.flatnonzero(touches.travel > 0)
     session = _Session(touches.T_w_o[rows, :2, 3].astype(np.float64), touches.travel[rows], touches.reading[rows])
     rng = np.random.default_rng(args.seed)
-    places, place_of = np.unique(np.round(session.position, PLACE_DECIMALS), axis=0, return_inverse=True)
-    chosen = rng.permutation(len(places))[: round(TEST_SHARE * len(places))]
-    held_out = np.isin(place_of.ravel(), chosen)
-    known = rng.permutation(np.flatnonzero(~held_out))
-    fitted_to, test = session.some(known[:TEACHER_PRESSES]), session.some(np.flatnonzero(held_out))
+    places, place_of = np.unique(np.round(session.position, 4), axis=0, return_inverse=True)  # to 0.1 mm
+    test_places = rng.permutation(len(places))[: round(SIZES.test_share * len(places))]
+    held_out = np.isin(place_of.ravel(), test_places)
+    training_rows = rng.permutation(np.flatnonzero(~held_out))
+    fitted_to, test = session.some(training_rows[: SIZES.teacher_presses]), session.some(np.flatnonzero(held_out))
     teacher = _fitted(*fitted_to)
-    small = _distilled(teacher, session, session.some(known[TEACHER_PRESSES:][:INTERVAL_PRESSES]))
-    few = session.some(known[:BASELINE_PRESSES])
+    small = _distilled(teacher, session, session.some(training_rows[SIZES.teacher_presses :][: SIZES.interval_presses]))
+    baseline = session.some(training_rows[: SIZES.baseline_presses])
     card = {
         "source": "real",
         "recording": f"eFlesh, characterization/datasets/spatial/{folder.name}",
         "licence": "MIT, Copyright (c) 2025 Venkatesh Pattabiraman",
-        "presses": {"teacher": TEACHER_PRESSES, "intervals": INTERVAL_PRESSES, "test": len(test.travel)},
-        "places": {"all": len(places), "test": len(chosen)},
+        "presses": {"teacher": SIZES.teacher_presses, "intervals": SIZES.interval_presses, "test": len(test.travel)},
+        "places": {"all": len(places), "test": len(test_places)},
         "grid": len(_grid(session)),
         "range_mm": {
             "x": _range(session.position[:, 0]), "y": _range(session.position[:, 1]), "travel": _range(session.travel)
@@ -141,8 +151,8 @@ def _of_a_session(args: ReadyModelsArgs, folder: Path) -> dict[str, Any]:
         "methods": {
             "small calibration": _judged(small, test),
             "its teacher, 1000 presses": _judged(teacher, test),
-            f"i2t.calibrate, {BASELINE_PRESSES} presses": _judged(calibrate(*few, load_kind="travel"), test),
-            f"mean of {BASELINE_NEIGHBOURS} nearest of the 1000": _scores(test, _nearest(fitted_to, test)),
+            f"i2t.calibrate, {SIZES.baseline_presses} presses": _judged(calibrate(*baseline, load_kind="travel"), test),
+            f"mean of {SIZES.baseline_neighbours} nearest of the 1000": _scores(test, _nearest(fitted_to, test)),
             "mean reading": _scores(test, np.tile(fitted_to.reading.mean(0), (len(test.travel), 1))),
         },
     }  # fmt: skip
@@ -158,25 +168,25 @@ def _fitted(position: np.ndarray, travel: np.ndarray, reading: np.ndarray) -> "C
 
 
 def _distilled(teacher: "Calibration", session: _Session, for_intervals: _Session) -> "Calibration":
-    """A calibration of a teacher's predictions on a grid, its intervals from presses."""
+    """Fit a calibration to a teacher's predictions on a grid, and the widths of its intervals to presses."""
     grid = _grid(session)
     small = _fitted(grid[:, :2], grid[:, 2], teacher.predict(grid[:, :2], grid[:, 2])[0])
     mean, std = small.predict(for_intervals.position, for_intervals.travel)
-    away = np.quantile(np.abs(for_intervals.reading - mean) / std, RANGE_SHARE, axis=0) / RANGE_STDS
-    return replace(small, interval_scaling=np.float32(np.asarray(small.interval_scaling) * away))
+    widening = np.quantile(np.abs(for_intervals.reading - mean) / std, 0.9, axis=0) / 1.645
+    return replace(small, interval_scaling=np.float32(np.asarray(small.interval_scaling) * widening))
 
 
 def _grid(session: _Session) -> np.ndarray:
-    """Places and travels (n, 3) m in random order, as the Gaussian process wants its presses."""
-    edges = [np.linspace(column.min(), column.max(), GRID_PLACES) for column in session.position.T]
-    travels = np.quantile(session.travel, np.linspace(0, 1, GRID_TRAVELS))
+    """Grid (n, 3) of positions and travels in metres, in random order as the Gaussian process requires."""
+    edges = [np.linspace(column.min(), column.max(), SIZES.grid_positions) for column in session.position.T]
+    travels = np.quantile(session.travel, np.linspace(0, 1, SIZES.grid_travels))
     grid = np.stack(np.meshgrid(*edges, travels, indexing="ij"), axis=-1).reshape(-1, 3)
     return np.random.default_rng(0).permutation(grid)
 
 
 def _judged(calibration: "Calibration", test: _Session) -> dict[str, float]:
     mean, std = calibration.predict(test.position, test.travel)
-    return _scores(test, mean) | {"coverage_90": float(np.mean(np.abs(test.reading - mean) < RANGE_STDS * std))}
+    return _scores(test, mean) | {"coverage_90": float(np.mean(np.abs(test.reading - mean) < 1.645 * std))}
 
 
 def _scores(test: _Session, mean: np.ndarray) -> dict[str, float]:
@@ -185,15 +195,15 @@ def _scores(test: _Session, mean: np.ndarray) -> dict[str, float]:
     return {"r2": float(score(test.reading, mean).r2), "rmse": float(np.sqrt(np.mean((test.reading - mean) ** 2)))}
 
 
-def _nearest(known: _Session, test: _Session) -> np.ndarray:
-    """Mean reading of the nearest presses, places and travels in their standard deviations."""
-    features = [np.column_stack([part.position, part.travel]) for part in (known, test)]
-    away = np.linalg.norm((features[1][:, None] - features[0][None]) / features[0].std(0), axis=2)
-    return known.reading[np.argsort(away, axis=1)[:, :BASELINE_NEIGHBOURS]].mean(1)
+def _nearest(training: _Session, test: _Session) -> np.ndarray:
+    """Mean reading of the nearest presses, with positions and travels scaled by their standard deviations."""
+    features = [np.column_stack([part.position, part.travel]) for part in (training, test)]
+    distance = np.linalg.norm((features[1][:, None] - features[0][None]) / features[0].std(0), axis=2)
+    return training.reading[np.argsort(distance, axis=1)[:, : SIZES.baseline_neighbours]].mean(1)
 
 
 def _range(values: np.ndarray) -> list[float]:
-    return [round(MM_PER_M * float(values.min()), 2), round(MM_PER_M * float(values.max()), 2)]
+    return [round(1e3 * float(values.min()), 2), round(1e3 * float(values.max()), 2)]
 
 
 main = command(ReadyModelsArgs, "tools.ready_models")

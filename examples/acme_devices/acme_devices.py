@@ -1,6 +1,6 @@
-"""An arm, a skin and a depth camera of a third party, for `python -m i2t.collect --arm acme --skin acme --camera acme`.
+"""Third-party arm, skin and depth camera for `python -m i2t.collect --arm acme --skin acme --camera acme`.
 
-Each is written over its maker's library, here `acme_sdk`, whose units become those of i2t.
+Each wraps its manufacturer's library, here `acme_sdk`, and converts its units to those of i2t.
 """
 
 import time
@@ -18,7 +18,7 @@ from i2t.hardware.skin_stream import Measurement, StreamedSkin
 from i2t.skin.boards import grid_board
 from i2t.types import Array
 
-SOURCE = "simulated"  # of devices that are there: "real"
+SOURCE = "simulated"  # "real" for real devices
 
 
 class AcmeArm(PolledArm):
@@ -39,12 +39,12 @@ class AcmeArm(PolledArm):
         self.robot.disconnect()
 
     def read_state(self) -> ArmState:
-        """The newest state: metres, radians, newtons, the wrench along the tool's axes."""
-        said = self.robot.status()
-        T_b_t = pose_from_vector([*(1e-3 * said["position"]), *np.radians(said["rotation"])])
-        velocity = np.array([*(1e-3 * said["velocity"]), *np.radians(said["turning"])])
-        wrench = np.array([*said["force"], *said["torque"]])
-        return ArmState(said["time"], T_b_t, said["joints"], velocity, wrench, said["busy"], not said["error"])
+        """Latest state in metres, radians and newtons, with the wrench in tool axes."""
+        status = self.robot.status()
+        T_b_t = pose_from_vector([*(1e-3 * status["position"]), *np.radians(status["rotation"])])
+        velocity = np.array([*(1e-3 * status["velocity"]), *np.radians(status["turning"])])
+        wrench = np.array([*status["force"], *status["torque"]])
+        return ArmState(status["time"], T_b_t, status["joints"], velocity, wrench, status["busy"], not status["error"])
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
         """Start a straight motion."""
@@ -61,7 +61,7 @@ class AcmeArm(PolledArm):
 
 
 class AcmeSkin(StreamedSkin):
-    """Acme's skin; `board` says where its four chips are."""
+    """Acme's skin; `board` gives the positions of its four chips."""
 
     board = grid_board(2, 2)
 
@@ -74,7 +74,7 @@ class AcmeSkin(StreamedSkin):
         return acme_sdk.Board(self.port)
 
     def receive(self, link: acme_sdk.Board) -> list[Measurement]:
-        """The samples that have come, in microtesla."""
+        """New samples, in microtesla."""
         return [Measurement(measured, 0.1 * milligauss, celsius) for measured, milligauss, celsius in link.samples()]
 
     def close_link(self, link: acme_sdk.Board) -> None:
@@ -83,7 +83,7 @@ class AcmeSkin(StreamedSkin):
 
 
 class AcmeCamera(CameraBase):
-    """Acme's camera, which the arm carries."""
+    """Acme's camera, mounted on the arm."""
 
     def __init__(self, setup: DeviceSetup) -> None:
         super().__init__(CameraFeatures("Acme's camera", SOURCE, nearest=0.03, rate=30.0))
@@ -91,16 +91,16 @@ class AcmeCamera(CameraBase):
         self.eye: acme_sdk.DepthCamera | None = None
 
     def connect(self) -> None:
-        """Switch it on; only then is its lens known."""
+        """Switch the camera on, and read its intrinsics."""
         self.eye = acme_sdk.DepthCamera(self.serial)
         self._camera = Camera(*self.eye.intrinsics)
 
     def close(self) -> None:
-        """Switch it off."""
+        """Switch the camera off."""
         self.eye = None
 
     def capture(self, timeout: float = 2.0) -> View:
-        """A new view, in metres."""
+        """Capture a new view, in metres."""
         if self.eye is None:
             raise self._not_connected()
         depth, colour = self.eye.grab()

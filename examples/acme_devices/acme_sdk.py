@@ -1,7 +1,7 @@
-"""The library of a maker of robots, as it might be: millimetres and degrees, calls that wait, no word of i2t.
+"""An invented manufacturer's library, independent of i2t, with millimetres, degrees and blocking calls.
 
-Acme's machines are not there. i2t's simulated lab plays them, so that the example runs anywhere; none of this is what
-you would write for devices of your own.
+i2t's simulated lab stands in for Acme's devices, so that the example runs anywhere. Nothing in this file is needed for
+devices of your own.
 """
 
 import time
@@ -24,7 +24,7 @@ from i2t.skin.pad import nominal_pad
 
 @lru_cache(1)
 def _lab() -> tuple[SimulatedLab, Rig]:
-    """The lab in which Acme's machines are: a hexagon stands on the table."""
+    """Create the simulated lab, with a hexagon on the table."""
     rig = Rig()
     pad = jax.jit(lambda: nominal_pad(board=grid_board(2, 2)))()
     scene = ObjectScene(make_object("hexagon").mesh, rig.T_base_world @ rig.T_world_object, pad, SimulationErrors())
@@ -39,7 +39,7 @@ class Robot:
         self._arm = SimulatedArm(lab, rig.limits, latency=0.0)
 
     def status(self) -> dict[str, Any]:
-        """Time (s), tool position (mm), rotation vector (degrees), speeds, force (N), torque (Nm), and how it is."""
+        """Time (s), tool position (mm), rotation vector (degrees), speeds, force (N), torque (Nm), and flags."""
         state = self._arm.read_state()
         turn = Rotation.from_matrix(state.T_b_t[:3, :3]).as_rotvec(degrees=True)
         return {
@@ -90,7 +90,7 @@ class Board:
 
 
 class DepthCamera:
-    """Acme's depth camera, which the robot carries."""
+    """Acme's depth camera, mounted on the robot."""
 
     def __init__(self, serial: str) -> None:
         lab, rig = _lab()
@@ -112,6 +112,6 @@ class DepthCamera:
         )
 
     def grab(self) -> tuple[Any, Any]:
-        """Depth (mm, 0 where nothing was measured) and colours of a new image."""
+        """Depth (mm, 0 in unmeasured pixels) and colours of a new image."""
         view = self._eye.capture()
         return np.nan_to_num(1e3 * view.depth), view.colour

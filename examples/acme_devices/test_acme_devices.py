@@ -1,4 +1,4 @@
-"""Acme's devices pass the tests of all devices; one line for each."""
+"""Contract tests of Acme's devices, one class for each."""
 
 import numpy as np
 from acme_devices import AcmeArm, AcmeCamera, AcmeSkin
@@ -10,7 +10,7 @@ from i2t.hardware.rig import Rig
 
 
 class TestAcmeArm(ArmContract):
-    """Acme's arm: its tool 300 mm above the table, nothing touched."""
+    """Acme's arm, with its tool 300 mm above the table and out of contact."""
 
     limits, home = Rig().limits, pose_from_vector([0.4, 0.0, 0.3, np.pi, 0.0, 0.0])
     make_device = staticmethod(lambda: AcmeArm(DeviceSetup(Rig())))
@@ -23,13 +23,13 @@ class TestAcmeSkin(SkinContract):
 
 
 class TestAcmeCamera(CameraContract):
-    """Acme's camera on an arm that stands, above the hexagon and the table, 364 mm below it."""
+    """Acme's camera on an arm at rest, 364 mm above the table with the hexagon."""
 
-    depth_range, min_measured_share = (0.32, 0.38), 0.5  # the table ends within its view
+    depth_range, min_measured_share = (0.32, 0.38), 0.5  # the edge of the table is in view
 
     @staticmethod
     def make_device() -> AcmeCamera:
-        """A camera on an arm that is connected."""
+        """Create a camera on a connected arm."""
         rig = Rig()
         arm = AcmeArm(DeviceSetup(rig))
         arm.connect()

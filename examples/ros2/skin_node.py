@@ -1,9 +1,9 @@
-"""A ROS 2 node that publishes a skin's readings: a `sensor_msgs/MagneticField` for each chip, in tesla.
+"""ROS 2 node that publishes the readings of a skin as one `sensor_msgs/MagneticField` per chip, in tesla.
 
     python examples/ros2/skin_node.py --ros-args -p port:=/dev/ttyACM0 -p board:=reskin
 
-Topics `skin/chip0` ... hold the field in the chip's own axes as the board sends it, nothing subtracted; its frame is
-`skin_chip0` ... A chip that does not answer publishes NaN, never zero. Stamps are those of the samples.
+Topics `skin/chip0` ... contain the field in the chip's own axes as sent by the board, with the ambient field, in frames
+`skin_chip0` ... A chip that does not answer publishes NaN, never zero. Stamps are the times of the samples.
 """
 
 import rclpy
@@ -15,8 +15,6 @@ from i2t.errors import DeviceError
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.skin.boards import make_board
 
-TESLA_PER_UT = 1e-6
-POLL_S = 0.01
 RETRY_S = 1.0
 
 
@@ -31,7 +29,7 @@ class SkinNode(Node):
         self.chips = [self.create_publisher(MagneticField, f"skin/chip{chip}", 10) for chip in range(chips)]
         self.newest, self.to_ros_s, self.retry_at = -1, 0.0, 0.0
         self.connect()
-        self.create_timer(POLL_S, self.publish)
+        self.create_timer(0.01, self.publish)
 
     def now_s(self):
         """ROS time in s."""
@@ -50,7 +48,7 @@ class SkinNode(Node):
             return False
 
     def publish(self):
-        """Publish all samples since the last call; try a lost board again."""
+        """Publish all samples since the last call; reconnect a lost board."""
         if self.retry_at:
             if self.now_s() < self.retry_at:
                 return
@@ -70,7 +68,7 @@ class SkinNode(Node):
                 message = MagneticField()
                 message.header.stamp, message.header.frame_id = stamp, f"skin_chip{chip}"
                 field = message.magnetic_field
-                field.x, field.y, field.z = (TESLA_PER_UT * float(value) for value in reading[3 * chip : 3 * chip + 3])
+                field.x, field.y, field.z = (1e-6 * float(value) for value in reading[3 * chip : 3 * chip + 3])
                 publisher.publish(message)
 
     def destroy_node(self):

@@ -1,1 +1,1 @@
-"""Speeds, each as a ratio to a named peer in the same run: `contests` times a pair, and each other module has pairs."""
+"""Speed of i2t relative to named peers: `contests` times pairs, and the other modules define them."""

@@ -1,8 +1,8 @@
-"""Section `accelerator` of the benchmark: what one GPU makes a second, and the arithmetic in it that can be counted.
+"""Section `accelerator` of the benchmark: rates on one GPU, with the arithmetic that can be counted.
 
-Rates are of full batches that stay on the card. Patches have a peer, `warp-lang`, whose meshes are a hierarchy of boxes
-in software: an orthographic ray a pixel by `mesh_query_ray`, with the poses on the card too. The other rows have
-neither peer nor goal. The section also runs on CPUs, where its batches are too large to be quick.
+Rates are of full batches that stay on the GPU. The peer for patches is `warp-lang`, which traverses a software bounding
+volume hierarchy: one orthographic ray per pixel by `mesh_query_ray`, with the poses on the GPU too. The other rows have
+neither peer nor goal. The section also runs on CPUs, slowly because of its large batches.
 """
 
 from collections.abc import Callable, Iterator
@@ -35,13 +35,11 @@ from i2t.skin_models.reading_model import LOADS_N
 from i2t.training import Learner
 from i2t.types import Surface, Touches
 
-STEADY_S = 0.5
-
 
 def patches(small: bool) -> Iterator[Contest]:
-    """Compare patches with those of warp, if it is installed."""
+    """Compare patches with warp's, if it is installed."""
     if find_spec("warp") is None:
-        print("patches are skipped, because their peer is not installed: pip install warp-lang")
+        print("patches are skipped: install their peer with pip install warp-lang")
         return
     batch = 4 if small else 4096
     for name, mesh in {
@@ -56,7 +54,7 @@ def patches(small: bool) -> Iterator[Contest]:
         rendering.check(name, "warp", seen.depth, seen.nearest, cast().numpy())
         yield Contest(
             f"{name}, batch of {batch}", partial(finish, render, surface, poses), "warp", partial(_wait, cast),
-            our_calls=1 / batch, peer_calls=1 / batch, unit="s a patch", steady=0.0 if small else STEADY_S,
+            our_calls=1 / batch, peer_calls=1 / batch, unit="s a patch", steady=0.0 if small else 0.5,
         )  # fmt: skip
         if small:
             return
@@ -64,13 +62,13 @@ def patches(small: bool) -> Iterator[Contest]:
 
 def rates(small: bool) -> Iterator[Contest]:
     """Yield rates of contacts, simulated and predicted touches, training examples, and environment steps."""
-    steady = 0.0 if small else STEADY_S
-    for about in (contacts, touches, imagined, trainings, environments):
-        for name, call, count in about(small):
+    steady = 0.0 if small else 0.5
+    for section in (contacts, touches, predictions, trainings, environments):
+        for name, call, count in section(small):
             yield Contest(name, call, our_calls=1 / count, unit="1/s", steady=steady)
 
 
-Rate: TypeAlias = tuple[str, Work, int]  # name, function, and number of items that one call computes
+Rate: TypeAlias = tuple[str, Work, int]  # name, function, and number of items per call
 
 
 def contacts(small: bool) -> Iterator[Rate]:
@@ -99,15 +97,15 @@ def touches(small: bool) -> Iterator[Rate]:
     yield f"simulated touches, batch of {count}", partial(finish, run, jnp.uint32(0), T_w_t), count
 
 
-def imagined(small: bool) -> Iterator[Rate]:
-    """Predict touches on an object in many poses, as the belief needs them."""
+def predictions(small: bool) -> Iterator[Rate]:
+    """Predict touches on an object in many poses, as for the belief."""
     sites, poses = (2, 2) if small else (64, 64)
     surface, T_w_t = _sites(sites)
     twists = sample_particles(placement_std(1e-3, np.radians(1)), poses).twist
     predict = partial(predict_contact, overtravel=PressLimits.overtravel)
     run = jax.jit(jax.vmap(jax.vmap(predict, (None, None, 0, None, None)), (None, None, None, 0, None)))
     arguments = surface, jnp.eye(4), twists, T_w_t, jnp.float32(LOADS_N)
-    yield f"imagined touches, {sites} sites in {poses} poses", partial(finish, run, *arguments), sites * poses
+    yield f"predicted touches, {sites} sites in {poses} poses", partial(finish, run, *arguments), sites * poses
 
 
 def trainings(small: bool) -> Iterator[Rate]:
@@ -125,7 +123,7 @@ def trainings(small: bool) -> Iterator[Rate]:
 
 
 def environments(small: bool) -> Iterator[Rate]:
-    """Steps of many environments whose touches are looked up, with random actions."""
+    """Step many environments with tabulated touches and random actions."""
     many, steps = (4, 2) if small else (8192, 64)
     environment, params = make_environment(("star", "hexagon"), sites=4 if small else 32, pads=1 if small else 4)
     params = jax.device_put(tabulate(jax.random.key(0), environment, params, placements=2 if small else 16))
@@ -149,7 +147,7 @@ def environments(small: bool) -> Iterator[Rate]:
 
 
 def warp_caster(mesh: Any, poses: np.ndarray) -> Callable[[], Any]:
-    """Distances (n, 48, 48) of the rays of patches, as `warp-lang` finds them on its default device."""
+    """Make a function that casts the rays of patches with `warp-lang` and returns their distances (n, 48, 48)."""
     import warp
 
     vertices = warp.array(np.asarray(mesh.vertices, np.float32), dtype=warp.vec3)

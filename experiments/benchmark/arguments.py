@@ -1,4 +1,4 @@
-"""The options of `python -m experiments.benchmark`, without JAX."""
+"""Options of `python -m experiments.benchmark`, free of JAX."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +8,7 @@ from i2t.cli.options import Limits
 from i2t.errors import require_extra
 
 BenchmarkSection = Literal["training", "rendering", "skin", "latency", "simulation", "accelerator", "startup"]
-PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section compares with
+PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages with which a section compares i2t
     "training": ("torch",), "rendering": ("open3d", "embreex"), "skin": ("ContactMechanics",),
 }  # fmt: skip
 
@@ -17,11 +17,11 @@ PEERS: dict[BenchmarkSection, tuple[str, ...]] = {  # packages that a section co
 class BenchmarkArgs:
     """Sections to run, repetitions, and the folder of `benchmark.json`."""
 
-    sections: tuple[BenchmarkSection, ...] = ("training", "rendering", "skin")  # which
-    out: Path | None = None  # folder; by default nothing is written
-    turns: Annotated[int, Limits(1)] = 5  # how often each is timed
-    commands: tuple[str, ...] = ()  # of section startup: those whose line contains one of these; by default all
-    preset: Literal["paper", "debug"] = "paper"  # sizes: as the documents say, or very small ones
+    sections: tuple[BenchmarkSection, ...] = ("training", "rendering", "skin")  # sections to run
+    out: Path | None = None  # output folder; default: nothing is written
+    turns: Annotated[int, Limits(1)] = 5  # timed turns
+    commands: tuple[str, ...] = ()  # for section startup: parts of the command lines to run; default: all
+    preset: Literal["paper", "debug"] = "paper"  # sizes as in the documents, or very small ones
 
     def check(self) -> None:
         """Refuse sections whose peer is not installed."""

@@ -1,4 +1,4 @@
-"""Measurement of speeds: contenders take turns in one run, on the same machine."""
+"""Timing of contenders that take turns in one run on one machine."""
 
 import statistics
 import time
@@ -9,7 +9,6 @@ import jax
 
 Work: TypeAlias = Callable[[], Any]
 
-REST_S = 0.1  # pause in which the threads of the previous contender stop
 FROM_SECONDS: dict[str, Callable[[float], float]] = {
     "ms": lambda seconds: 1e3 * seconds,
     "1/s": lambda seconds: 1 / seconds,
@@ -17,18 +16,18 @@ FROM_SECONDS: dict[str, Callable[[float], float]] = {
 
 
 class Contest(NamedTuple):
-    """A piece of work, done by us and by a peer, or measured against a goal."""
+    """A piece of work, done by i2t and by a peer, or measured against a goal."""
 
     work: str
     ours: Work
     peer_name: str = ""
     peer: Work | None = None
-    our_calls: float = 1.0  # number of our calls that do the work once; below 1 if one call does it many times
+    our_calls: float = 1.0  # number of our calls for one unit of work; below 1 if one call does several
     peer_calls: float = 1.0
-    unit: str = "s"  # seconds are turned into ms and 1/s
-    goal: float | None = None  # in the same unit
-    steady: float = 0.0  # s, duration of each contender's turn, after a pause and a call that is not counted
-    measured: bool = False  # whether the calls return the compared value themselves, without a warm-up
+    unit: str = "s"  # "ms" and "1/s" are converted from seconds
+    goal: float | None = None  # in `unit`
+    steady: float = 0.0  # s, duration of each contender's turn, after a pause and an untimed call
+    measured: bool = False  # whether the calls return the compared value instead of being timed
 
 
 class BenchmarkRow(NamedTuple):
@@ -42,7 +41,7 @@ class BenchmarkRow(NamedTuple):
     most: float  # maximum of ours
     peer_name: str
     peer: float | None  # median over the turns
-    ratio: float | None  # median over the turns of the peer's time divided by ours
+    ratio: float | None  # peer's time divided by ours, median over the turns
     goal: float | None
 
 
@@ -50,23 +49,23 @@ def finish(run: Callable[..., Any], *arguments: Any) -> Any:
     """Call a compiled function, and wait for its result.
 
     Args:
-        run: The function.
-        arguments: Its arguments.
+        run: Compiled function.
+        arguments: Arguments of the function.
 
     Returns:
-        The result of the function.
+        The function's result, computed completely.
     """
     return jax.block_until_ready(run(*arguments))
 
 
 def interleave(contenders: dict[str, Work], turns: int, steady: float = 0.0) -> dict[str, list[float]]:
-    """Time contenders one after the other, turn after turn, so that a disturbance affects all of them.
+    """Time contenders alternately, turn by turn, so that a disturbance affects all of them.
 
     Args:
         contenders: Functions to call, by name.
-        turns: Number of timed turns. An additional first turn, which compiles and warms up, is not counted.
-        steady: Duration (s) for which each call is repeated, and the mean taken, if above 0. A pause and a call that is
-            not counted come first, so that the previous contender's threads stop and its own start.
+        turns: Number of timed turns, after one untimed turn that compiles and warms up.
+        steady: If above 0, each call is repeated for this duration (s) and averaged. A pause and an untimed call come
+            first, so that the previous contender's threads stop and its own start.
 
     Returns:
         Seconds of each contender in each turn.
@@ -75,7 +74,7 @@ def interleave(contenders: dict[str, Work], turns: int, steady: float = 0.0) -> 
     for turn in range(turns + 1):
         for name, work in contenders.items():
             if steady and turn:
-                time.sleep(REST_S)
+                time.sleep(0.1)
                 work()
             begin, calls = time.perf_counter(), 0
             while not calls or time.perf_counter() - begin < steady:
@@ -91,11 +90,11 @@ def measure(section: str, contest: Contest, turns: int) -> BenchmarkRow:
 
     Args:
         section: Section of the benchmark.
-        contest: The contest.
+        contest: Contest to measure.
         turns: Number of timed turns.
 
     Returns:
-        The medians, the range of ours, and the median of the turns' ratios.
+        Medians over the turns, the range of our values, and the median of the ratios.
     """
     contenders = {"ours": contest.ours} | ({} if contest.peer is None else {"peer": contest.peer})
     if contest.measured:

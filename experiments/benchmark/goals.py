@@ -1,6 +1,6 @@
-"""Sections `latency` and `simulation`: what a robot waits for, and simulated touches per second.
+"""Sections `latency` and `simulation`: computations between two touches of a robot, and simulated touches per second.
 
-No other library does the same, so the rows have goals instead of peers.
+No other library offers them, so the rows have goals instead of peers.
 """
 
 from collections.abc import Iterator
@@ -20,9 +20,6 @@ from i2t.skin.contact import FINE_GRID
 from i2t.skin_models.likelihood import fit_likelihood
 from i2t.skin_models.reading_model import LOADS_N
 
-TOUCHES_PER_SECOND = 370.0
-LATENCY_S = 0.5  # duration for which each call is repeated in a turn
-
 
 def simulation(small: bool) -> Iterator[Contest]:
     """Simulate touches of two objects in sessions of 36, on a random pad, with the errors of a lab."""
@@ -33,23 +30,25 @@ def simulation(small: bool) -> Iterator[Contest]:
         touches = partial(
             i2t.simulate_touches, jax.random.key(1), surfaces, pad, SimulationErrors(), per_object, limits=limits
         )
-        goal = None if ending else TOUCHES_PER_SECOND
+        goal = None if ending else 370.0
         yield Contest(f"simulated touches{ending}", touches, our_calls=1 / (2 * per_object), unit="1/s", goal=goal)
 
 
 def latency(small: bool) -> Iterator[Contest]:
-    """Time what a robot needs between two touches with the ready models: predictions on a mesh and of a patch, an
-    update of the belief about five objects, and the choice of the next site, also from a large pool.
+    """Time computations between two touches with the ready models: predictions on a mesh and of a patch, an update of
+    the belief about five objects, and the choice of the next site, also from a large pool.
     """
     names = ("star", "square", "flower", "cylinder", "hammer")[: 2 if small else 5]
     meshes = {name: i2t.make_object(name).mesh for name in names}
     predictor, hammer = i2t.load_predictor("nominal"), meshes[names[-1]]
     T_o_t = i2t.contact_pose(hammer, hammer.vertices[hammer.vertices[:, 2].argmax()])
     patch = np.asarray(i2t.render_patch(i2t.prepare_surface(hammer), T_o_t).depth)
-    steady = 0.0 if small else LATENCY_S
-    yield Contest("a touch on a mesh predicted", lambda: predictor.predict_touch(hammer, T_o_t, force=1.0), unit="ms",
-                  steady=steady)  # fmt: skip
-    yield Contest("a patch's reading predicted", lambda: predictor.predict(patch, force=1.0), unit="ms", steady=steady)
+    steady = 0.0 if small else 0.5
+    yield Contest(
+        "prediction of a touch on a mesh", lambda: predictor.predict_touch(hammer, T_o_t, force=1.0), unit="ms",
+        steady=steady,
+    )  # fmt: skip
+    yield Contest("prediction from a patch", lambda: predictor.predict(patch, force=1.0), unit="ms", steady=steady)
 
     config = RecognizerConfig(num_sites=4, num_particles=8) if small else RecognizerConfig()
     pad_model = i2t.load_pad_model("nominal").model
@@ -59,11 +58,11 @@ def latency(small: bool) -> Iterator[Contest]:
     assert site is not None
     seen = recognizer.observe(site, np.zeros(recognizer.channels), force=1.0, T_w_t=site.T_w_t, contact=True)
     about = f"{len(names)} objects"
-    yield Contest(f"the belief updated, {about}", lambda: recognizer.update(state, seen), unit="ms", steady=steady)
-    yield Contest(f"the next site chosen, {about}", lambda: recognizer.choose_touch(state), unit="ms", steady=steady)
+    yield Contest(f"update of the belief, {about}", lambda: recognizer.update(state, seen), unit="ms", steady=steady)
+    yield Contest(f"choice of the next site, {about}", lambda: recognizer.choose_touch(state), unit="ms", steady=steady)
     shape = (8, 3, 4) if small else (256, 25, 64)
     about = f"{shape[1]} objects, {shape[0]} sites"
-    yield Contest(f"the next site of a large pool, {about}", _decision(*shape), unit="ms", steady=steady)
+    yield Contest(f"choice from a large pool, {about}", _decision(*shape), unit="ms", steady=steady)
 
 
 def _decision(sites: int, objects: int, particles: int) -> Work:

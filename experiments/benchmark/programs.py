@@ -1,12 +1,11 @@
-"""Every program that a command or an example compiles: its name, its size, and the seconds of each stage.
+"""Programs that a command or an example compiles, with their sizes and the seconds of each stage.
 
     python -m experiments.benchmark.programs -m experiments.train --preset debug
     python -m experiments.benchmark.programs examples/08_recognize_an_object.py
 
-What is named runs as it would alone, with nothing compiled before. JAX says how long it traced and lowered a program
-and how long XLA took (`jax.monitoring`); the size is the number of instructions that XLA begins with (its dump). The
-dump costs a little time, so the sums are some per cent more than the command takes. PROGRAMS_JSON=FILE writes the table
-to a file.
+The command runs as usual, with nothing compiled before. `jax.monitoring` reports the times of tracing, lowering and
+compilation; the size is the number of HLO instructions before optimisation, from XLA's dump. The dump costs a little
+time, so the sums exceed the command's own by a few per cent. PROGRAMS_JSON=FILE writes the table to a file.
 """
 
 import atexit
@@ -24,16 +23,14 @@ from pathlib import Path
 
 from experiments.common.tables import text_table
 
-PROGRAMS_FILE = "PROGRAMS_JSON"
-STAGES = {  # JAX's events of one program, in their order
+STAGES = {  # JAX's events for one program, in order
     "/jax/core/compile/jaxpr_trace_duration": "traced",
     "/jax/core/compile/jaxpr_to_mlir_module_duration": "lowered",
     "/jax/core/compile/backend_compile_duration": "compiled",
 }
 DUMP = re.compile(r"module_(\d+)\.jit_(.*?)\.(?:cpu_gpu_|sm_.*|cpu_)?before_optimizations\.txt")
 ROOT = Path(__file__).parents[2]
-THROUGH = (Path(__file__), ROOT / "i2t" / "runtime" / "compiling.py")  # what only passes a call on
-SHOWN = 15  # programs of a table
+WRAPPERS = (Path(__file__), ROOT / "i2t" / "runtime" / "compiling.py")  # modules that only forward a call
 
 
 @dataclass
@@ -41,15 +38,15 @@ class Program:
     """One compiled program."""
 
     name: str
-    line: str = ""  # of the checkout, that asked for it
-    instructions: int = 0  # of HLO, before XLA optimises
-    traced: float = 0.0  # s, of Python
+    line: str = ""  # file and line of the checkout that called it
+    instructions: int = 0  # HLO, before optimisation
+    traced: float = 0.0  # s, tracing in Python
     lowered: float = 0.0  # s
-    compiled: float = 0.0  # s, of XLA
+    compiled: float = 0.0  # s, XLA
 
     @property
     def seconds(self) -> float:
-        """All stages."""
+        """Time of all stages."""
         return self.traced + self.lowered + self.compiled
 
 
@@ -61,25 +58,25 @@ class ProgramRecorder:
         self._begun: dict[str, dict[str, float]] = {"traced": {}, "lowered": {}}
 
     def record(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
-        """Take note of an event of `jax.monitoring`.
+        """Record an event of `jax.monitoring`.
 
         Args:
-            event: JAX's name of it.
-            duration_secs: It took.
-            kwargs: Among other things the program's name.
+            event: JAX's name of the event.
+            duration_secs: Duration in seconds.
+            kwargs: Further data, with the program's name as `fun_name`.
         """
         stage, name = STAGES.get(event), str(kwargs.get("fun_name", "")).removeprefix("jit(").removesuffix(")")
         if stage == "compiled":
             traced, lowered = (self._begun[before].pop(name, 0.0) for before in ("traced", "lowered"))
-            self.programs.append(Program(name, _asking_line(), 0, traced, lowered, duration_secs))
+            self.programs.append(Program(name, _calling_line(), 0, traced, lowered, duration_secs))
         elif stage is not None:
             self._begun[stage][name] = duration_secs
 
     def add_sizes(self, dump: Path) -> None:
-        """Count the instructions of each program.
+        """Add the number of instructions of each program.
 
         Args:
-            dump: Folder of XLA's dump, where programs of one name are numbered in their order.
+            dump: Folder of XLA's dump, which numbers programs of one name in order.
         """
         files = sorted((int(match[1]), match[2], path) for path in dump.iterdir() if (match := DUMP.match(path.name)))
         sizes: dict[str, list[int]] = {}
@@ -90,26 +87,27 @@ class ProgramRecorder:
                 program.instructions = of_name.pop(0)
 
 
-def _asking_line() -> str:
-    """Find the innermost line of the checkout that is running, apart from the modules that only pass programs on."""
+def _calling_line() -> str:
+    """Find the innermost running line of the checkout, apart from wrappers."""
     for frame, line in traceback.walk_stack(None):
         path = Path(frame.f_code.co_filename)
-        if path.is_relative_to(ROOT) and path not in THROUGH and "site-packages" not in path.parts:
+        if path.is_relative_to(ROOT) and path not in WRAPPERS and "site-packages" not in path.parts:
             return f"{path.relative_to(ROOT)}:{line}"
     return ""
 
 
-def table(programs: Sequence[Program]) -> str:
-    """Format the programs that take longest, and the sum of the others.
+def table(programs: Sequence[Program], rows_shown: int = 15) -> str:
+    """Format the slowest programs, and the sum of the others.
 
     Args:
-        programs: The programs in any order.
+        programs: Programs in any order.
+        rows_shown: Number of programs with a row of their own.
 
     Returns:
-        The table as text.
+        Table as text.
     """
     ordered = sorted(programs, key=lambda program: -program.seconds)
-    shown, others = ordered[:SHOWN], ordered[SHOWN:]
+    shown, others = ordered[:rows_shown], ordered[rows_shown:]
     rows = [
         (
             *(program.name, program.line, str(program.instructions)),
@@ -120,14 +118,14 @@ def table(programs: Sequence[Program]) -> str:
     for title, group in ((f"{len(others)} others", others), (f"all {len(ordered)}", ordered)):
         sums = (sum(getattr(program, stage) for program in group) for stage in STAGES.values())
         rows.append((title, "", str(sum(program.instructions for program in group)), *(f"{s:.2f}" for s in sums)))
-    return text_table(("program", "asked for in", "instructions", "traced s", "lowered s", "compiled s"), rows)
+    return text_table(("program", "called in", "instructions", "traced s", "lowered s", "compiled s"), rows)
 
 
 def main(words: Sequence[str]) -> None:
-    """Run a module (-m NAME) or a script with its options, and print the table at the end.
+    """Run a module (-m NAME) or a script, and print the table at exit.
 
     Args:
-        words: As Python would take them.
+        words: Arguments as for `python`.
     """
     if words[:1] in ([], ["-h"], ["--help"]) or words == ["-m"]:
         print(__doc__)
@@ -144,7 +142,7 @@ def main(words: Sequence[str]) -> None:
         recorder.add_sizes(dump)
         shutil.rmtree(dump, ignore_errors=True)
         print(f"\n{table(recorder.programs)}", flush=True)
-        if path := os.environ.get(PROGRAMS_FILE):
+        if path := os.environ.get("PROGRAMS_JSON"):
             Path(path).write_text(json.dumps([asdict(program) for program in recorder.programs]))
 
     atexit.register(report)

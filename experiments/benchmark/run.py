@@ -1,14 +1,14 @@
-"""How fast is i2t, against the peer a user would otherwise take?
+"""Question: how fast is i2t compared with the library that a user would otherwise choose?
 
     python -m experiments.benchmark --sections training rendering skin [--out DIR]
 
-Every row times our work and its peer's in turns, on the same machine with the same inputs, after checking that both
-compute the same thing; the table gives the median of each and the median of the turns' ratios (above 1: we are
-faster). Each section takes three to five minutes on a quiet machine of two cores; `training`, `rendering` and `skin`
-need the extra `bench`. Sections `latency`, `simulation` and `startup` have goals in place of peers. `startup` runs
-commands and examples with nothing compiled before, and once more: twenty minutes a turn (`--commands` chooses some).
-`python -m experiments.benchmark.programs` says what they compile. `accelerator` is for a GPU: patches beside a peer,
-and rates.
+Each row times i2t and a peer alternately, on the same machine with the same inputs, after checking that their results
+agree. The table gives the median of each and the median of the ratios per turn (above 1: i2t is faster). A section
+takes three to five minutes on a quiet machine with two cores; `training`, `rendering` and `skin` need the extra
+`bench`. Sections `latency`, `simulation` and `startup` have goals instead of peers. `startup` runs commands and
+examples with nothing compiled, then once more, in twenty minutes per turn (`--commands` selects some);
+`python -m experiments.benchmark.programs` lists what they compile. `accelerator` is for a GPU: patches compared with a
+peer, and rates.
 """
 
 import os
@@ -24,12 +24,12 @@ from experiments.benchmark.contests import BenchmarkRow, Contest, measure
 from experiments.benchmark.goals import latency, simulation
 from experiments.benchmark.rendering import rendering
 from experiments.benchmark.skin import skin
-from experiments.benchmark.startup import COMMANDS, FEW, StartupRow
+from experiments.benchmark.startup import COMMANDS, StartupRow
 from experiments.benchmark.training import training
 from experiments.common.runs import write_json
 from experiments.common.tables import text_table
 
-CONTESTS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # True makes them small
+CONTESTS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # True selects small sizes
     "training": training,
     "rendering": rendering,
     "skin": skin,
@@ -40,7 +40,7 @@ CONTESTS: dict[BenchmarkSection, Callable[[bool], Iterator[Contest]]] = {  # Tru
 
 
 def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
-    """Run the sections, print their tables, and write them down."""
+    """Run the sections, print their tables, and write `benchmark.json` to --out."""
     small = args.preset == "debug"
     rows = [
         measure(name, contest, args.turns)
@@ -65,14 +65,14 @@ def run(args: BenchmarkArgs) -> list[BenchmarkRow]:
 
 
 def _startup(args: BenchmarkArgs, small: bool) -> list[StartupRow]:
-    """Section `startup`: each row is printed once it is there, and the table at the end."""
-    asked = [
+    """Run section `startup`; print each row when it is measured, and the table at the end."""
+    commands = [
         command
-        for command in (FEW if small else COMMANDS)
+        for command in (COMMANDS[:1] if small else COMMANDS)
         if not args.commands or any(part in command.line for part in args.commands)
     ]
     rows = []
-    for row in startup.startup(asked, args.turns):
+    for row in startup.startup(commands, args.turns):
         print(*startup.cells(row), sep=" | ", flush=True)
         rows.append(row)
     print(startup.table(rows))
@@ -80,7 +80,7 @@ def _startup(args: BenchmarkArgs, small: bool) -> list[StartupRow]:
 
 
 def table(rows: list[BenchmarkRow]) -> str:
-    """The rows as text, one piece of work a line."""
+    """Format the rows as text."""
     lines = []
     for row in rows:
         ours = f"{row.ours:.3g} ({row.least:.3g} to {row.most:.3g}) {row.unit}"

@@ -1,9 +1,9 @@
 """Section `skin` of the benchmark: contacts and readings of i2t against the contacts of the package ContactMechanics.
 
-Both solve the same contacts of the same bonded layer on the same cells, to about the same residual: ours to a largest
-violation of 1e-5 of the deepest deflection, theirs to a root mean square of the penetration as small. Their systems
-are built before the clock starts. A reading adds the field of the layer's dipoles at the chips, for which
-ContactMechanics has no counterpart: the ratio of a reading to its contact is there to say how dear the field is.
+Both solve the same contacts of the same bonded layer on the same cells, to a similar residual: i2t to a maximum
+violation of 1e-5 of the deepest deflection, ContactMechanics to a root mean square penetration of the same size. Its
+systems are built before timing starts. A reading adds the field of the layer's dipoles at the chips, for which
+ContactMechanics has no counterpart; the ratio of a reading to the contact shows the cost of the field.
 """
 
 import warnings
@@ -20,26 +20,21 @@ from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import nominal_pad, press
 from i2t.types import Pad
 
-PRESSURE_TOLERANCE = 1e-3  # of the peak, by which pressures may differ (root mean square)
 PEER = "ContactMechanics"
-NO_SURFACE_M = 1.0  # behind the nearest point: nothing there
-
-
-BATCH = 64
-CELLS, DIPOLES = (20, 40, 80), (20, 40, 80)  # along each edge of the pad; dipoles under the finest of the grids
-STEADY_S = 0.5  # that each contender works in each turn
+NO_SURFACE_M = 1.0  # height of empty cells above the nearest point
+CELLS = (20, 40, 80)  # along each edge of the pad
 UNIT = "s a touch"
 
 
 def skin(small: bool) -> Iterator[Contest]:
-    """Each shape on the default grid, then all of them on every grid, then readings by the number of dipoles."""
-    pad, shapes, batch = nominal_pad(), ["tilted punch"] if small else list(SHAPES), 2 if small else BATCH
-    steady = 0.0 if small else STEADY_S
+    """Compare each shape on the default grid, then all shapes on every grid, then readings by number of dipoles."""
+    pad, shapes, batch = nominal_pad(), ["tilted punch"] if small else list(SHAPES), 2 if small else 64
+    steady = 0.0 if small else 0.5
     for name in shapes:
         yield from contests(pad, GRID, [name], batch, steady=steady, kinds=("contacts",))
     for cells in (20,) if small else CELLS:
         yield from contests(pad, _grid(cells), shapes, batch, steady=steady)
-    yield from dipoles(pad, shapes, batch, steady, (10,) if small else DIPOLES)
+    yield from dipoles(pad, shapes, batch, steady, (10,) if small else CELLS)
 
 
 def contests(
@@ -51,7 +46,7 @@ def contests(
     steady: float,
     kinds: Sequence[str] = ("contacts", "readings"),
 ) -> Iterator[Contest]:
-    """Contacts, and whole readings, against the peer's contacts."""
+    """Compare contacts, and complete readings, with the peer's contacts."""
     heights, indentations = touches(grid, shapes, batch)
     run = {
         "contacts": jax.jit(jax.vmap(partial(solve, grid=grid), (None, 0, 0))),
@@ -72,7 +67,7 @@ def contests(
 
 
 def dipoles(pad: Pad, shapes: list[str], batch: int, steady: float, counts: Sequence[int]) -> Iterator[Contest]:
-    """Readings of contacts on the finest grid with ever more dipoles, against the contact alone."""
+    """Compare readings on the finest grid, with more and more dipoles, with the contact alone."""
     grid = _grid(max(CELLS))
     heights, indentations = touches(grid, shapes, batch)
     contact = jax.jit(jax.vmap(lambda pad, height, indentation: solve(pad, height, indentation, grid), (None, 0, 0)))
@@ -91,9 +86,9 @@ def _reading(pad: Pad, height: jax.Array, indentation: jax.Array, *, grid: Grid,
 
 
 def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, indentation: float) -> Callable[[], np.ndarray]:
-    """A contact that ContactMechanics solves when called, giving the pressure (Pa) on the pad's cells."""
+    """Make a function that solves a contact with ContactMechanics and returns the pressure (Pa) on the pad's cells."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it says at import that it runs without MPI
+        warnings.simplefilter("ignore")  # a warning at import about missing MPI
         from ContactMechanics import PeriodicFFTElasticHalfSpace
         from ContactMechanics.Systems import NonSmoothContactSystem
         from SurfaceTopography import Topography
@@ -114,23 +109,23 @@ def peer_contact(pad: Pad, grid: Grid, height: np.ndarray, indentation: float) -
 
 
 def check(work: str, ours: object, theirs: list[np.ndarray], grid: Grid) -> None:
-    """Raise ValueError where a contact has not converged or is not the peer's."""
+    """Raise `ValueError` if a contact has not converged, or differs from the peer's by an RMS of 0.1 % of the peak."""
     pressures, converged = np.asarray(ours.pressure), np.asarray(ours.converged)  # type: ignore[attr-defined]
     if not converged.all():
         raise ValueError(f"{work}: {np.sum(~converged)} contacts have not converged.")
     for mine, pressure in zip(pressures, theirs, strict=False):
         difference = np.sqrt(np.mean((mine - pressure) ** 2)) / pressure.max()
-        if difference > PRESSURE_TOLERANCE:
+        if difference > 1e-3:
             raise ValueError(f"{work}: pressures differ by {difference:.1e} of the peak from those of {PEER}.")
 
 
 def _grid(cells: int) -> Grid:
-    """Grid as fine as asked, with the default's period."""
+    """Grid with `cells` cells along each edge and the period of the default."""
     return Grid(cells, cells * GRID.modes // GRID.cells)
 
 
 def touches(grid: Grid, shapes: list[str], batch: int) -> tuple[jax.Array, jax.Array]:
-    """Heights (batch, n, n) and indentations (batch,): the shapes in turn, at random places."""
+    """Heights (batch, n, n) and indentations (batch,) in metres, of the shapes in turn at random positions."""
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
     rng = np.random.default_rng(0)
     heights, indentations = [], []

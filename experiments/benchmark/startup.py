@@ -1,7 +1,7 @@
-"""Section `startup`: how long commands and examples take the first time, with nothing compiled, and the second.
+"""Section `startup`: durations of commands and examples on their first run, with nothing compiled, and on the second.
 
-Each runs as a user runs it, in a process of its own and with an empty folder of compiled programs; then once more. Wall
-seconds count until it says what is waited for, processor seconds to its end. There is no peer: each row has a goal.
+Each runs in its own process with an empty folder of compiled programs, then once more. Wall time ends at the awaited
+output or at the end of the process, processor time at the end of the process. Each row has a goal instead of a peer.
 """
 
 import os
@@ -19,26 +19,25 @@ from typing import NamedTuple
 from experiments.common.tables import text_table
 
 ROOT = Path(__file__).parents[2]
-TRAINED = "runs/train"  # in the folder in which they run
 
 
 class TimedCommand(NamedTuple):
-    """What a user types, and the goals on two quiet cores."""
+    """A command, and its goals on two quiet cores."""
 
-    line: str  # after `python`
-    first_goal: float  # s of wall time, with nothing compiled
-    second_goal: float  # s
-    until: str = ""  # interrupted (Ctrl-C) once it prints this; "" for to its end
-    trained: bool = False  # needs a run of `experiments.train`
+    line: str  # arguments of `python`
+    first_goal: float  # s, wall time with nothing compiled
+    second_goal: float  # s, wall time of the second run
+    until: str = ""  # awaited output, at which it is interrupted (Ctrl-C); empty to run to the end
+    trained: bool = False  # whether it needs a run of `experiments.train`
 
 
 class StartupRow(NamedTuple):
-    """What a command took; of several turns the median and the range."""
+    """Durations of a command: medians, and ranges over the turns."""
 
     command: str
     first: float  # s, wall
     first_range: tuple[float, float]
-    first_processor: float  # s, of both cores together
+    first_processor: float  # s, sum over the cores
     first_goal: float
     second: float
     second_range: tuple[float, float]
@@ -55,42 +54,43 @@ COMMANDS = (
     TimedCommand("-m experiments.reconstruct", 90, 60, until="growing.png"),
     *(TimedCommand(f"examples/{name}", 15, 6) for name in EXAMPLES),
 )
-FEW = COMMANDS[:1]  # of the preset debug
 
 
 def startup(commands: Sequence[TimedCommand], turns: int) -> Iterator[StartupRow]:
-    """Run commands one after the other.
+    """Time commands one after the other.
 
     Args:
-        commands: What to run.
-        turns: How often, each time with nothing compiled.
+        commands: Commands to run.
+        turns: Number of turns, each with nothing compiled.
 
     Yields:
-        Each command's row, once it has run.
+        Row of each command, when it is measured.
 
     Raises:
-        RuntimeError: A command fails, or ends without what is waited for.
+        RuntimeError: A command fails, or ends without the awaited output.
     """
     with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
+        workspace = Path(folder)
         for command in commands:
-            if command.trained and not (place / TRAINED).exists():
-                _run(TimedCommand("-m experiments.train", 0, 0), place, place / "other")
-            both = []
+            if command.trained and not (workspace / "runs/train").exists():
+                _run(TimedCommand("-m experiments.train", 0, 0), workspace, workspace / "other")
+            durations = []
             for _ in range(turns):
                 with tempfile.TemporaryDirectory() as compiled:
-                    both.append((_run(command, place, Path(compiled)), _run(command, place, Path(compiled))))
-            yield _row(command, both)
+                    durations.append(
+                        (_run(command, workspace, Path(compiled)), _run(command, workspace, Path(compiled)))
+                    )
+            yield _row(command, durations)
 
 
 def table(rows: Sequence[StartupRow]) -> str:
-    """The rows as text."""
+    """Format the rows as text."""
     head = ("command", "first", "processor", "goal", "second", "processor", "goal")
     return text_table(head, (cells(row) for row in rows))
 
 
 def cells(row: StartupRow) -> tuple[str, ...]:
-    """A row's cells, in seconds."""
+    """Format the cells of a row, in seconds."""
     first, second = (
         f"{wall:.1f}" if least == most else f"{wall:.1f} ({least:.1f} to {most:.1f})"
         for wall, (least, most) in ((row.first, row.first_range), (row.second, row.second_range))
@@ -103,7 +103,7 @@ def cells(row: StartupRow) -> tuple[str, ...]:
 
 
 def _row(command: TimedCommand, turns: Sequence[tuple[tuple[float, float], tuple[float, float]]]) -> StartupRow:
-    """A command's row from (wall, processor) seconds of the first and second time in each turn."""
+    """Summarise (wall, processor) seconds of the first and second run in each turn."""
     (first, first_cpu), (second, second_cpu) = (zip(*runs, strict=True) for runs in zip(*turns, strict=True))
     return StartupRow(
         *(command.line, statistics.median(first), (min(first), max(first)), statistics.median(first_cpu)),
@@ -113,7 +113,7 @@ def _row(command: TimedCommand, turns: Sequence[tuple[tuple[float, float], tuple
 
 
 def _run(command: TimedCommand, place: Path, compiled: Path) -> tuple[float, float]:
-    """Wall and processor seconds of one run in a folder."""
+    """Run a command in a folder and return its wall and processor seconds."""
     words = shlex.split(command.line)
     if words[0] == "-m" and words[1].startswith("experiments."):
         words += ["--overwrite"]

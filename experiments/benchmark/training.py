@@ -1,4 +1,4 @@
-"""Section `training` of the benchmark: our compiled epoch against eager PyTorch."""
+"""Section `training` of the benchmark: the compiled epoch of i2t against eager PyTorch."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -15,10 +15,10 @@ from i2t.training import Batch, Learner, TrainConfig, TrainState
 
 
 class Setup(NamedTuple):
-    """An epoch of the paper's network on a set of the paper's size."""
+    """Sizes of the timed training: the paper's network on as many touches as in the paper."""
 
     touches: int = 1630
-    epochs: int = 10  # timed together, in one turn
+    epochs: int = 10  # per turn
     model: PaperConfig = PaperConfig()
     train: TrainConfig = TrainConfig()
 
@@ -27,14 +27,14 @@ SMALL = Setup(20, 2, PaperConfig(pixels=6), TrainConfig(batch_size=8, learning_r
 
 
 def training(small: bool) -> Iterator[Contest]:
-    """Our compiled epoch against eager PyTorch, with either of its ways to step all parameters at once."""
+    """Compare the compiled epoch with eager PyTorch, with its fused and its foreach Adam."""
     setup = SMALL if small else Setup()
     batch, learner = random_touches(setup), Learner(setup.model, network.init, loss.losses)
     state = jax.jit(learning.init, static_argnums=(1, 2, 3))(jax.random.key(0), learner, setup.train, setup.touches)
     epoch = learning.compiled(learner, setup.train)
 
     def ours() -> list[float]:
-        """The same epochs each turn, the mean loss of each."""
+        """Run the same epochs in each turn; return the mean loss of each."""
         now, totals = state, []
         for _ in range(setup.epochs):
             now, info = epoch(now, batch, None)
@@ -44,7 +44,7 @@ def training(small: bool) -> Iterator[Contest]:
     expected = ours()
     for adam in ("fused", "foreach"):
         peer = TorchTraining(setup, state, batch, adam)
-        # Float32 sums of some thousand terms in another order, carried through some epochs of Adam.
+        # The orders of float32 sums differ, and the differences grow over the epochs.
         np.testing.assert_allclose(peer.epochs(), expected, rtol=1e-3)
         yield Contest(
             f"epoch of {setup.touches} touches, minibatches of {setup.train.batch_size}", ours,
@@ -53,9 +53,7 @@ def training(small: bool) -> Iterator[Contest]:
 
 
 class TorchTraining:
-    """The same network, initial weights and minibatches in eager PyTorch, on tensors that are indexed for each
-    minibatch.
-    """
+    """The same network, initial weights and minibatches in eager PyTorch."""
 
     def __init__(self, setup: Setup, state: TrainState, batch: Batch, adam: str) -> None:
         import torch
@@ -64,7 +62,7 @@ class TorchTraining:
         self.key = state.key[0]
         on_gpu = jax.default_backend() == "gpu" and torch.cuda.is_available()
         self.device = "cuda" if on_gpu else "cpu"
-        torch.set_float32_matmul_precision("high" if on_gpu else "highest")  # TF32 on a GPU, as XLA takes it
+        torch.set_float32_matmul_precision("high" if on_gpu else "highest")  # TF32 on a GPU, as in XLA
         self.images = torch.tensor(np.asarray(batch.inputs), device=self.device).flatten(1)
         self.targets = torch.tensor(np.asarray(batch.target), device=self.device)
 
@@ -76,11 +74,11 @@ class TorchTraining:
                 layer.bias.copy_(bias)
             return layer
 
-        def two(first: str, second: str) -> "torch.nn.Sequential":
+        def two_layers(first: str, second: str) -> "torch.nn.Sequential":
             return torch.nn.Sequential(linear(first), torch.nn.ReLU(), linear(second))
 
         self.encoder, self.decoder, self.head = (
-            two(*names) for names in (("encoder", "bottleneck"), ("decoder", "reading"), ("auxiliary", "image"))
+            two_layers(*names) for names in (("encoder", "bottleneck"), ("decoder", "reading"), ("auxiliary", "image"))
         )
         parts = torch.nn.ModuleList([self.encoder, self.decoder, self.head]).to(self.device)
         self.adam = torch.optim.Adam(
@@ -88,7 +86,7 @@ class TorchTraining:
         )
 
     def epochs(self) -> list[float]:
-        """Go on for the turn's epochs; the mean loss of each."""
+        """Continue for one turn of epochs; return the mean loss of each."""
         return [self._epoch() for _ in range(self.setup.epochs)]
 
     def _epoch(self) -> float:
@@ -109,7 +107,7 @@ class TorchTraining:
 
 
 def random_touches(setup: Setup) -> Batch:
-    """Numbers of the right shapes: what a training costs does not depend on what it learns."""
+    """Random data of the right shapes; the cost of training does not depend on the values."""
     rng = np.random.default_rng(0)
     image = rng.random((setup.touches, setup.model.pixels, setup.model.pixels), np.float32)
     target = rng.standard_normal((setup.touches, setup.model.readings), np.float32)

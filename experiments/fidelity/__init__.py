@@ -1,1 +1,1 @@
-"""Worth of a recording of a skin: one report for any of them."""
+"""Report on the quality of a recording of a skin."""

@@ -1,4 +1,4 @@
-"""The options of `python -m experiments.fidelity`, without JAX, so that its help and its refusals are there at once."""
+"""Options of `python -m experiments.fidelity`, free of JAX so that help and refusals are immediate."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,15 +10,15 @@ from experiments.common.options import RunOptions
 
 @dataclass(frozen=True)
 class FidelityArgs(RunOptions):
-    """Judge recordings of a skin: checks, noise, calibration curves, heads and repeatability in one report."""
+    """Report on recordings of a skin: checks, noise, hysteresis, calibration curves, heads and limits of any model."""
 
-    dataset: tuple[Path, ...]  # data sets, sessions of eFlesh as recorded, or tables; sessions of a skin together
-    out: Path = Path("runs/fidelity")  # folder for report.txt, figures, metrics.json and config.json
+    dataset: tuple[Path, ...]  # data sets, sessions of eFlesh, or tables; pass all sessions of one skin
+    out: Path = Path("runs/fidelity")  # folder of report.txt, figures, metrics.json and config.json
     preset: Literal["paper", "short", "debug"] = "paper"
 
     def check(self) -> None:
-        """Refuse a recording that is not there."""
+        """Refuse a missing recording."""
         if not self.dataset:
             raise ValueError("pass --dataset with one or more recordings")
-        if len(self.dataset) == 1:  # of several, those that cannot be read are left out and named
+        if len(self.dataset) == 1:  # of several, the unreadable ones are skipped with a message
             require_dataset("--dataset", self.dataset[0], tables=True)

@@ -9,13 +9,13 @@ from i2t.heads.regression import HeadBudget
 class FidelityPreset:
     """Sizes of the report."""
 
-    counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # presses to calibrate with
-    draws: int = 5  # of them
-    test_rows: int = 1000  # on which curves are scored
-    forward_rows: int = 1200  # of the model by which noise and hysteresis are separated from the press
-    block_mm: float = 6.0
-    held_out_share: float = 0.2  # of blocks, rows or time
-    try_causes: bool = True  # of a predictor that loses; else only those that show in the numbers
+    counts: tuple[int, ...] = (5, 10, 20, 50, 100, 300)  # calibration presses
+    draws: int = 5  # random draws of calibration presses at each count
+    test_rows: int = 1000  # largest test set of the calibration curves
+    forward_rows: int = 1200  # largest training set of the Gaussian process over position and load
+    block_mm: float = 6.0  # side of the square blocks that are held out
+    held_out_share: float = 0.2  # fraction of the blocks, of the rows, or of the time
+    try_causes: bool = True  # whether likely mistakes are undone and scored, not only the lag tested
     heads: HeadBudget = field(default_factory=HeadBudget)
 
 

@@ -1,5 +1,5 @@
-"""Learning curves of calibration on three ways of holding presses out, by the methods of `experiments.calibrate`, and
-what one session says of another.
+"""Calibration curves with presses held out in three ways, by the methods of `experiments.calibrate`, and predictions of
+one session from another.
 """
 
 import math
@@ -16,13 +16,7 @@ from experiments.calibrate.methods import CALIBRATED
 from experiments.calibrate.report import figure
 from experiments.common.tables import cell
 from experiments.fidelity.config import FidelityPreset
-from experiments.fidelity.forward import (
-    SIMPLE_GP,
-    explained_share,
-    loses_beyond_chance,
-    press_set,
-    simple_gp,
-)
+from experiments.fidelity.forward import SIMPLE_GP, explained_share, loses_beyond_chance, press_set, simple_gp
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.dataset import square_blocks
 from i2t.recordings.loads import ASSUMED_TRAVEL_M
@@ -30,17 +24,16 @@ from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import SkinRecording
 from i2t.types import Board
 
-RANDOM_ROWS, WHOLE_BLOCKS, LATER_ROWS = "random presses", "whole blocks", "later in time"
-MIN_TEST_ROWS, MIN_POOL_ROWS = 5, 5
-OWN_PRESSES = 20  # of a session, next to all of another
-Splits: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]  # rows to learn from and to test on
+MIN_ROWS = 5  # for calibration and for the test
+OWN_PRESSES = 20  # presses of the predicted session that its own Gaussian process is fitted to
+Splits: TypeAlias = dict[str, tuple[np.ndarray, np.ndarray]]  # calibration and test rows by way of holding out
 
 
 def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: int, section: Section) -> None:
-    """R2 of readings by the number of presses, for each method and each way of holding out."""
+    """Report R2 of readings by the number of presses, for each method and each way of holding out."""
     presses = press_set(recording)
     if presses.load_kind == "none":
-        section.sentences.append("No load is known that varies: presses are known by their position alone.")
+        section.sentences.append("No load is known that varies, so readings are predicted from position alone.")
     splits = hold_out_presses(presses, preset, seed)
     most = max(len(pool) for pool, _ in splits.values())
     counts = [n for n in preset.counts if n <= most]
@@ -51,9 +44,9 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
             f"are needed; {math.ceil(least / (1 - preset.held_out_share))} are enough."
         )
     splits = {name: (pool, test) for name, (pool, test) in splits.items() if len(pool) >= counts[0]}
-    known, r2 = pushing_presses(presses, recording.board), {}
+    usable, r2 = pushing_presses(presses, recording.board), {}
     for name, (pool, test) in splits.items():
-        scores = learning_curves(known, [PressSplit({name: test}, pool)], counts=counts, draws=preset.draws, seed=seed)
+        scores = learning_curves(usable, [PressSplit({name: test}, pool)], counts=counts, draws=preset.draws, seed=seed)
         r2[name] = summarise(scores.r2[name])
         section.tables[f"held out: {name} ({len(test)} presses)"] = [
             ["R2, mean of the draws [95 %]", *map(str, counts)],
@@ -65,34 +58,35 @@ def calibration_curves(recording: SkinRecording, preset: FidelityPreset, seed: i
 
 
 def hold_out_presses(presses: LoadedPresses, preset: FidelityPreset, seed: int) -> Splits:
-    """Rows to learn from and to test on, by how they are held out; ways that leave too few are left out."""
+    """Split the presses into calibration and test rows in each way that leaves enough of both."""
     n, rng, share = len(presses.load), np.random.default_rng(seed), preset.held_out_share
-    every = rng.permutation(n)
-    held_out = max(round(share * n), min(MIN_TEST_ROWS, n // 3))
-    found = {RANDOM_ROWS: (every[held_out:], every[:held_out])}
+    order = rng.permutation(n)
+    held_out = max(round(share * n), min(MIN_ROWS, n // 3))
+    splits = {"random presses": (order[held_out:], order[:held_out])}
     block = square_blocks(presses.position, 1e-3 * preset.block_mm)
     if block.max() >= 4:
         chosen = rng.permutation(block.max() + 1)[: max(round(share * (block.max() + 1)), 1)]
         held = np.isin(block, chosen)
-        found[WHOLE_BLOCKS] = (every[~held[every]], every[held[every]])
+        splits["whole blocks"] = (order[~held[order]], order[held[order]])
     later = np.arange(n) >= n - held_out
-    found[LATER_ROWS] = (every[~later[every]], every[later[every]])
+    splits["later in time"] = (order[~later[order]], order[later[order]])
     usable = {
         name: (pool, np.sort(test[: preset.test_rows]))
-        for name, (pool, test) in found.items()
-        if len(test) >= MIN_TEST_ROWS and len(pool) >= MIN_POOL_ROWS
+        for name, (pool, test) in splits.items()
+        if min(len(test), len(pool)) >= MIN_ROWS
     }
     if not usable:
         raise CannotTellError(
-            f"{n} presses are too few to calibrate with some and to test on others; "
-            f"{MIN_POOL_ROWS + 2 * MIN_TEST_ROWS} are enough."
+            f"{n} presses are too few to calibrate with some and test on others; {3 * MIN_ROWS} are enough."
         )
     return usable
 
 
 def pushing_presses(presses: LoadedPresses, board: Board | None) -> LoadedPresses:
-    """Presses as methods of calibration take them: loads that push, or the same travel where none is known, and
-    positions about the middle where the board is not known. Signs were judged by the checks.
+    """Prepare presses for the calibration methods.
+
+    Negative loads become zero (the checks have reported their sign), unknown loads become one travel, and positions on
+    an unknown board are centred.
     """
     own = board if board is not None and board.num_readings == presses.readings.shape[1] else None
     at = presses.position - ((presses.position.min(0) + presses.position.max(0)) / 2 if own is None else 0)
@@ -103,7 +97,7 @@ def pushing_presses(presses: LoadedPresses, board: Board | None) -> LoadedPresse
 
 
 def compare_with_baselines(split: str, errors: ErrorCurves) -> str:
-    """Where i2t's calibration loses to a baseline by more than chance, or that it does nowhere."""
+    """Describe where i2t's calibration loses to a baseline by more than chance, or state that it does nowhere."""
     lost = [
         f"{n} presses ({name})"
         for name, by_count in errors.items()
@@ -119,28 +113,28 @@ def compare_with_baselines(split: str, errors: ErrorCurves) -> str:
 
 
 def across_sessions(recordings: Sequence[SkinRecording], preset: FidelityPreset, seed: int, section: Section) -> None:
-    """R2 between sessions of the same skin, as they are, and what a few presses of its own tell of each."""
-    rows = [["known", "predicted", "as it is", f"from {OWN_PRESSES} presses of its own"]]
+    """Report R2 of each session predicted from another, and from a few presses of its own."""
+    rows = [["session", "predicted session", "R2", f"R2 from {OWN_PRESSES} presses of the predicted session"]]
     section.numbers["r2"] = {}
-    for known, other in permutations(recordings, 2):
-        section.part(partial(_across, known, other, preset, seed, section, rows))
+    for source, other in permutations(recordings, 2):
+        section.part(partial(_across, source, other, preset, seed, section, rows))
     if len(rows) == 1:
         raise CannotTellError(" ".join(section.sentences) or "No two recordings can be compared.")
-    section.tables["R2 of one session's readings as another predicts them"] = rows
+    section.tables["R2 of one session's readings predicted from another"] = rows
 
 
 def _across(
-    known: SkinRecording, other: SkinRecording, preset: FidelityPreset, seed: int, section: Section,
+    source: SkinRecording, target: SkinRecording, preset: FidelityPreset, seed: int, section: Section,
     rows: list[list[str]],
 ) -> None:  # fmt: skip
-    """A leave-one-out GP of one session on another, and one of some presses of that session."""
-    before, now = _alike(known, other)
+    """Score a Gaussian process of one session on another session, and one fitted to a few presses of the latter."""
+    before, now = _alike(source, target)
     order = np.random.default_rng(seed).permutation(len(now.load))
     own, test = order[:OWN_PRESSES], order[OWN_PRESSES : OWN_PRESSES + preset.test_rows]
-    if len(test) < MIN_TEST_ROWS:
+    if len(test) < MIN_ROWS:
         raise CannotTellError(
-            f"{other.name} has {len(now.load)} presses, too few to test {known.name} on; "
-            f"{OWN_PRESSES + MIN_TEST_ROWS} are enough."
+            f"{target.name} has {len(now.load)} presses, too few to test {source.name} on; "
+            f"{OWN_PRESSES + MIN_ROWS} are enough."
         )
     both = now._replace(
         position=np.concatenate([before.position, now.position]),
@@ -152,18 +146,18 @@ def _across(
         "as it is": explained_share(now.readings[test], simple_gp(both, past, len(before.load) + test)),
         SIMPLE_GP: explained_share(now.readings[test], simple_gp(now, own, test)),
     }
-    section.numbers["r2"][f"{known.name} -> {other.name}"] = scores
-    rows.append([known.name, other.name, *map(cell, scores.values())])
+    section.numbers["r2"][f"{source.name} -> {target.name}"] = scores
+    rows.append([source.name, target.name, *map(cell, scores.values())])
 
 
-def _alike(known: SkinRecording, other: SkinRecording) -> tuple[LoadedPresses, LoadedPresses]:
-    """The presses of both with one kind of load."""
-    if known.readings.shape[1] != other.readings.shape[1]:
-        raise CannotTellError(f"{known.name} and {other.name} have another number of channels.")
-    before, now = press_set(known), press_set(other)
+def _alike(source: SkinRecording, target: SkinRecording) -> tuple[LoadedPresses, LoadedPresses]:
+    """Select the presses of two sessions, which must have the same channels and kind of load."""
+    if source.readings.shape[1] != target.readings.shape[1]:
+        raise CannotTellError(f"{source.name} and {target.name} differ in their number of channels.")
+    before, now = press_set(source), press_set(target)
     if before.load_kind != now.load_kind:
         raise CannotTellError(
-            f"{known.name} knows {before.load_kind} as its load and {other.name} {now.load_kind}; what one says of the "
-            "other needs one kind of load."
+            f"The load is {before.load_kind} in {source.name} and {now.load_kind} in {target.name}; predicting one "
+            "from the other needs the same kind of load."
         )
     return before, now

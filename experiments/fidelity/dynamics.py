@@ -1,8 +1,8 @@
-"""Noise, drift, hysteresis and creep of a recording, compared with the simulator's, and what bounds any model.
+"""Noise, drift, hysteresis and creep of a recording, compared with the simulator's, and upper limits of any model's R2.
 
-Each is estimated from what the recording has: noise from rows in air or, without, from presses that were repeated;
-hysteresis from strokes that go in and come out, and from what a press leaves in the next one; creep from loads that are
-held. The simulator's sizes are those of `i2t.skin.noise.Noise` and of `i2t.skin.faults.Faults.typical`.
+Noise is estimated from rows in air or else from repeated presses, hysteresis from loading and unloading strokes and
+from the remainder of one press in the next, creep from held loads. The simulator's values are those of
+`i2t.skin.noise.Noise` and `i2t.skin.faults.Faults.typical`.
 """
 
 from typing import NamedTuple
@@ -13,13 +13,7 @@ from scipy.spatial import cKDTree
 from experiments.common.tables import cell
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.describe import changes_in_air
-from experiments.fidelity.forward import (
-    explained_share,
-    load_of,
-    one_tip,
-    predicted_from_others,
-    press_set,
-)
+from experiments.fidelity.forward import explained_share, load_of, one_tip, predicted_from_others, press_set
 from experiments.fidelity.sections import CannotTellError, Section
 from i2t.recordings.presses import LoadedPresses
 from i2t.recordings.read import MAX_STREAM_STEP_S, SkinRecording
@@ -27,20 +21,13 @@ from i2t.skin.boards import AXES_OF_CHIP
 from i2t.skin.faults import FAULT_MODEL, Faults
 from i2t.skin.noise import Noise
 
-MIN_STILL_ROWS = 20
-REPEAT_DISTANCE_M = 0.15e-3  # of presses that count as repeated
-REPEAT_LOAD_SHARE = 0.04  # of the load's range
-REPEAT_ROWS, MOST_PAIRS = 3000, 20000  # that are looked at
-MIN_REPEATS = 30
+MIN_REPEATED_PAIRS = 30
 MIN_STROKE_ROWS = 12
-MIN_TURNS = 2  # strokes that go in and come out
-HELD_M, HELD_S = 0.02e-3, 0.5  # a held travel changes by less, for longer
-SMALLEST_UT = 1e-9
-SIGNIFICANT_STD_ERRORS = 3.0
+HOLD_TRAVEL_M, HOLD_TIME_S = 0.02e-3, 0.5  # a held travel changes by less than this, for at least this time
 
 
 def noise(recording: SkinRecording, section: Section) -> None:
-    """Noise at rest and drift, compared with the simulator's."""
+    """Report noise at rest and drift, compared with the simulator's."""
     rows = [["quantity", "recording", "simulator", "ratio"]]
     section.part(lambda: _noise_rows(recording, section, rows))
     section.part(lambda: _drift_rows(recording, section, rows))
@@ -48,7 +35,7 @@ def noise(recording: SkinRecording, section: Section) -> None:
 
 
 def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
-    """Hysteresis within a stroke and from press to press, and creep."""
+    """Report creep, and hysteresis within a stroke and from press to press."""
     rows = [["quantity", "recording", "simulator"]]
     section.part(lambda: _stroke_hysteresis(recording, section, rows))
     section.part(lambda: _creep(recording, section, rows))
@@ -57,31 +44,31 @@ def hysteresis(recording: SkinRecording, preset: FidelityPreset, section: Sectio
 
 
 def repeatability(recording: SkinRecording, preset: FidelityPreset, section: Section) -> None:
-    """Limits that repeated presses set to the best model."""
+    """Report the largest R2 that the scatter of repeated presses allows."""
     presses = press_set(recording)
     rows, predicted = predicted_from_others(presses, preset.forward_rows)
     reached = explained_share(presses.readings[rows], predicted)
     section.numbers["r2_leave_one_out_gp"] = reached
     section.sentences.append(
-        f"A GP on position and load of {len(rows)} presses explains R2 {reached:.4f} of each from the others."
+        f"A Gaussian process over position and load reaches R2 {reached:.4f} by leave-one-out on {len(rows)} presses."
     )
     size = _repeat_noise(presses)
     total = np.mean(np.sum((presses.readings - presses.readings.mean(0)) ** 2, axis=1))
     limit = 1 - float(np.sum(size**2) / total)
     section.numbers |= {"repeat_std_uT": size.tolist(), "r2_repeatability_limit": limit}
-    said = (
-        f"so that no model can explain more than R2 {limit:.4f}"
+    conclusion = (
+        f"so no model can exceed R2 {limit:.4f}"
         if reached <= limit
-        else f"more than noise, as R2 {reached:.4f} is explained where that would leave {limit:.4f} to explain"
+        else f"which would limit R2 to {limit:.4f}; as {reached:.4f} is reached, more than noise differs between them"
     )
     section.sentences.append(
-        f"Presses repeated at one place and load differ by {np.sqrt(np.mean(size**2)):.2f} uT (standard deviation of a "
-        f"channel), {said}."
+        f"Repeated presses at one position and load scatter by {np.sqrt(np.mean(size**2)):.2f} uT (standard deviation "
+        f"of a channel), {conclusion}."
     )
 
 
 def _close(section: Section, caption: str, rows: list[list[str]]) -> None:
-    """The table of a section, if any row was found."""
+    """Add the table to the section, or mark the section as "cannot tell" if the table is empty."""
     if len(rows) == 1:
         section.status = "cannot tell"
     else:
@@ -93,67 +80,70 @@ def _close(section: Section, caption: str, rows: list[list[str]]) -> None:
 
 def _noise_rows(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
     change, simulated = changes_in_air(recording), Noise()
-    if len(change) >= MIN_STILL_ROWS:
+    if len(change) >= 20:
         size = np.std(np.clip(change, *np.percentile(change, [1, 99], axis=0)), axis=0) / np.sqrt(2)
-        how = f"{len(change)} pairs of rows that follow each other in air"
+        source = f"{len(change)} pairs of consecutive rows in air"
     else:
         size = _repeat_noise(press_set(recording))
-        how = "presses that were repeated, which adds what a skin does not repeat"
+        source = "repeated presses, whose scatter includes changes of the skin"
     by_axis = size.reshape(-1, AXES_OF_CHIP)
     xy, z = (float(np.sqrt(np.mean(part**2))) for part in (by_axis[:, :2], by_axis[:, 2]))
-    for axis, found, own in (("x, y", xy, simulated.xy), ("z", z, simulated.z)):
-        rows.append([f"noise of one sample, {axis} (uT)", cell(found, 2), cell(own, 2), cell(found / own, 2)])
+    for axis, measured, own in (("x, y", xy, simulated.xy), ("z", z, simulated.z)):
+        rows.append([f"noise of one sample, {axis} (uT)", cell(measured, 2), cell(own, 2), cell(measured / own, 2)])
     strong = float(np.percentile(np.linalg.norm(recording.readings, axis=1), 90))
     ratio = strong / float(np.sqrt(len(size) * (2 * xy**2 + z**2) / AXES_OF_CHIP))
     section.numbers["noise"] = {
-        "xy_uT": xy, "z_uT": z, "how": how, "signal_to_noise": ratio,
+        "xy_uT": xy, "z_uT": z, "how": source, "signal_to_noise": ratio,
         "simulator": {"xy_uT": simulated.xy, "z_uT": simulated.z},
     }  # fmt: skip
     section.sentences.append(
-        f"Noise is estimated from {how}. A strong reading (90th percentile) is {ratio:.0f} times as long as the noise."
+        f"Noise is estimated from {source}. The magnitude of a strong reading (90th percentile) is {ratio:.0f} times "
+        "that of the noise."
     )
 
 
 def _repeat_noise(presses: LoadedPresses) -> np.ndarray:
-    """Noise (c,) uT of one press, from pairs of neighbours as near as can be, less what their loads explain."""
-    one, other = _repeated_pairs(presses)
-    if len(one) < MIN_REPEATS:
+    """Noise `(c,)` (uT) of one press, from repeated pairs after removing the effect of their load difference."""
+    first, second = _repeated_pairs(presses)
+    if len(first) < MIN_REPEATED_PAIRS:
         raise CannotTellError(
-            f"{len(one)} pairs of presses share a place and a load; {MIN_REPEATS} are needed to tell what repeats."
+            f"{len(first)} pairs of presses share a position and a load; {MIN_REPEATED_PAIRS} are needed for the noise."
         )
-    change = presses.readings[one] - presses.readings[other]
-    span = presses.load[one] - presses.load[other]
+    change = presses.readings[first] - presses.readings[second]
+    span = presses.load[first] - presses.load[second]
     if np.ptp(span) > 0:
         slope = (span @ change) / (span @ span)
         change = change - span[:, None] * slope
-    inside = np.abs(change) <= np.percentile(np.abs(change), 99, axis=0)  # one slip is no noise
+    inside = np.abs(change) <= np.percentile(np.abs(change), 99, axis=0)  # excludes slips
     return np.sqrt(np.sum(np.where(inside, change, 0) ** 2, axis=0) / np.maximum(inside.sum(0), 1) / 2)
 
 
 def _repeated_pairs(presses: LoadedPresses) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of presses at one place with about one load that do not follow each other in one stroke."""
-    range_of_load = max(float(np.ptp(presses.load)), 1e-12)
-    x = np.column_stack([presses.position / REPEAT_DISTANCE_M, presses.load / (REPEAT_LOAD_SHARE * range_of_load)])
-    some = np.arange(len(x))
-    if len(x) > REPEAT_ROWS:
-        some = np.sort(np.random.default_rng(0).choice(len(x), REPEAT_ROWS, replace=False))
-    found = cKDTree(x[some]).query_pairs(1.0, output_type="ndarray")
-    if len(found) > MOST_PAIRS:
-        found = found[np.random.default_rng(0).choice(len(found), MOST_PAIRS, replace=False)]
-    one, other = some[found[:, 0]], some[found[:, 1]]
+    """Pairs of presses within 0.15 mm and 4 % of the load range of each other, and from different strokes if there are
+    several.
+    """
+    load_range = max(float(np.ptp(presses.load)), 1e-12)
+    x = np.column_stack([presses.position / 0.15e-3, presses.load / (0.04 * load_range)])
+    subset = np.arange(len(x))
+    if len(x) > 3000:
+        subset = np.sort(np.random.default_rng(0).choice(len(x), 3000, replace=False))
+    pairs = cKDTree(x[subset]).query_pairs(1.0, output_type="ndarray")
+    if len(pairs) > 20_000:
+        pairs = pairs[np.random.default_rng(0).choice(len(pairs), 20_000, replace=False)]
+    first, second = subset[pairs[:, 0]], subset[pairs[:, 1]]
     assert presses.session is not None
     if len(np.unique(presses.session)) == 1:
-        return one, other
-    apart = presses.session[one] != presses.session[other]
-    return one[apart], other[apart]
+        return first, second
+    apart = presses.session[first] != presses.session[second]
+    return first[apart], second[apart]
 
 
 def _drift_rows(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
     base = recording.baseline
     if base is None or not len(np.unique(base, axis=0)) > 2:
         raise CannotTellError(
-            "What was subtracted from the readings is not known here, so that drift shows only in what changed between "
-            "the halves (see the checks)."
+            "The subtracted ambient field is not known, so drift shows only as a change between the halves (see the "
+            "checks)."
         )
     tenth = max(len(base) // 10, 1)
     change = np.abs(np.median(base[-tenth:], axis=0) - np.median(base[:tenth], axis=0))
@@ -178,68 +168,69 @@ def _strokes(recording: SkinRecording) -> tuple[str, list[_Stroke]]:
     name, load = load_of(recording)
     if name == "none" and recording.varies("shear") and recording.known_rows("position").all():
         position = recording.targets["position"]
-        _, first, of = np.unique(recording.session, return_index=True, return_inverse=True)
-        name, load = "slide", np.linalg.norm(position - position[first[of.ravel()]], axis=1)  # from where it began
+        _, first, session_index = np.unique(recording.session, return_index=True, return_inverse=True)
+        start = position[first[session_index.ravel()]]
+        name, load = "slide", np.linalg.norm(position - start, axis=1)
     if name == "none":
-        raise CannotTellError("Strokes in and out need a load that is known.")
-    found = []
+        raise CannotTellError("Hysteresis and creep need a known load.")
+    strokes = []
     for session in np.unique(recording.session):
         rows = np.flatnonzero((recording.session == session) & np.isfinite(load))
         if len(rows) >= MIN_STROKE_ROWS and np.ptp(load[rows]) > 0.3 * np.nanmax(np.abs(load)):
-            found.append(_Stroke(load[rows], recording.readings[rows], recording.time[rows]))
-    return name, found
+            strokes.append(_Stroke(load[rows], recording.readings[rows], recording.time[rows]))
+    return name, strokes
 
 
 def _stroke_hysteresis(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
-    """Area between the ways in and out of each stroke, of its height."""
+    """Report the gap between the loading and unloading curves of each stroke, as a fraction of its height."""
     _, strokes = _strokes(recording)
     loops, kept = [], []
     for stroke in strokes:
         deepest = int(np.argmax(stroke.load))
         inward, outward = slice(0, deepest + 1), slice(deepest, None)
         centred = stroke.readings - stroke.readings.mean(0)
-        signal = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # along which they change most
+        signal = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]  # direction of largest variance
         height = float(np.ptp(signal))
         if min(deepest, len(stroke.load) - deepest) < MIN_STROKE_ROWS // 3 or not height:
             continue
         top = float(np.max(stroke.load))
         low = float(max(np.min(stroke.load[inward]), np.min(stroke.load[outward])))
         at = np.linspace(low + 0.1 * (top - low), top - 0.1 * (top - low), 20)
-        ways = []
+        curves = []
         for part in (inward, outward):
             order = np.argsort(stroke.load[part])
-            ways.append(np.interp(at, stroke.load[part][order], signal[part][order]))
-        loops.append(float(np.mean(np.abs(ways[1] - ways[0])) / height))
+            curves.append(np.interp(at, stroke.load[part][order], signal[part][order]))
+        loops.append(float(np.mean(np.abs(curves[1] - curves[0])) / height))
         kept.append(abs(float(np.mean(signal[-3:]) - np.mean(signal[:3]))) / height)
-    if len(loops) < MIN_TURNS:
-        raise CannotTellError("No strokes go in and come out with rows all the way, so that hysteresis is unknown.")
-    rows.append(["hysteresis: ways in and out apart, of the stroke's height", cell(float(np.mean(loops))), "0.000"])
-    rows.append(["what is left after a stroke, of its height", cell(float(np.mean(kept))), "0.000"])
+    if len(loops) < 2:
+        raise CannotTellError("Fewer than two strokes have a loading and an unloading curve, so hysteresis is unknown.")
+    rows.append(["gap of loading and unloading curves, fraction of the height", cell(float(np.mean(loops))), "0.000"])
+    rows.append(["remainder after a stroke, fraction of its height", cell(float(np.mean(kept))), "0.000"])
     section.numbers["hysteresis"] = {"strokes": len(loops), "loop_share": loops, "left_share": kept}
     section.sentences.append(
-        f"In {len(loops)} strokes the ways in and out lie {100 * np.mean(loops):.1f} % of the height apart; the "
-        "simulator's skins come back the way they went (their hysteresis is from press to press)."
+        f"In {len(loops)} strokes the loading and unloading curves differ by {100 * np.mean(loops):.1f} % of the "
+        "height; those of the simulator coincide (its hysteresis is from press to press)."
     )
 
 
 def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) -> None:
-    """Growth of a reading while a travel is held, per tenfold time."""
+    """Report the growth of a reading per tenfold time while a travel is held."""
     name, strokes = _strokes(recording)
     if name not in ("travel", "slide") or not np.isfinite(recording.time).any():
-        raise CannotTellError("Creep is measured where a travel is held and times are known.")
+        raise CannotTellError("Creep needs a held travel and known times.")
     growth = []
     for stroke in strokes:
         deep = stroke.load > 0.5 * stroke.load.max()
-        begins = np.concatenate([[True], np.abs(np.diff(stroke.load)) > HELD_M]) | ~deep
+        begins = np.concatenate([[True], np.abs(np.diff(stroke.load)) > HOLD_TRAVEL_M]) | ~deep
         run = np.cumsum(begins)
         for number in np.unique(run[deep]):
             held = np.flatnonzero((run == number) & deep)
             seconds = stroke.time[held] - stroke.time[held[0]]
-            if len(held) >= 4 and np.ptp(stroke.load[held]) < HELD_M and seconds[-1] >= HELD_S:
-                signal = np.linalg.norm(stroke.readings[held], axis=1) + SMALLEST_UT
+            if len(held) >= 4 and np.ptp(stroke.load[held]) < HOLD_TRAVEL_M and seconds[-1] >= HOLD_TIME_S:
+                signal = np.linalg.norm(stroke.readings[held], axis=1) + 1e-9
                 growth.append(np.polyfit(np.log10(seconds + 0.1), signal / signal[0], 1)[0])
     if not growth:
-        raise CannotTellError(f"No travel is held for {HELD_S:g} s, so that creep is unknown.")
+        raise CannotTellError(f"No travel is held for {HOLD_TIME_S:g} s, so creep is unknown.")
     own = Faults.typical().relaxation * FAULT_MODEL.layer_share / 3
     rows.append(["creep of a held press, per tenfold time", cell(float(np.mean(growth)), 4), cell(own, 4)])
     section.numbers["creep"] = {"holds": len(growth), "share_per_decade": growth, "simulator": own}
@@ -248,10 +239,10 @@ def _creep(recording: SkinRecording, section: Section, rows: list[list[str]]) ->
 def _press_hysteresis(
     recording: SkinRecording, preset: FidelityPreset, section: Section, rows: list[list[str]]
 ) -> None:
-    """Share of the press before that each chip keeps: its residual against the reading before."""
+    """Report the fraction of the previous press that each chip keeps, by regression on the previous reading."""
     presses, gap = press_set(recording, at_least=60), np.diff(recording.time)
     if np.isfinite(gap).any() and np.nanmedian(gap) < MAX_STREAM_STEP_S:
-        raise CannotTellError("Rows follow each other in strokes: what a press leaves in the next one is unknown.")
+        raise CannotTellError("The rows are a stream of strokes, so the remainder of one press in the next is unknown.")
     chosen, predicted = predicted_from_others(presses, preset.forward_rows)
     assert presses.row is not None
     residual, row = presses.readings[chosen] - predicted, presses.row[chosen]
@@ -260,13 +251,13 @@ def _press_hysteresis(
     weight = (x**2).sum((0, 2)) + 1e-12
     kept = (x * y).sum((0, 2)) / weight
     left = ((y - kept[:, None] * x) ** 2).sum((0, 2))
-    sure = np.abs(kept) > SIGNIFICANT_STD_ERRORS * np.sqrt(left / max(y[:, 0].size - 1, 1) / weight)
+    sure = np.abs(kept) > 3 * np.sqrt(left / max(y[:, 0].size - 1, 1) / weight)
     worst = int(np.argmax(np.abs(kept)))
     own = cell(Faults.typical().hysteresis)
-    rows.append(["part of the press before that the worst chip keeps", cell(float(kept[worst])), own])
+    rows.append(["fraction of the previous press that the worst chip keeps", cell(float(kept[worst])), own])
     section.numbers["hysteresis_of_chips"] = {
         "by_chip": kept.tolist(), "beyond_chance": sure.tolist(), "simulator": Faults.typical().hysteresis,
     }  # fmt: skip
     section.sentences.append(
-        f"Chip {worst} keeps {kept[worst]:+.3f} of the press before ({'beyond' if sure[worst] else 'within'} chance)."
+        f"Chip {worst} keeps {kept[worst]:+.3f} of the previous press ({'beyond' if sure[worst] else 'within'} chance)."
     )

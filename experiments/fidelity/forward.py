@@ -1,5 +1,6 @@
-"""Readings from places and loads without any knowledge of skins: the model by which what repeats is separated from what
-does not. NumPy and SciPy.
+"""A Gaussian process from position and load to readings, which separates repeatable from unrepeatable changes.
+
+It uses no model of the skin, and only NumPy and SciPy.
 """
 
 from itertools import product
@@ -13,25 +14,25 @@ from i2t.recordings.presses import LoadedPresses, LoadName
 from i2t.recordings.read import SkinRecording
 
 SIMPLE_GP = "leave-one-out GP"
-# Lengths (m), widths in standard deviations of the load, and noises as a share of a channel's variance.
+# Candidate length scales (m), load widths (standard deviations of the load) and noises (fractions of the variance).
 GP_SETTINGS = ((8e-3, 4e-3, 2e-3, 16e-3, 32e-3), (1.0, 0.5, 2.0, 4.0), (1e-2, 1e-3, 1e-4, 1e-1))
 GP_SELECTION_ROWS = 300
-SMALLEST = 1e-9
-RUNS_OF_ROWS = 20
 
 
 def one_tip(recording: SkinRecording) -> None:
-    """Raise CannotTellError where presses are of several objects."""
+    """Raise `CannotTellError` if several objects touched the skin."""
     if recording.labels is not None and len(np.unique(recording.labels)) > 1:
         raise CannotTellError(
-            f"{len(np.unique(recording.labels))} objects touched the skin, and what a place and a load say of a "
-            "reading holds for one tip only."
+            f"{len(np.unique(recording.labels))} objects touched the skin, but position and load predict a "
+            "reading for one tip only."
         )
 
 
 def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
-    """Name and values (n,) of the load: travel where it is known and varies, else force, else nothing (one load for
-    all).
+    """Choose the load of a recording: its travel if it varies and most rows have it, else its force, else none.
+
+    Returns:
+        The name of the load, and its values `(n,)` in metres or newtons, which are zero if there is none.
     """
     names: tuple[LoadName, ...] = ("travel", "force")
     for name in names:
@@ -43,7 +44,7 @@ def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
 
 
 def press_set(recording: SkinRecording, at_least: int = 10) -> LoadedPresses:
-    """The presses of a recording from which readings can be predicted, or CannotTellError."""
+    """Select the presses with known position and load, or raise `CannotTellError` if they predict no reading."""
     one_tip(recording)
     name, load = load_of(recording)
     good, position = np.isfinite(load), np.zeros((len(recording), 2))
@@ -51,9 +52,9 @@ def press_set(recording: SkinRecording, at_least: int = 10) -> LoadedPresses:
         good &= recording.known_rows("position")
         position = recording.targets["position"]
     if name == "none" and not recording.varies("position"):
-        raise CannotTellError("Neither position nor load is known and varies, so that nothing predicts a reading.")
+        raise CannotTellError("Neither position nor load is known and varies, so nothing predicts a reading.")
     if good.sum() < at_least:
-        raise CannotTellError(f"Position and load are known of {good.sum()} rows; {at_least} are needed.")
+        raise CannotTellError(f"Position and load are known in {good.sum()} rows; {at_least} are needed.")
     if not (np.ptp(recording.readings[good], axis=0) > 0).any():
         raise CannotTellError("No channel ever changes.")
     row = np.flatnonzero(good)
@@ -62,24 +63,24 @@ def press_set(recording: SkinRecording, at_least: int = 10) -> LoadedPresses:
     )
 
 
-def simple_gp(presses: LoadedPresses, known: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """A GP over position and load, squared exponential in both, its three settings by leaving one out."""
-    settings = choose_simple_gp(presses, known)
-    x, y = presses.coordinates[known], presses.readings[known]
+def simple_gp(presses: LoadedPresses, train: np.ndarray, test: np.ndarray) -> np.ndarray:
+    """Predict test readings `(m, c)` by a squared-exponential GP over position and load; settings by leave-one-out."""
+    settings = choose_simple_gp(presses, train)
+    x, y = presses.coordinates[train], presses.readings[train]
     middle, factor = y.mean(0), cho_factor(_covariance(settings, x), lower=True)
     return middle + _kernel(settings, presses.coordinates[test], x) @ cho_solve(factor, y - middle)
 
 
-def choose_simple_gp(presses: LoadedPresses, known: np.ndarray) -> tuple[float, ...]:
-    """Length (m), load width and noise with the least leave-one-out error."""
-    some = known[:GP_SELECTION_ROWS]
-    x, y = presses.coordinates[some], presses.readings[some]
+def choose_simple_gp(presses: LoadedPresses, train: np.ndarray) -> tuple[float, ...]:
+    """Choose the length scale (m), load width and noise with the smallest leave-one-out error."""
+    subset = train[:GP_SELECTION_ROWS]
+    x, y = presses.coordinates[subset], presses.readings[subset]
     centred = y - y.mean(0)
 
     def error(settings: tuple[float, ...]) -> float:
         return float(np.sum(leave_one_out(_covariance(settings, x), centred).error ** 2))
 
-    if len(some) <= GP_SELECTION_ROWS // 3:
+    if len(subset) <= GP_SELECTION_ROWS // 3:
         return min(product(*GP_SETTINGS), key=error)
     best = tuple(values[0] for values in GP_SETTINGS)
     for _ in range(2):
@@ -89,8 +90,14 @@ def choose_simple_gp(presses: LoadedPresses, known: np.ndarray) -> tuple[float, 
 
 
 def predicted_from_others(presses: LoadedPresses, limit: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of the set, at most so many in order of time, and their readings (n, c) as a GP of the others of them
-    predicts each.
+    """Predict readings by leave-one-out with the Gaussian process.
+
+    Args:
+        presses: Presses in the order of time.
+        limit: Largest number of presses used; more are sampled at random.
+
+    Returns:
+        Indices `(n,)` of the presses used, in order of time, and their predicted readings `(n, c)` in microtesla.
     """
     rows = np.random.default_rng(0).permutation(len(presses.load))[:limit]
     settings = choose_simple_gp(presses, rows)
@@ -100,7 +107,7 @@ def predicted_from_others(presses: LoadedPresses, limit: int) -> tuple[np.ndarra
 
 
 def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:
-    """R2 over all channels against the mean of the readings."""
+    """R2 over all channels, relative to the mean reading."""
     total = np.sum((readings - readings.mean(0)) ** 2)
     return float(1 - np.sum((readings - predicted) ** 2) / total) if total > 0 else float("nan")
 
@@ -108,15 +115,15 @@ def explained_share(readings: np.ndarray, predicted: np.ndarray) -> float:
 def loses_beyond_chance(own: np.ndarray, other: np.ndarray) -> bool:
     """Test whether squared errors (n,) of one method are larger than another's on the same rows by more than chance.
 
-    Rows that follow each other err alike, so that differences are summed over runs of rows: twice the standard error of
-    these sums.
+    Consecutive rows have correlated errors, so differences are summed over up to 20 runs of rows; the mean of the sums
+    must exceed twice its standard error.
     """
-    runs = np.array([part.sum() for part in np.array_split(own - other, min(RUNS_OF_ROWS, len(own)))])
+    runs = np.array([part.sum() for part in np.array_split(own - other, min(20, len(own)))])
     return bool(len(runs) > 2 and runs.mean() > 2 * runs.std(ddof=1) / np.sqrt(len(runs)))
 
 
 def _covariance(settings: tuple[float, ...], x: np.ndarray) -> np.ndarray:
-    return _kernel(settings, x, x) + (settings[2] + SMALLEST) * np.eye(len(x))
+    return _kernel(settings, x, x) + (settings[2] + 1e-9) * np.eye(len(x))
 
 
 def _kernel(settings: tuple[float, ...], a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Heads of a recording, tested in three ways on rows they never saw, with baselines and published figures."""
+"""Heads of a recording, tested on rows held out in three ways, with baselines and published figures."""
 
 import math
 from dataclasses import replace
@@ -30,47 +30,44 @@ PUBLISHED_FIGURES = {
     "shear": "eFlesh 0.12 N, eflesh-touch 0.055 N",
 }
 RANDOM_SPLIT, GROUP_SPLIT, LATER_SPLIT = "random rows", "whole blocks or strokes", "later in time"
-MIN_HEAD_TEST = 5
-MIN_INSIDE_90, MAX_INSIDE_90 = 0.85, 0.95  # share of values in the 90 % range, outside of which a sentence says so
-CHANCE = 0.05  # probability, at nine in ten, of as many values in the range as are called too many
-BEATEN = 0.98  # of the kept head's error, below which a baseline may be said to beat it
+MIN_TEST_ROWS = 5
 SCORES = ["RMSE", "median", "R2", "in the 90 % range", "unfamiliar"]
 
 
 class HeadScore(NamedTuple):
-    """Scores of a head on rows it never saw, in the unit of its target."""
+    """Scores of a head on held-out rows, in the unit of its target."""
 
     rows: int
-    rmse: float  # of a probability: root of the Brier score
-    median: float  # of the length of errors; of a probability: share predicted right
-    r2: float  # of a probability: area under the receiver operating characteristic
-    inside_90: float  # share of values in the 90 % range; of a probability: expected calibration error
-    unfamiliar: float  # share of rows
+    rmse: float  # for a probability: root of the Brier score
+    median: float  # of the error's magnitude; for a probability: fraction classified correctly
+    r2: float  # for a probability: area under the receiver operating characteristic
+    inside_90: float  # fraction of values in the 90 % range; for a probability: expected calibration error
+    unfamiliar: float  # fraction of rows far from all training readings
 
 
 class HeadTest(NamedTuple):
-    """A target's heads on one way of holding out."""
+    """Scores of a target's heads for one way of holding out."""
 
-    method: str  # that was kept
-    history: int  # rows before a reading that it looks at
+    method: str  # of the kept head
+    history: int  # number of previous rows that the head uses
     kept: HeadScore
     baselines: dict[str, HeadScore]
     validation: dict[str, float]
-    beaten_by: tuple[str, ...]  # baselines, by more than chance
+    beaten_by: tuple[str, ...]  # baselines that beat the kept head by more than chance
 
 
 def head_sections(recording: SkinRecording, budget: HeadBudget, share: float, seed: int, section: Section) -> None:
-    """Tests of all targets that a recording supports; a sentence for each other one."""
-    found = {}
+    """Test heads of all targets that a recording supports, and explain why the others have none."""
+    tests_by_target = {}
     for target in HEAD_TARGETS:
         try:
-            found[target] = test_heads(recording, target, budget, share=share, seed=seed)
+            tests_by_target[target] = test_heads(recording, target, budget, share=share, seed=seed)
         except ValueError as error:
             section.sentences.append(f"No head for {target}: {error}.")
-    if not found:
+    if not tests_by_target:
         raise CannotTellError("The recording supports no head.")
-    section.numbers["heads"] = {target: to_numbers(tests) for target, tests in found.items()}
-    for target, tests in found.items():
+    section.numbers["heads"] = {target: to_numbers(tests) for target, tests in tests_by_target.items()}
+    for target, tests in tests_by_target.items():
         section.tables[caption(target)] = table(target, tests)
         section.sentences += compare_with_baselines(target, tests)
         section.sentences += missed_ranges(target, {name: test.kept for name, test in tests.items()})
@@ -79,15 +76,15 @@ def head_sections(recording: SkinRecording, budget: HeadBudget, share: float, se
 def test_heads(
     recording: SkinRecording, target: str, budget: HeadBudget, *, share: float, seed: int
 ) -> dict[str, HeadTest]:
-    """Heads of a target, fitted and tested on rows held out in each way that leaves enough of them."""
+    """Fit and test heads of a target for each way of holding out that leaves enough rows."""
     rows = target_rows(recording, target)
     tests, problems = {}, []
     for name, held in held_out_rows(recording.rows(rows), share, seed).items():
-        known = _known_of(recording, target, rows[~held])
+        training = _known_of(recording, target, rows[~held])
         try:
-            head = fit_head(known, target, budget=budget, seed=seed)
+            head = fit_head(training, target, budget=budget, seed=seed)
             rivals = {
-                method: fit_head(known, target, methods=(method,), budget=budget, seed=seed)
+                method: fit_head(training, target, methods=(method,), budget=budget, seed=seed)
                 for method in BASELINE_HEADS[1:]
             }
         except ValueError as error:
@@ -98,7 +95,7 @@ def test_heads(
         better = [
             method
             for method, (score, missed) in scored.items()
-            if score.rmse < BEATEN * kept.rmse and loses_beyond_chance(errors, missed)
+            if score.rmse < 0.98 * kept.rmse and loses_beyond_chance(errors, missed)
         ]
         baselines = {method: score for method, (score, _) in scored.items()}
         tests[name] = HeadTest(
@@ -106,21 +103,21 @@ def test_heads(
         )
     if not tests:
         enough = rows_enough(share)
-        few = f"{recording.name} knows {target} of {len(rows)} rows, too few to learn from some and test on others"
+        few = f"{recording.name} has {target} in {len(rows)} rows, too few to fit on some and test on others"
         raise ValueError(f"{few}; {enough} are enough" if len(rows) < enough else "; ".join(problems))
     return tests
 
 
 def rows_enough(share: float) -> int:
-    """Rows of which a share is enough to test a head and the rest to fit it."""
-    return max(math.ceil(MIN_HEAD_TEST / share), math.ceil(HEAD_CONFIG.min_rows / (1 - share)))
+    """Smallest number of rows of which the held-out share suffices to test a head and the rest to fit it."""
+    return max(math.ceil(MIN_TEST_ROWS / share), math.ceil(HEAD_CONFIG.min_rows / (1 - share)))
 
 
 test_heads.__test__ = False  # type: ignore[attr-defined]  # no test, whatever its name
 
 
 def held_out_rows(recording: SkinRecording, share: float, seed: int) -> dict[str, np.ndarray]:
-    """Masks of the rows that are held out."""
+    """Masks `(n,)` of the held-out rows, by way of holding out."""
     n, rng = len(recording), np.random.default_rng(seed)
     groups = hold_out_groups(recording)
     chosen = rng.permutation(groups.max() + 1)[: max(round(share * (groups.max() + 1)), 1)]
@@ -129,11 +126,11 @@ def held_out_rows(recording: SkinRecording, share: float, seed: int) -> dict[str
         GROUP_SPLIT: np.isin(groups, chosen),
         LATER_SPLIT: np.arange(n) >= round((1 - share) * n),
     }
-    return {name: mask for name, mask in masks.items() if MIN_HEAD_TEST <= mask.sum() < n}
+    return {name: mask for name, mask in masks.items() if MIN_TEST_ROWS <= mask.sum() < n}
 
 
 def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[HeadScore, np.ndarray]:
-    """Score on some rows of a recording, and the squared errors (n,) of these rows."""
+    """Score a head on some rows of a recording; also returns the squared errors `(n,)` of these rows."""
     predicted = HeadPrediction(*(part[rows] for part in head.predict(recording.readings, recording.session)))
     truth, kind = recording.targets[head.target][rows], TARGETS[head.target]
     error, unfamiliar = predicted.mean - truth, float(np.mean(predicted.unfamiliar))
@@ -146,7 +143,7 @@ def score_head(head: Head, recording: SkinRecording, rows: np.ndarray) -> tuple[
 
 
 def _known_of(recording: SkinRecording, target: str, rows: np.ndarray) -> SkinRecording:
-    """The recording with a target known of some rows only: the others' readings stay what came before."""
+    """Hide a target in all rows but the given ones; the readings stay, because heads may use the previous rows."""
     values = np.full_like(recording.targets[target], np.nan)
     values[rows] = recording.targets[target][rows]
     return replace(recording, targets={**recording.targets, target: values})
@@ -159,7 +156,7 @@ def caption(target: str) -> str:
 
 
 def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
-    """A row for each way of holding out and each method."""
+    """Rows of a target's table, one for each way of holding out and method."""
     rows = [["held out", "rows", "method", *SCORES]]
     for name, test in tests.items():
         for method, score in {f"{test.method} (kept)": test.kept, **test.baselines}.items():
@@ -168,7 +165,7 @@ def table(target: str, tests: dict[str, HeadTest]) -> list[list[str]]:
 
 
 def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]:
-    """A sentence for each baseline to which the kept head loses on the rows held out; one if there is none."""
+    """Sentences on the baselines that beat the kept head, or one sentence that none does."""
     lost = [
         f"{target}, {name}: the kept head ({test.method}, {test.kept.rmse:.3f}) loses to {method} "
         f"({test.baselines[method].rmse:.3f})."
@@ -179,27 +176,27 @@ def compare_with_baselines(target: str, tests: dict[str, HeadTest]) -> list[str]
 
 
 def missed_ranges(target: str, scores: dict[str, HeadScore]) -> list[str]:
-    """A sentence for each way of holding out in which too few values lie in the stated range, or more than chance
-    explains.
+    """Sentences on the ways of holding out for which the 90 % range is too narrow (it holds fewer than 85 % of the
+    values) or too wide (more than 95 %, and more than chance explains).
     """
     sentences = []
     for name, score in scores.items():
         range_holds = f"{target}, {name}: the 90 % range holds {100 * score.inside_90:.0f} % of {score.rows} rows; "
-        if score.inside_90 < MIN_INSIDE_90:
+        if score.inside_90 < 0.85:
             sentences.append(range_holds + "do not rely on it there.")
-        elif score.inside_90 > MAX_INSIDE_90 and _by_chance(score) < CHANCE:
-            sentences.append(range_holds + "it is too wide there, as the head errs less than it says.")
+        elif score.inside_90 > 0.95 and _by_chance(score) < 0.05:
+            sentences.append(range_holds + "it is too wide there; the errors are smaller than stated.")
     return sentences
 
 
 def _by_chance(score: HeadScore) -> float:
-    """Probability of as many rows in the range, or more, if it held nine in ten."""
+    """Probability of at least this many rows in the range if its coverage were 90 %."""
     inside = round(score.inside_90 * score.rows)
     return float(stats.binomtest(inside, score.rows, 0.9, alternative="greater").pvalue)
 
 
 def to_numbers(tests: dict[str, HeadTest]) -> dict[str, Any]:
-    """Scores as metrics.json holds them."""
+    """Convert scores for metrics.json."""
     return {
         name: {
             "method": test.method,

@@ -1,11 +1,11 @@
-"""Question: what is this recording of a skin worth, what can be told from it, and how well?
+"""Question: how good is a recording of a skin, and what can be estimated from its readings?
 
-    python -m experiments.fidelity --dataset A                  the report, in minutes
-    python -m experiments.fidelity --dataset A B                sessions of one skin, and what one says of the other
-    python -m experiments.fidelity --dataset A --preset debug   everything once, in seconds
+    python -m experiments.fidelity --dataset A                  full report, minutes
+    python -m experiments.fidelity --dataset A B                two sessions of one skin, with predictions across them
+    python -m experiments.fidelity --dataset A --preset debug   every part once, seconds
 
-A recording is a data set of i2t (a folder or a file), a session of eFlesh as it was recorded, or a table with one row
-for each reading (docs/fidelity.md). Nothing is asked of it: a part that it cannot support says why in a sentence.
+A recording is a data set of i2t (a folder or a file), a session of eFlesh, or a table with one row for each reading
+(docs/fidelity.md). Any content is accepted: where the recording lacks the data for a part, a sentence gives the reason.
 
 Results go to --out: report.txt, calibration curves (.png), metrics.json and config.json.
 """
@@ -31,11 +31,9 @@ from i2t.files.writing import replacing
 from i2t.recordings.diagnose import Finding
 from i2t.recordings.read import SkinRecording, corrected_recording, is_dataset, read_recordings
 
-FOUND_BY_CONVERTER = "found in "  # so begins a note of `i2t.convert` on what a session does not contradict
-
 
 def run(args: FidelityArgs) -> dict[str, Any]:
-    """The report: read, write each part, put them together."""
+    """Read the recordings, write the report, and return its metrics."""
     started, preset = time.perf_counter(), choose_preset(FIDELITY_PRESETS, args.preset)
     read = _recordings(args.dataset)
     recordings = named_apart([recording for _, recording in read])
@@ -68,8 +66,9 @@ def run(args: FidelityArgs) -> dict[str, Any]:
         lines = (line for name, sections in chapters.items() for line in ("", name, *map(text_of, sections)))
         temporary.write_text("\n".join(lines), encoding="utf-8")
     for number, sections in enumerate(chapters.values()):
-        for name, figure in ((name, figure) for section in sections for name, figure in section.figures.items()):
-            viz.save_figure(figure, args.out / f"{name}_{number}.png")
+        for section in sections:
+            for name, figure in section.figures.items():
+                viz.save_figure(figure, args.out / f"{name}_{number}.png")
     write_json(args.out / "metrics.json", metrics)
     return metrics
 
@@ -80,36 +79,37 @@ def _printed(section: Section) -> Section:
 
 
 def named_apart(recordings: list[SkinRecording]) -> list[SkinRecording]:
-    """Recordings with a name of their own each."""
-    often, seen, result = Counter(one.name for one in recordings), Counter[str](), []
-    for one in recordings:
-        seen[one.name] += 1
-        result.append(replace(one, name=f"{one.name} #{seen[one.name]}") if often[one.name] > 1 else one)
+    """Number recordings that share a name, so that all names differ."""
+    copies, seen, result = Counter(recording.name for recording in recordings), Counter[str](), []
+    for recording in recordings:
+        seen[recording.name] += 1
+        numbered = replace(recording, name=f"{recording.name} #{seen[recording.name]}")
+        result.append(numbered if copies[recording.name] > 1 else recording)
     return result
 
 
 def _recordings(paths: Sequence[Path]) -> list[tuple[Path, SkinRecording]]:
-    """Recordings with the path that each was read from."""
-    found: list[tuple[Path, SkinRecording]] = []
+    """Read each recording, paired with its path."""
+    pairs: list[tuple[Path, SkinRecording]] = []
     for path in paths:
         try:
-            found += [(path, recording) for recording in read_recordings(path)]
+            pairs += [(path, recording) for recording in read_recordings(path)]
         except DataError as error:
             if len(paths) == 1:
                 raise
             print(f"left out: {error}", file=sys.stderr)
-    if not found:
+    if not pairs:
         raise ValueError("none of the recordings can be read")
-    return found
+    return pairs
 
 
 def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> Iterator[Section]:
-    """The report's parts about one recording."""
+    """Yield the sections of the report on one recording."""
     findings: list[Finding] = []
     about = written("What it is", partial(describe.describe, recording))
     checks = written("Checks", lambda section: describe.check(recording, section, findings))
-    if findings:  # what its converter found is found again
-        about.sentences = [sentence for sentence in about.sentences if not sentence.startswith(FOUND_BY_CONVERTER)]
+    if findings:  # they repeat the findings that `i2t.convert` put into the notes
+        about.sentences = [sentence for sentence in about.sentences if not sentence.startswith("found in ")]
     yield about
     yield checks
     recording = corrected_recording(recording, findings)

@@ -1,4 +1,4 @@
-"""Parts of the report, and the sentences in place of parts that a recording cannot support."""
+"""Sections of the report, and the sentences that stand in for parts that a recording cannot support."""
 
 import sys
 import traceback
@@ -12,7 +12,7 @@ from experiments.common.tables import text_table
 
 
 class CannotTellError(ValueError):
-    """A recording does not say enough for a part of the report; the message is the sentence that says why."""
+    """The recording lacks the data for a part of the report; the message is the sentence that gives the reason."""
 
 
 @dataclass
@@ -20,12 +20,12 @@ class Section:
     """One part of the report.
 
     Attributes:
-        title: of it.
+        title: Heading, also the key in metrics.json.
         status: "found", "cannot tell" or "failed".
-        sentences: what a person should know, in order.
-        tables: by their captions, a header and rows of cells each.
-        numbers: for metrics.json.
-        figures: by the names of their files.
+        sentences: Text of the section, in order.
+        tables: A header and rows of cells for each caption.
+        numbers: Values for metrics.json.
+        figures: Figures by the stems of their file names.
     """
 
     title: str
@@ -36,30 +36,30 @@ class Section:
     figures: dict[str, Figure] = field(default_factory=dict)
 
     def part(self, work: Callable[[], None]) -> str:
-        """Do a part of the section; what the recording cannot support, or what fails, becomes a sentence.
+        """Run one part of the section; missing data or a failure adds a sentence instead of an exception.
 
         Args:
-            work: The part.
+            work: Function that fills in this part.
 
         Returns:
-            The status of the part.
+            Status of the part: "found", "cannot tell" or "failed".
         """
         try:
             work()
         except CannotTellError as error:
             self.sentences.append(str(error))
             return "cannot tell"
-        except Exception as error:  # the report is of recordings that nobody has seen: one part never costs the others
-            said = f"a part failed with {type(error).__name__}: {error}"
-            self.sentences.append(said)
-            self.numbers.setdefault("failures", []).append(said)
+        except Exception as error:  # recordings are unpredictable, and one part must not cost the others
+            failure = f"a part failed with {type(error).__name__}: {error}"
+            self.sentences.append(failure)
+            self.numbers.setdefault("failures", []).append(failure)
             traceback.print_exc(file=sys.stderr)
             return "failed"
         return "found"
 
 
 def written(title: str, work: Callable[[Section], None]) -> Section:
-    """A section as its function writes it. Whatever goes wrong in it is said there, and the others are written."""
+    """Write a section with `work`; an exception in it becomes a sentence of the section."""
     section = Section(title)
     status = section.part(lambda: work(section))
     section.status = section.status if status == "found" else status
@@ -68,19 +68,19 @@ def written(title: str, work: Callable[[Section], None]) -> Section:
 
 
 def full_stop(sentence: str) -> str:
-    """A sentence with one full stop at its end, whatever it was put together from."""
+    """End a sentence with exactly one full stop."""
     bare = sentence.rstrip()
     return bare if bare.endswith(("...", "!", "?", ":")) else bare.rstrip(".") + "."
 
 
 def join(names: Sequence[Any], most: int = 12) -> str:
-    """Names in a sentence, not all of many."""
+    """Join names with commas, shortening long lists."""
     shown = ", ".join(map(str, names[:most]))
     return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
 
 
 def text_of(section: Section) -> str:
-    """A section as a person reads it."""
+    """Format a section as plain text."""
     lines = ["", section.title + ("" if section.status == "found" else f" ({section.status})")]
     lines += [f"  {sentence}" for sentence in section.sentences]
     for caption, (head, *rows) in section.tables.items():

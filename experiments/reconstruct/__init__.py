@@ -1,1 +1,1 @@
-"""Shape from touch: what one press met, and the surface of an object from many."""
+"""Shape from touch: the patch below one press, and the surface of an object from many presses."""

@@ -1,4 +1,4 @@
-"""`python -m experiments.reconstruct --help`, and `patch --help` of its other part."""
+"""`python -m experiments.reconstruct --help`, and `python -m experiments.reconstruct patch --help`."""
 
 import sys
 

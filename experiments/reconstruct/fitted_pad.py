@@ -1,4 +1,4 @@
-"""A pad that is known from presses of a ball, in place of the true one."""
+"""A pad fitted to presses of a ball, in place of the true one."""
 
 import jax
 
@@ -12,27 +12,25 @@ from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
 from i2t.types import Array, Pad
 
 TIP = RoundTip("sphere", 4e-3)
-HALF_EDGE_M = 8e-3  # of the square of the skin that is pressed
-PRESSES_AT_ONCE = 16
 
 
 def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int) -> Pad:
-    """Fit a pad to presses of a ball at random places of the true one.
+    """Fit a pad to presses of a ball at random positions on the true pad.
 
-    The presses are simulated by the full physics and end at 100 uT or 8 N. The fit is given their believed positions,
-    measured forces and readings, and the layout of the board, and solves contacts on cells of 1 mm, as a library does.
+    The presses are simulated by the full physics and end at 100 uT or 8 N. The fit uses nominal positions, measured
+    forces and readings, and the layout of the board. Its contacts are solved on cells of 1 mm, as for a library.
 
     Args:
         key: Random key of the presses.
         pad: The true pad.
-        errors: Of the arm's position, the slant, the force and the sensor.
+        errors: Simulated errors of the arm's position, the slant, the force and the sensor.
         presses: Number of presses; below `MagnetizationModel.max_layer_presses` the layer stays at its prior's median.
 
     Returns:
         The fitted pad.
     """
     key_position, key_missed, key_press = jax.random.split(key, 3)
-    position = jax.random.uniform(key_position, (presses, 2), minval=-HALF_EDGE_M, maxval=HALF_EDGE_M)
+    position = jax.random.uniform(key_position, (presses, 2), minval=-8e-3, maxval=8e-3)
     missed = errors.repeatability * jax.random.normal(key_missed, position.shape)
     curves = press_all(jax.random.split(key_press, presses), pad, jax.vmap(TIP.height)(position + missed), errors)
     ends = TipReadings(position, curves.force[:, -1], curves.reading[:, -1], pad.board)
@@ -44,19 +42,20 @@ def fit_pad(key: Array, pad: Pad, errors: SimulationErrors, presses: int) -> Pad
 
 @jax.jit
 def press_all(keys: Array, pad: Pad, heights: Array, errors: SimulationErrors) -> PressCurve:
-    """Press a pad onto every surface, with two stops.
+    """Press a pad onto each surface, with two stops.
 
     Args:
         keys: (n,) random keys.
         pad: The skin.
-        heights: (n, g, g) m, over the cells of the simulated contact.
-        errors: Of slant, force, travel and sensor.
+        heights: (n, g, g) m, surfaces over the cells of the simulated contact.
+        errors: Simulated errors of slant, force, travel and sensor.
 
     Returns:
-        The stops of all presses.
+        The press curves, n on axis 0.
     """
 
-    def one(each: tuple[Array, Array]) -> PressCurve:
-        return simulate_press_curve(each[0], pad, each[1], errors=errors, limits=PressLimits())
+    def press(inputs: tuple[Array, Array]) -> PressCurve:
+        key, height = inputs
+        return simulate_press_curve(key, pad, height, errors=errors, limits=PressLimits())
 
-    return map_batches(one, (keys, heights), batch_size=PRESSES_AT_ONCE)
+    return map_batches(press, (keys, heights), batch_size=16)

@@ -1,18 +1,20 @@
-"""Question: what does one press of a skin with five chips say of the surface that it met, and is its doubt honest?
+"""Question: how well does one press of a skin with five chips determine the surface below it, and is the stated
+uncertainty calibrated?
 
-    python -m experiments.reconstruct patch                      160 contacts of unseen objects, 3 pads
+    python -m experiments.reconstruct patch                      160 contacts of unknown objects, 3 pads
     python -m experiments.reconstruct patch --preset short       a third of that
-    python -m experiments.reconstruct patch --preset debug       too few to mean anything
-    python -m experiments.reconstruct patch --exact              presses without any error: what no pad like it feels
+    python -m experiments.reconstruct patch --preset debug       too few presses for a result
+    python -m experiments.reconstruct patch --exact              presses without error: the limits of the pad itself
 
-Objects of the catalogue and drawn ones, from a stamp's size to a hand's, are split by object into those of the library,
-those on which everything is chosen (validation) and those that are judged (test). Each is met at random safe sites, the
-approach tilted by 1 to 6 degrees, and pressed by the full physics: to 25 uT and on to 100 uT or 8 N, with friction, a
-slant of a degree, and the noise of real sensors (no drift). Methods: Bayes by imagination at the first stop and at both
-(`i2t.reconstruction`), both with the pad's true physics and the latter with a pad that was fitted to 300 presses of a
-ball, and the prior as a baseline. All of it is simulated.
+Catalogue objects and random objects, from stamp to hand size, are split by object into a library, validation objects
+(all choices) and test objects. Each is approached at random safe sites with a tilt of 1 to 6 degrees and pressed by the
+full physics, to 25 uT and on to 100 uT or 8 N, with friction, a slant of one degree, and the noise of real sensors (no
+drift). Methods: Bayesian inference with predicted readings (`i2t.reconstruction`) at the first stop and at both stops,
+with the pad's true physics; at both stops with a pad fitted to 300 presses of a ball; and the prior as a baseline.
+Everything is simulated.
 
-About five minutes on one core. Expect the press curve to beat the first stop, and that to beat the prior.
+Time: about five minutes on one core. Expect the press curve to beat the first stop, and the first stop to beat the
+prior.
 """
 
 from collections.abc import Callable, Sequence
@@ -41,27 +43,20 @@ from i2t.viz import style
 
 PRIOR, FIRST_STOP, CURVE = "prior", "by imagination, 25 uT", "by imagination, press curve"
 FITTED = f"{CURVE}, fitted pad"
-RELATIVE_ERRORS, TEMPERATURES = (0.05, 0.1, 0.15), (1.0, 1.5, 2.0, 3.0)  # what is chosen among
-DOFS, BLURS = (3.0, 6.0, 30.0), (0.0, 1.0, 2.0, 3.0)
-NEARLY = 1.015  # times the least CRPS, within which coverage decides (Gneiting et al., JRSS B 69, 2007)
-CATALOGUE, DRAWN = "catalogue", "drawn at random"  # where test objects come from
-DRAWN_PRESSES = 5
 COLUMNS = {
     "mask_iou": "mask IoU", "mask_skill": "skill", "contact_iou": "contact IoU", "centre_mm_median": "centre mm",
     "centre_mm_90": "at 90 %", "edge_degrees_median": "edge, deg", "edge_mm_median": "edge, mm",
     "crps_mm": "CRPS mm", "crps_ratio": "CRPS / prior's", "coverage_90": "cover 90 %",
 }  # fmt: skip
 Scores = dict[str, np.ndarray]
-
-
-Infer = Callable[[PressCurve, PressModel, PatchLibrary], Array]  # weights of the library's patches at a press
+Infer = Callable[[PressCurve, PressModel, PatchLibrary], Array]  # posterior weights of the library's patches
 
 
 def run(args: PatchArgs) -> dict[str, Any]:
-    """Run every method on the same presses; print the table, write metrics.json, config.json and a figure."""
+    """Run all methods on the same presses; print the table, write metrics.json, config.json and a figure."""
     sizes = PATCH_PRESETS[args.preset]
     begin(args, sizes)
-    key_parts, key_presses, _ = jax.random.split(jax.random.key(args.seed), 3)  # as many as results were made with
+    key_parts, key_presses, _ = jax.random.split(jax.random.key(args.seed), 3)  # three keys, as in the published runs
     parts = make_parts(key_parts, sizes)
     library = jax.tree.map(jnp.asarray, parts["train"].library)
     errors = SimulationErrors.error_free() if args.exact else SimulationErrors()
@@ -69,18 +64,20 @@ def run(args: PatchArgs) -> dict[str, Any]:
     likelihood = choose_likelihood(trials["validation"], library)
     trials = {name: [trial.with_likelihood(likelihood) for trial in some] for name, some in trials.items()}
     chosen: dict[str, Any] = {"likelihood": {name: float(value) for name, value in likelihood._asdict().items()}}
-    found: dict[str, Scores] = {}
+    scores_by_method: dict[str, Scores] = {}
     for name, infer in METHODS.items():
-        known = {part: [each.with_fitted_pad() if name == FITTED else each for each in some]
+        used = {part: [trial.with_fitted_pad() if name == FITTED else trial for trial in some]
                  for part, some in trials.items()}  # fmt: skip
-        chosen[name] = choose_thresholds(score_touches(infer, known["validation"], library))
-        found[name] = score_touches(infer, known["test"], library)
+        chosen[name] = choose_thresholds(score_touches(infer, used["validation"], library))
+        scores_by_method[name] = score_touches(infer, used["test"], library)
     objects = parts["test"].library.object
     clusters = [np.tile(objects, sizes.pads), np.repeat(np.arange(sizes.pads), len(objects))]
 
     def reported(rows: np.ndarray) -> dict[str, Any]:
-        """Scores of every method at some of the touches."""
-        some = {name: {score: values[rows] for score, values in scores.items()} for name, scores in found.items()}
+        """Scores of all methods at some of the touches."""
+        some = {
+            name: {score: values[rows] for score, values in scores.items()} for name, scores in scores_by_method.items()
+        }
         labels = rows_of(clusters, rows)
         return {
             "touches": int(rows.sum()),
@@ -99,11 +96,13 @@ def run(args: PatchArgs) -> dict[str, Any]:
         "pads": sizes.pads,
         "seed": args.seed,
         "exact": args.exact,
-        "edges": int(np.isfinite(found[PRIOR]["edge"][:, 0]).sum()),
+        "edges": int(np.isfinite(scores_by_method[PRIOR]["edge"][:, 0]).sum()),
         "chosen": chosen,
         "touches": len(clusters[0]),
         "methods": reported(np.ones_like(listed))["methods"],
-        "sources": {name: reported(rows) for name, rows in ((CATALOGUE, listed), (DRAWN, ~listed)) if rows.any()},
+        "sources": {
+            name: reported(rows) for name, rows in (("catalogue", listed), ("drawn at random", ~listed)) if rows.any()
+        },
     }
     write_json(args.out / "metrics.json", report)
     viz.save_figure(draw_posteriors(trials["test"][0], library), args.out / "posteriors.png")
@@ -114,8 +113,11 @@ def run(args: PatchArgs) -> dict[str, Any]:
 
 
 def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLikelihood:
-    """The likelihood whose intervals of 90 % hold nearest to that, of those with nearly the least CRPS at one stop and
-    at both, on validation objects; and the blur of the best masks.
+    """Choose the likelihood's constants on validation objects.
+
+    Of the options whose CRPS (at one stop and at both) is within 1.5 % of the smallest, the one whose 90 % intervals
+    have the coverage closest to 90 % is chosen: sharpness subject to calibration (Gneiting et al., JRSS B 69, 2007).
+    The blur is that of the best masks.
     """
 
     def scored(likelihood: PatchLikelihood) -> Scores:
@@ -124,20 +126,22 @@ def choose_likelihood(trials: Sequence[Trial], library: PatchLibrary) -> PatchLi
         return {name: np.concatenate([part[name] for part in parts]) for name in ("crps_mm", "covered", "mask")}
 
     def best(options: list[PatchLikelihood]) -> PatchLikelihood:
-        scores = [scored(each) for each in options]
-        crps = np.array([np.mean(each["crps_mm"]) for each in scores])
-        astray = np.array([abs(np.nanmean(each["covered"][:, -1]) - LEVELS[-1]) for each in scores])
-        return options[int(np.argmin(np.where(crps <= NEARLY * crps.min(), astray, np.inf)))]
+        scores = [scored(option) for option in options]
+        crps = np.array([np.mean(option["crps_mm"]) for option in scores])
+        miscoverage = np.array([abs(np.nanmean(option["covered"][:, -1]) - LEVELS[-1]) for option in scores])
+        return options[int(np.argmin(np.where(crps <= 1.015 * crps.min(), miscoverage, np.inf)))]
 
     start = PatchLikelihood()
-    start = best([start._replace(relative_error=e, temperature=t) for e in RELATIVE_ERRORS for t in TEMPERATURES])
-    start = best([start._replace(dof=dof) for dof in DOFS])
-    masks = {blur: scored(start._replace(blur=blur))["mask"].mean(0).max() for blur in BLURS}
+    start = best(
+        [start._replace(relative_error=e, temperature=t) for e in (0.05, 0.1, 0.15) for t in (1.0, 1.5, 2.0, 3.0)]
+    )
+    start = best([start._replace(dof=dof) for dof in (3.0, 6.0, 30.0)])
+    masks = {blur: scored(start._replace(blur=blur))["mask"].mean(0).max() for blur in (0.0, 1.0, 2.0, 3.0)}
     return start._replace(blur=max(masks, key=lambda blur: masks[blur]))
 
 
 def _alike(press: PressCurve, model: PressModel, library: PatchLibrary) -> Array:
-    """Equal weights, whatever was read."""
+    """Equal weights, independent of the reading."""
     return jnp.full(len(library.patch), 1 / len(library.patch))
 
 
@@ -146,7 +150,7 @@ def _bayes(press: PressCurve, model: PressModel, library: PatchLibrary) -> Array
 
 
 def _bayes_first(press: PressCurve, model: PressModel, library: PatchLibrary) -> Array:
-    """The same as if the press had ended at its first stop."""
+    """Posterior weights from the first stop alone."""
     return _bayes(jax.tree.map(lambda field: field[:1], press), model, library)
 
 
@@ -154,7 +158,7 @@ METHODS: dict[str, Infer] = {PRIOR: _alike, FIRST_STOP: _bayes_first, CURVE: _ba
 
 
 def score_touches(infer: Infer, trials: Sequence[Trial], library: PatchLibrary) -> Scores:
-    """Scores of a method's weights at the touches of all pads, one pad after the other."""
+    """Score a method at the touches of all pads, concatenated pad by pad."""
     parts = []
     for trial in trials:
         presses, truth = jax.tree.map(jnp.asarray, (trial.presses, trial.truth))
@@ -167,7 +171,7 @@ def score_touches(infer: Infer, trials: Sequence[Trial], library: PatchLibrary) 
 
 @cache
 def _infer_all(infer: Infer) -> Callable[..., Array]:
-    """Compile a method's estimates of all presses of one pad, one after the other."""
+    """Compile a method's inference over all presses of one pad."""
     return jax.jit(lambda presses, model, library: jax.lax.map(lambda press: infer(press, model, library), presses))
 
 
@@ -178,10 +182,10 @@ def _score_all(
     return jax.lax.map(partial(score_touch, library=library, blur=blur), (weights, force, truth))
 
 
-def draw_posteriors(trial: Trial, library: PatchLibrary) -> Figure:
-    """Of a few presses: the readings, what was met, the posterior's mean, two samples, and the mask's probability."""
-    titles = ("readings (uT)", "met", "mean", "a sample", "another", "mask probability")
-    count = min(DRAWN_PRESSES, len(trial.truth.patch))
+def draw_posteriors(trial: Trial, library: PatchLibrary, presses: int = 5) -> Figure:
+    """Draw readings, true patch, posterior mean, two samples and the mask's probability of a few presses."""
+    titles = ("readings (uT)", "true patch", "mean", "sample 1", "sample 2", "mask probability")
+    count = min(presses, len(trial.truth.patch))
     infer = jax.jit(partial(infer_patch, model=trial.model, library=library))
     figure = Figure(figsize=(11.5, 1.85 * count + 0.9), layout="constrained")
     axes = figure.subplots(count, len(titles), squeeze=False)
@@ -192,8 +196,8 @@ def draw_posteriors(trial: Trial, library: PatchLibrary) -> Figure:
             row[0].plot(np.arange(len(stop)), stop, color=colour, lw=1, marker=".", ms=4)
         row[0].set_xticks([])
         row[0].tick_params(labelsize=7)
-        some = posterior.patch[[len(posterior.patch) // 3, 2 * len(posterior.patch) // 3]]
-        for axis, depth in zip(row[1:5], (patch, posterior.mean, *some), strict=True):
+        samples = posterior.patch[[len(posterior.patch) // 3, 2 * len(posterior.patch) // 3]]
+        for axis, depth in zip(row[1:5], (patch, posterior.mean, *samples), strict=True):
             image = viz.draw_patch(axis, np.asarray(depth, np.float32), PATCH_WINDOW, REACH)
         extent = image.get_extent()
         mask = row[5].imshow(posterior.mask_probability, origin="lower", extent=extent, cmap="Greys", vmin=0, vmax=1)
@@ -211,7 +215,5 @@ def draw_posteriors(trial: Trial, library: PatchLibrary) -> Figure:
         axis.set_title(title, fontsize=10)
     figure.colorbar(image, ax=axes[:, 1:5], label="depth beyond first contact (mm)", location="bottom", aspect=60)
     figure.colorbar(mask, ax=axes[:, 5], label="line: true outline", location="bottom", aspect=14)
-    figure.suptitle(
-        "What one press says of the surface: 17 x 17 mm, objects never seen (simulated); red: where the pad pressed"
-    )
+    figure.suptitle("Surface inferred from one press: 17 x 17 mm, unknown objects (simulated); red: contact of the pad")
     return figure

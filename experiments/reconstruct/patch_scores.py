@@ -1,4 +1,4 @@
-"""Scores of the inferred patch of a press, one touch at a time, and their means over touches."""
+"""Scores of the patch inferred from a press, and their means over touches."""
 
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -15,85 +15,88 @@ from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_PIXELS
 from i2t.reconstruction.local_shape import PatchLibrary, summarize
 from i2t.types import Array
 
-THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)  # of a probability, above which a pixel is said to belong to a mask
-COARSE = 2  # pixels of a patch to one that is scored by CRPS and coverage
-DRAWS = 64  # samples of which these are computed
-EDGE_ANGLES, EDGE_OFFSETS = 120, 69  # tried, of a half-plane: 3 degrees and a quarter of a millimetre apart
-STRAIGHT, EDGE_SHARE = 0.95, 0.1  # a mask that a half-plane explains so far, and that leaves so much on either side
-SLOPE_SHARE = 0.1  # of the window, that lies on the way down: more is a tilted plane, and no edge
-LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # of the intervals whose coverage is counted
-MM = 1e3
+MASK_THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.5)  # candidate probabilities above which a pixel is in the mask
+PIXEL_STRIDE = 2  # CRPS and coverage are computed on every second pixel
+DRAWS = 64  # posterior samples for CRPS and coverage
+LEVELS = (0.5, 0.6, 0.7, 0.8, 0.9)  # nominal levels of the intervals whose coverage is scored
 
 
 def score_touch(
     touch: tuple[Array, Array, MetSurface], *, library: PatchLibrary, blur: float | Array
 ) -> dict[str, Array]:
-    """Scores of one touch: the weights of the library's patches, the force at its last stop, and what was met."""
+    """Score one touch, given as posterior weights of the library's patches, force at the last stop, and truth."""
     weight, force, truth = touch
-    found = summarize(weight, force, library=library, blur=blur)
-    stride = len(found.rows) // DRAWS
-    draws = jnp.sort(found.patch[::stride, ::COARSE, ::COARSE].astype(jnp.float32), axis=0)
-    true = truth.patch[::COARSE, ::COARSE]
+    posterior = summarize(weight, force, library=library, blur=blur)
+    stride = len(posterior.rows) // DRAWS
+    draws = jnp.sort(posterior.patch[::stride, ::PIXEL_STRIDE, ::PIXEL_STRIDE].astype(jnp.float32), axis=0)
+    true = truth.patch[::PIXEL_STRIDE, ::PIXEL_STRIDE]
     rank = 2 * jnp.arange(DRAWS) - DRAWS + 1
     spread = jnp.einsum("k,kij->ij", rank.astype(jnp.float32), draws) / DRAWS**2
     crps = jnp.mean(jnp.abs(draws - true[None]), axis=0) - spread
-    # Between the order statistics e and n - 1 - e of n draws lies another with probability (n - 1 - 2 e) / (n + 1).
+    # A new draw is between the order statistics e and n - 1 - e of n draws with probability (n - 1 - 2 e) / (n + 1).
     ends = [round((1 - level) / 2 * (DRAWS + 1) - 1) for level in LEVELS]
     inside = jnp.stack([(draws[e] - 1e-5 <= true) & (true <= draws[DRAWS - 1 - e] + 1e-5) for e in ends])
     return {
-        "mask": _ious(found.mask_probability, truth.patch <= CONTACT_TOLERANCE_M),
-        "contact": _ious(found.contact_probability.ravel(), truth.contact),
-        "crps_mm": MM * jnp.mean(crps),
+        "mask": _ious(posterior.mask_probability, truth.patch <= CONTACT_TOLERANCE_M),
+        "contact": _ious(posterior.contact_probability.ravel(), truth.contact),
+        "crps_mm": 1e3 * jnp.mean(crps),
         "covered": _coverage(inside, truth.contact),
-        "edge": _edge_errors(found.mask_probability[::COARSE, ::COARSE], true),
-        "centre_mm": MM * jnp.linalg.norm(found.centre - truth.centre),
+        "edge": _edge_errors(posterior.mask_probability[::PIXEL_STRIDE, ::PIXEL_STRIDE], true),
+        "centre_mm": 1e3 * jnp.linalg.norm(posterior.centre - truth.centre),
     }
 
 
 def edge_of(mask: Array) -> tuple[Array, Array, Array]:
-    """The half-plane that a mask, or the probability of one, resembles most.
+    """Fit the half-plane that best matches a mask or a mask's probability.
+
+    Args:
+        mask: (p, p) mask or probability over the patch's window.
 
     Returns:
-        Direction (rad) of its outward normal in the tool frame, offset (m) of its edge from the middle along that, and
-        how much of the window it explains: 1 for a mask that is a half-plane.
+        Direction (rad) of the outward normal in the tool frame, offset (m) of the edge from the window's centre along
+        the normal, and the fraction of the window that the half-plane explains, 1 for an exact half-plane.
     """
     at = ((jnp.arange(len(mask)) + 0.5) / len(mask) - 0.5) * PATCH_WINDOW
-    angles = jnp.linspace(0, 2 * jnp.pi, EDGE_ANGLES, endpoint=False)
+    angles = jnp.linspace(0, 2 * jnp.pi, 120, endpoint=False)
     along = jnp.cos(angles)[:, None, None] * at[None, None, :] + jnp.sin(angles)[:, None, None] * at[None, :, None]
-    offsets = jnp.linspace(-0.5, 0.5, EDGE_OFFSETS) * PATCH_WINDOW
+    offsets = jnp.linspace(-0.5, 0.5, 69) * PATCH_WINDOW
 
     def explained(offset: Array) -> Array:
         inside = along <= offset
         return jnp.mean(jnp.where(inside, mask, 1 - mask), axis=(1, 2))
 
-    found = jax.lax.map(explained, offsets)
-    offset, angle = jnp.unravel_index(jnp.argmax(found), found.shape)
-    return angles[angle], offsets[offset], jnp.max(found)
+    matches = jax.lax.map(explained, offsets)
+    offset, angle = jnp.unravel_index(jnp.argmax(matches), matches.shape)
+    return angles[angle], offsets[offset], jnp.max(matches)
 
 
 def _edge_errors(probability: Array, depth: Array) -> Array:
-    """Errors of direction (degrees) and offset (mm) of an edge; NaN where what was met is no straight, steep edge."""
+    """Errors of direction (degrees) and offset (mm) of an edge; NaN if the true patch has no straight, steep edge.
+
+    An edge is a mask that a half-plane explains to 95 %, with a tenth of the window on either side. If a tenth of the
+    window is just below the contact, the surface is a tilted plane and not an edge.
+    """
     true = depth <= CONTACT_TOLERANCE_M
     angle, offset, straight = edge_of(true.astype(jnp.float32))
-    found_angle, found_offset, _ = edge_of(probability)
-    turn = jnp.abs((found_angle - angle + jnp.pi) % (2 * jnp.pi) - jnp.pi)
+    inferred_angle, inferred_offset, _ = edge_of(probability)
+    turn = jnp.abs((inferred_angle - angle + jnp.pi) % (2 * jnp.pi) - jnp.pi)
     share = jnp.mean(true)
-    is_steep = jnp.mean(~true & (depth <= 2 * CONTACT_TOLERANCE_M)) < SLOPE_SHARE
-    is_edge = (straight > STRAIGHT) & is_steep & (share > EDGE_SHARE) & (share < 1 - EDGE_SHARE)
-    return jnp.where(is_edge, jnp.stack([jnp.degrees(turn), MM * jnp.abs(found_offset - offset)]), jnp.nan)
+    is_steep = jnp.mean(~true & (depth <= 2 * CONTACT_TOLERANCE_M)) < 0.1
+    is_edge = (straight > 0.95) & is_steep & (share > 0.1) & (share < 0.9)
+    return jnp.where(is_edge, jnp.stack([jnp.degrees(turn), 1e3 * jnp.abs(inferred_offset - offset)]), jnp.nan)
 
 
 def _ious(probability: Array, true: Array) -> Array:
     """Intersection over union at each threshold."""
-    said = probability[None] > jnp.asarray(THRESHOLDS).reshape(-1, *[1] * probability.ndim)
-    axes = tuple(range(1, said.ndim))
-    both, either = jnp.sum(said & true[None], axes), jnp.sum(said | true[None], axes)
+    predicted = probability[None] > jnp.asarray(MASK_THRESHOLDS).reshape(-1, *[1] * probability.ndim)
+    axes = tuple(range(1, predicted.ndim))
+    both, either = jnp.sum(predicted & true[None], axes), jnp.sum(predicted | true[None], axes)
     return jnp.where(either > 0, both / jnp.maximum(either, 1), 1.0)
 
 
 def _coverage(inside: Array, contact: Array) -> Array:
-    """Share of the pixels in contact whose depth lies in each interval; NaN where no pixel is in contact."""
-    at = ((np.arange(PATCH_PIXELS)[::COARSE] + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
+    """Fraction of the pixels in contact whose depth is inside each interval; NaN if no pixel is in contact."""
+    at = ((np.arange(PATCH_PIXELS)[::PIXEL_STRIDE] + 0.5) / PATCH_PIXELS - 0.5) * PATCH_WINDOW
     cells = round(contact.shape[0] ** 0.5)
     cell = np.clip(((at / PAD_WINDOW + 0.5) * cells).astype(int), 0, cells - 1)
     pixel = contact.reshape(cells, cells)[cell][:, cell]
@@ -102,7 +105,7 @@ def _coverage(inside: Array, contact: Array) -> Array:
 
 
 def choose_thresholds(scores: Mapping[str, np.ndarray]) -> dict[str, int]:
-    """Choose those of `THRESHOLDS` with the best masks on validation objects."""
+    """Choose those of `MASK_THRESHOLDS` with the best masks on validation objects."""
     return {name: int(np.argmax(scores[name].mean(0))) for name in ("mask", "contact")}
 
 
@@ -116,11 +119,11 @@ def report_of(
     """Means and quantiles over touches, with intervals over objects and pads.
 
     Args:
-        scores: Of a method, at every touch.
-        prior: Of the prior, at the same touches.
-        chosen: The method's thresholds.
-        chosen_prior: The prior's.
-        clusters: Each touch's object and pad.
+        scores: Scores of a method at every touch.
+        prior: Scores of the prior at the same touches.
+        chosen: Indices of the method's mask thresholds.
+        chosen_prior: Indices of the prior's mask thresholds.
+        clusters: Object and pad of each touch.
     """
     mask, mask_prior = scores["mask"][:, chosen["mask"]], prior["mask"][:, chosen_prior["mask"]]
 
@@ -132,7 +135,7 @@ def report_of(
         return (weight @ scores["crps_mm"]) / (weight @ prior["crps_mm"])
 
     def skill(weight: np.ndarray) -> np.ndarray:
-        """Share of what the prior leaves open."""
+        """Fraction of the prior's shortfall from IoU 1 that the method removes."""
         return (weight @ (mask - mask_prior)) / (weight @ (1 - mask_prior))
 
     def quantile(values: np.ndarray, level: float = 0.5) -> list[float]:
@@ -157,21 +160,21 @@ def report_of(
 
 
 def weighted_quantile(values: np.ndarray, level: float, weight: np.ndarray) -> np.ndarray:
-    """The least value that has so much of the weight at or below it."""
+    """Smallest value with at least the fraction `level` of the weight at or below it."""
     order = np.argsort(values)
     total = np.cumsum(weight[order])
     return np.asarray(values[order][min(np.searchsorted(total, level * total[-1]), len(values) - 1)])
 
 
 def score_table(head: str, columns: Mapping[str, str], methods: Mapping[str, Mapping[str, Any]]) -> str:
-    """The main numbers of all methods as text; `columns` are titles by the names of scores."""
+    """Format the main scores of all methods; `columns` maps scores to column titles."""
     rows = (
-        [name, *(f"{found[column][0]:.3f}" if column in found else "-" for column in columns)]
-        for name, found in methods.items()
+        [name, *(f"{scores[column][0]:.3f}" if column in scores else "-" for column in columns)]
+        for name, scores in methods.items()
     )
     return text_table([head, *columns.values()], rows)
 
 
 def numbers(estimate: Any) -> list[float]:
-    """Mean, lower and upper limit, as JSON takes them."""
+    """Mean, lower and upper limit as rounded floats for JSON."""
     return [round(float(part), 4) for part in estimate]

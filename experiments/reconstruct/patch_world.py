@@ -1,4 +1,4 @@
-"""Shapes that presses meet, split by object, and the presses of simulated skins into them."""
+"""Shapes split by object, and presses of simulated skins onto them."""
 
 from typing import NamedTuple
 
@@ -20,10 +20,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.skin.pad import pad_from_seed
 from i2t.types import Array
 
-SMALLEST_SCALE = 0.25  # of the size of a drawn object: from a stamp's to a hand's
-FIRST_SEED = {"train": 0, "validation": 1_000_000, "test": 2_000_000}  # of drawn shapes
-FIT_KEY = 1_000_000  # what the presses' key is folded with, beyond those of parts
-HELD_OUT_PART = 5  # as many drawn shapes to train on as there are to test, and to validate
+FIRST_SHAPE_SEED = {"train": 0, "validation": 1_000_000, "test": 2_000_000}  # disjoint ranges
 
 
 class Part(NamedTuple):
@@ -34,33 +31,33 @@ class Part(NamedTuple):
 
 
 class MetSurface(NamedTuple):
-    """The surface that a press met; one touch, or many on axis 0."""
+    """The surface below a press; one touch, or many on axis 0."""
 
     patch: Array  # (p, p) m
-    contact: Array  # (cells,) at the last stop
-    centre: Array  # (2,) m, of pressure there
+    contact: Array  # (cells,) bool, at the last stop
+    centre: Array  # (2,) m, of pressure at the last stop
 
 
 class Trial(NamedTuple):
-    """Presses of one part with one pad, and what that pad reads at the library."""
+    """Presses of one part with one pad, and the readings predicted for the pad at the library."""
 
     model: PressModel
-    fitted: PressModel  # of the pad as far as it is known from presses of a ball
+    fitted: PressModel  # of the pad fitted to presses of a ball
     presses: PressCurve
     truth: MetSurface
 
     def with_likelihood(self, likelihood: PatchLikelihood) -> "Trial":
-        """The same with other constants of the pad's models."""
-        model, fitted = (each._replace(likelihood=likelihood) for each in (self.model, self.fitted))
+        """Copy with other constants of the likelihood."""
+        model, fitted = (press_model._replace(likelihood=likelihood) for press_model in (self.model, self.fitted))
         return self._replace(model=model, fitted=fitted)
 
     def with_fitted_pad(self) -> "Trial":
-        """The same for who knows the fitted pad in place of the true one."""
+        """Copy that infers with the fitted pad instead of the true one."""
         return self._replace(model=self.fitted)
 
 
 def make_parts(key: Array, sizes: PatchSizes) -> dict[str, Part]:
-    """Shapes of each part, met at random safe sites."""
+    """Sample contacts at random safe sites of the shapes of each part."""
     counts = {"train": sizes.patches, "validation": sizes.validation, "test": sizes.test}
     meshes = {part: list_shapes(part, sizes.shapes) for part in counts}
     sized = iter(pad_to_size_classes([prepare_surface(mesh) for some in meshes.values() for mesh in some]))
@@ -73,27 +70,25 @@ def make_parts(key: Array, sizes: PatchSizes) -> dict[str, Part]:
 
 
 def list_shapes(part: str, drawn: int) -> list[Mesh]:
-    """The catalogue's shapes of a part, a quarter to test and an eighth to validate with every family in each, and
-    drawn ones, of which `drawn` are to train on.
-    """
-    count = drawn if part == "train" else max(drawn // HELD_OUT_PART, 1)
+    """List the catalogue's shapes of a part, then random ones: `drawn` for training, a fifth for each other part."""
+    count = drawn if part == "train" else max(drawn // 5, 1)
     return [catalogue.make_object(name).mesh for name in list_names(part)] + [
-        draw_shape(FIRST_SEED[part] + i) for i in range(count)
+        draw_shape(FIRST_SHAPE_SEED[part] + i) for i in range(count)
     ]
 
 
 def list_names(part: str) -> list[str]:
-    """Names of the catalogue's shapes of a part, which are the first of `list_shapes`."""
+    """Names of the catalogue's shapes of a part; a quarter is for test, an eighth for validation, from every family."""
     parts = ["test" if i % 4 == 2 else "validation" if i % 8 == 5 else "train" for i in range(len(catalogue.NAMES))]
     return [name for name, own in zip(catalogue.NAMES, parts, strict=True) if own == part]
 
 
 def draw_shape(seed: int) -> Mesh:
-    """A random primitive of any size from a stamp's to a hand's, or a stamp with up to three strokes."""
+    """Draw a random primitive of stamp to hand size, or a stamp of up to three overlapping outlines."""
     rng = np.random.default_rng(seed)
     if rng.random() < 0.5:
         mesh = catalogue.random_object(int(rng.integers(2**31))).mesh
-        return Mesh(mesh.vertices * SMALLEST_SCALE ** rng.random(), mesh.faces)
+        return Mesh(mesh.vertices * 0.25 ** rng.random(), mesh.faces)
     region = None
     for _ in range(rng.integers(1, 4)):
         size, turn = rng.uniform(2.0, 12.0, 2), rng.uniform(0, 180)
@@ -112,15 +107,15 @@ def draw_shape(seed: int) -> Mesh:
 def press_parts(
     key: Array, parts: dict[str, Part], library: PatchLibrary, sizes: PatchSizes, errors: SimulationErrors
 ) -> dict[str, list[Trial]]:
-    """Every contact of validation and test, pressed with every pad; and every pad, true and fitted, imagined at the
+    """Press every validation and test contact with every pad, and predict the readings of true and fitted pads at the
     library.
     """
     trials: dict[str, list[Trial]] = {"validation": [], "test": []}
     for number in progress(range(sizes.pads), desc="pads"):
         pad = pad_from_seed(number)
-        key_fit = jax.random.fold_in(jax.random.fold_in(key, FIT_KEY), number)
+        key_fit = jax.random.fold_in(jax.random.fold_in(key, 1_000_000), number)
         fitted_pad = fit_pad(key_fit, pad, errors, sizes.fit_presses)
-        model, fitted = (predict_presses(known, library) for known in (pad, fitted_pad))
+        model, fitted = (predict_presses(used_pad, library) for used_pad in (pad, fitted_pad))
         for which, (name, some) in enumerate(trials.items()):
             heights, patch = jnp.asarray(parts[name].heights), np.asarray(parts[name].library.patch, np.float32)
             keys = jax.random.split(jax.random.fold_in(key, 2 * number + which), len(heights))

@@ -1,6 +1,6 @@
-"""The surface of one object from touches that were recorded.
+"""Reconstruction of one object from recorded touches.
 
-The mesh that is made may be named to `--objects` of recognition and of collection.
+The resulting mesh can be passed to `--objects` of recognition and of collection.
 """
 
 import re
@@ -27,10 +27,9 @@ from i2t.reconstruction.surface import SurfaceModel, estimate_surface, init, sur
 from i2t.registration import contact_poses
 from i2t.types import ReturnCode
 
-MIN_CONTACTS = 3  # fewer say almost nothing of a shape
-MAX_ACROSS_M, LOWEST_M = 0.35, 15e-3  # of contacts with one object that stands on z = 0
-LEAST_WAY_M = 2e-3  # that a session's `prepare` may be
-ROOM_M = 10e-3  # about the contacts, in which the surface is sought
+MIN_CONTACTS = 3
+MAX_OBJECT_SIZE_M = 0.35
+MIN_APPROACH_M = 2e-3  # smallest `prepare` distance that a session allows
 
 
 def run(args: ReconstructArgs) -> dict[str, Any]:
@@ -40,15 +39,15 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
     name = choose_object(dataset, args.object, path)
     T_o_t, hit = read_touches(dataset, name)
     model = prior_of(T_o_t[hit], args)
-    begin(args, args.sizes)  # data that cannot be used leave no folder behind
+    begin(args, args.sizes)  # after the checks, so that unusable data leave no folder
     state, _ = init(model)
-    way = swept_way(dataset)
+    swept = swept_distance(dataset)
     for pose, contact in zip(T_o_t, hit, strict=True):
-        state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=way))
+        state, _ = update(model, state, contact_evidence(pose, hit=bool(contact), swept=swept))
     estimate = estimate_surface(model, state)
     surface = shown_surface(estimate, state.evidence)
     if not len(surface.faces):
-        raise DataError(f"{path}: no surface comes out of its {hit.sum()} contacts with {name}")
+        raise DataError(f"{path}: its {hit.sum()} contacts with {name} give no surface")
     std_mm = MM_PER_M * surface.std
     result = {
         "source": dataset.source,
@@ -72,7 +71,7 @@ def run(args: ReconstructArgs) -> dict[str, Any]:
 
 
 def choose_object(dataset: Dataset, wanted: str | None, path: Path) -> str:
-    """The object of that name, or the only one (DataError)."""
+    """Return the wanted object's name, or the only one of the data set; `DataError` if that fails."""
     if wanted is None and len(dataset.objects) == 1:
         return dataset.objects[0]
     if wanted not in dataset.objects:
@@ -85,12 +84,12 @@ def choose_object(dataset: Dataset, wanted: str | None, path: Path) -> str:
 class RecordedTouches(NamedTuple):
     """Touches of one object, in its frame."""
 
-    T_o_t: np.ndarray  # (n, 4, 4) first contact, or where the way through air ended
-    hit: np.ndarray  # (n,)
+    T_o_t: np.ndarray  # (n, 4, 4) pose of first contact, or at the end of a path through air
+    hit: np.ndarray  # (n,) bool
 
 
 def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
-    """The touches of one object that met it or ended in air, in its frame as it was believed to stand (DataError)."""
+    """Select touches that hit an object or ended in air, in its nominal frame; `DataError` if too few or far off."""
     rows = dataset.touches.object == dataset.objects.index(name)
     touches = dataset.select(rows).touches
     T_w_t, hit = (np.asarray(part) for part in contact_poses(touches))
@@ -98,47 +97,47 @@ def read_touches(dataset: Dataset, name: str) -> RecordedTouches:
     kept = placed & (hit | (touches.code == ReturnCode.AIR))
     if not (kept & hit).sum() >= MIN_CONTACTS:
         raise DataError(
-            f"{name}: {int((kept & hit).sum())} touches met it at known poses of tool and object; a surface "
+            f"{name}: {int((kept & hit).sum())} touches hit it at known poses of tool and object; a surface "
             f"needs {MIN_CONTACTS} or more"
         )
     T_o_t = inverse(touches.T_w_o[kept].astype(float)) @ T_w_t[kept].astype(float)
     met = T_o_t[hit[kept], :3, 3]
     if not (
-        np.ptp(met, axis=0).max() < MAX_ACROSS_M and met[:, 2].min() > -LOWEST_M and met[:, 2].max() < MAX_ACROSS_M
+        np.ptp(met, axis=0).max() < MAX_OBJECT_SIZE_M
+        and met[:, 2].min() > -15e-3
+        and met[:, 2].max() < MAX_OBJECT_SIZE_M
     ):
         raise DataError(
-            f"{name}: contacts lie {np.ptp(met, axis=0).max():.2f} m apart, {met[:, 2].min():.2f} to "
-            f"{met[:, 2].max():.2f} m above where it stands; check T_w_t, T_w_o and their units"
+            f"{name}: contacts span {np.ptp(met, axis=0).max():.2f} m, at heights of {met[:, 2].min():.2f} to "
+            f"{met[:, 2].max():.2f} m above the object's base; check T_w_t, T_w_o and their units"
         )
     return RecordedTouches(T_o_t, hit[kept])
 
 
-def swept_way(dataset: Dataset) -> float:
-    """Metres before each contact that its pad surely swept in a straight line: as the notes of the sessions say, or the
-    least that a session may have.
-    """
-    said = re.findall(r'"prepare": ([0-9.e-]+)', dataset.meta.get("settings", ""))
-    return min(map(float, said), default=STANDOFF if dataset.source == "simulated" else LEAST_WAY_M)
+def swept_distance(dataset: Dataset) -> float:
+    """Straight approach (m) before each contact: the sessions' smallest setting, or else the smallest allowed."""
+    distances = re.findall(r'"prepare": ([0-9.e-]+)', dataset.meta.get("settings", ""))
+    return min(map(float, distances), default=STANDOFF if dataset.source == "simulated" else MIN_APPROACH_M)
 
 
 def prior_of(contacts: Float[np.ndarray, "n 4 4"], args: ReconstructArgs) -> SurfaceModel:
-    """Prior of the surface: random objects of the catalogue or those of --objects, on a grid about the contacts."""
+    """Build the prior from random catalogue objects or --objects, on a grid that extends 10 mm beyond the contacts."""
     at = contacts[:, :3, 3]
-    low, high = np.minimum(at.min(0) - ROOM_M, [-40e-3, -40e-3, 0.0]), np.maximum(at.max(0) + ROOM_M, [40e-3] * 3)
+    low, high = np.minimum(at.min(0) - 10e-3, [-40e-3, -40e-3, 0.0]), np.maximum(at.max(0) + 10e-3, [40e-3] * 3)
     return surface_model(list(split_objects(args, hold_out=False).train.values()), low=low, high=high)
 
 
 def report(result: dict[str, Any], path: Path) -> None:
-    """Say what came out, and what may be done with it."""
+    """Print the result and the next step."""
     std = result["surface_std_mm"]
     simulated = ", simulated" if result["source"] == "simulated" else ""
     print(
         f"{result['object']}: {result['contacts']} contacts and {result['in_air']} touches in air{simulated}; the "
-        f"surface is known to {std['median']:.1f} mm (median standard deviation; of a tenth above {std['p90']:.1f})"
+        f"surface has a median standard deviation of {std['median']:.1f} mm (90th percentile {std['p90']:.1f} mm)"
     )
     shift = ", ".join(f"{value:+.1f}" for value in result["frame_shift_mm"])
     print(
-        f"{path} is in metres and stands as a loaded mesh does; its frame lies ({shift}) mm from the one in which the "
-        "object was believed to stand: move the rig's object by that before it is touched again"
+        f"{path} is in metres, in the frame of a loaded mesh, which is offset by ({shift}) mm from the object's "
+        "nominal frame: move the rig's object by that before the next touch"
     )
     print(f"next: python -m experiments.recognize live --objects star cylinder {path} --unit m")

@@ -1,1 +1,1 @@
-"""What a real camera sees of an object, next to what is imagined."""
+"""Comparison of patches from real depth images with rendered patches."""

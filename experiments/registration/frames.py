@@ -1,14 +1,14 @@
-"""Question: how well does an imagined patch match one that a real depth camera saw?
+"""Question: how well does a rendered patch match the patch of a real depth camera?
 
     python -m experiments.registration frames --data DIR
 
 DIR holds `ycbvideo` (five frames of YCB-Video, an Asus Xtion at 0.5 to 0.65 m), `ycb_meshes` and `apc_depth` (two
-frames of a RealSense F200). On each posed mesh of the five frames, sites are drawn that the camera sees in all of
-them; there a real patch is extracted from the depth image, and the same patch is imagined from the mesh, at three sizes
-of window. The frames follow each other within a second and show the same scene, so intervals are over sites. Of the
-F200's frames, which have no poses of objects, the share of measured pixels is told. It takes about a minute on two
-cores; the camera's own step is 1 mm and its noise about as much, so a median difference below 1 mm is what can be
-expected. Results go to --out: metrics.json and config.json.
+frames of a RealSense F200). On each posed mesh of the five frames, sites are drawn that are visible in all of them. At
+each site a real patch is extracted from the depth image and the same patch is rendered from the mesh, with three window
+sizes. The frames show one scene within a second, so intervals are over sites. For the F200's frames, which have no
+object poses, the fraction of measured pixels is reported. Time: about a minute on two cores. Expect a median difference
+below 1 mm, because the camera's depth step is 1 mm and its noise is similar. Results go to --out: metrics.json and
+config.json.
 """
 
 from dataclasses import dataclass
@@ -36,17 +36,12 @@ from i2t.types import Patch, Surface
 
 FRAMES = ("000001", "000002", "000003", "000004", "000005")
 F200_FRAMES = ("frame-000000", "frame-000007")
-YCB_DEPTH_UNIT_M = 1e-4  # m, of both cameras' files
-MIN_COSINE = 0.5  # between a site's normal and the line of sight
-MAX_OCCLUSION_M = 8e-3  # where the image is further than this from the mesh, something else is in front
-BORDER_PX = 3  # from a site to the border of the object's label
-EXTRA_REACH_M = STANDOFF  # by which a real patch is read deeper, so that neither noise nor what is in front clips it
-MIN_SHARE = 0.1  # share of a patch's pixels that must be comparable
+DEPTH_UNIT_M = 1e-4  # of the depth files of both cameras
 
 
 @dataclass(frozen=True)
 class FrameObject:
-    """An object of the frames: its class in the label images, and where YCB-Video's model frame lies in the mesh's."""
+    """An object of the frames, with its class in the label images and the offset of YCB-Video's model frame."""
 
     name: str
     label: int
@@ -61,12 +56,12 @@ OBJECTS = (
 
 
 class Compared(NamedTuple):
-    """Patches of one object at one window: (frames, sites) and their pixels."""
+    """Patches of one object at one window size, with leading axes (frames, sites)."""
 
     real: DepthPatch
-    imagined: Patch
-    difference: np.ndarray  # (frames, sites, n, n) m, real minus imagined height; NaN where it is not compared
-    bias: np.ndarray  # (frames, sites) m, median of the differences; NaN where there are too few
+    rendered: Patch
+    difference: np.ndarray  # (frames, sites, n, n) m, real minus rendered height; NaN in pixels that are not compared
+    bias: np.ndarray  # (frames, sites) m, median of the differences; NaN if too few pixels are compared
 
 
 def run(args: FramesArgs) -> dict[str, Any]:
@@ -96,7 +91,7 @@ def run(args: FramesArgs) -> dict[str, Any]:
 
 
 def frames(folder: Path, item: FrameObject) -> tuple[Camera, np.ndarray, np.ndarray, np.ndarray]:
-    """The camera, depth (frames, h, w) m, labels (frames, h, w) and poses T_c_o (frames, 4, 4) of the mesh."""
+    """Load the camera, depth (frames, h, w) m, labels (frames, h, w) and poses T_c_o (frames, 4, 4) of the mesh."""
     with np.load(folder / "meta.npz", allow_pickle=False) as meta:
         K = meta[f"{FRAMES[0]}/intrinsic_matrix"]
         T_c_m = np.tile(np.eye(4), (len(FRAMES), 1, 1))
@@ -105,7 +100,7 @@ def frames(folder: Path, item: FrameObject) -> tuple[Camera, np.ndarray, np.ndar
             pose[:3] = meta[f"{frame}/poses"][:, :, which]
     T_m_o = np.eye(4)
     T_m_o[:3, 3] = -np.array(item.offset)
-    depths = np.stack([read_depth(folder / f"{frame}-depth.png", YCB_DEPTH_UNIT_M) for frame in FRAMES])
+    depths = np.stack([read_depth(folder / f"{frame}-depth.png", DEPTH_UNIT_M) for frame in FRAMES])
     labels = np.stack([np.asarray(Image.open(folder / f"{frame}-label.png")) for frame in FRAMES])
     height, width = depths.shape[1:]
     camera = Camera(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
@@ -116,7 +111,11 @@ def draw_sites(
     cfg: FramesArgs, item: FrameObject, mesh: Mesh, camera: Camera, depths: np.ndarray, labels: np.ndarray,
     T_c_o: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """Contact frames T_o_t (sites, 4, 4) that the camera sees in all frames, drawn uniformly over the mesh's area."""
+    """Draw contact frames T_o_t (sites, 4, 4) uniformly over the mesh's area that are visible in all frames.
+
+    A visible site faces the camera within 60 degrees, is 3 pixels or more inside the object's label, and is within 8 mm
+    of the measured depth; a larger difference means an occlusion.
+    """
     whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     points, faces = trimesh.sample.sample_surface(whole, 200 * cfg.sites, seed=cfg.seed)
     normals = whole.face_normals[faces]
@@ -126,15 +125,15 @@ def draw_sites(
         facing = -np.sum(n * at, 1) / np.linalg.norm(at, axis=1)
         u = np.rint(at[:, 0] / at[:, 2] * camera.fx + camera.cx).astype(int)
         v = np.rint(at[:, 1] / at[:, 2] * camera.fy + camera.cy).astype(int)
-        near = BORDER_PX
+        near = 3
         inside = (u >= near) & (u < camera.width - near) & (v >= near) & (v < camera.height - near)
         u, v = np.where(inside, u, near), np.where(inside, v, near)
         own = np.ones(len(points), bool)
         for i in (-near, 0, near):
             for j in (-near, 0, near):
                 own &= label[v + i, u + j] == item.label
-        # A hole compares false, and so is not visible.
-        visible &= inside & own & (facing >= MIN_COSINE) & (np.abs(depth[v, u] - at[:, 2]) <= MAX_OCCLUSION_M)
+        # A hole in the depth image is NaN, fails the comparison, and is not visible.
+        visible &= inside & own & (facing >= 0.5) & (np.abs(depth[v, u] - at[:, 2]) <= 8e-3)
     chosen = np.flatnonzero(visible)[: cfg.sites]
     if not len(chosen):
         raise ValueError(f"{item.name} is not visible in these frames; check its poses and labels")
@@ -144,23 +143,26 @@ def draw_sites(
 def compare(
     surface: Surface, camera: Camera, depths: np.ndarray, T_c_o: np.ndarray, T_o_t: np.ndarray, window: float
 ) -> Compared:  # fmt: skip
-    """Real and imagined patches at the same poses; the reach grows with the window."""
+    """Compare real and rendered patches at the same poses; the reach is proportional to the window.
+
+    Real patches are extracted with extra reach, so that neither noise nor an object in front clips them.
+    """
     reach = REACH * window / PATCH_WINDOW
-    extract = partial(patch_from_depth, window=window, reach=reach + EXTRA_REACH_M)
+    extract = partial(patch_from_depth, window=window, reach=reach + STANDOFF)
     seen_in = jax.jit(jax.vmap(extract, (None, None, None, 0)), static_argnums=1)
     here = np.eye(4, dtype=np.float32)  # the camera's frame serves as the world's
     real = [seen_in(depth, camera, here, T @ T_o_t) for depth, T in zip(depths, T_c_o, strict=True)]
     real = jax.device_get(jax.tree.map(lambda *parts: jnp.stack(parts), *real))
     draw = jax.jit(jax.vmap(partial(render_patch, window=window, reach=reach), (None, 0)))
     once = jax.device_get(draw(surface, T_o_t))
-    imagined = Patch(*(np.broadcast_to(field, (len(depths), *field.shape)) for field in once))
-    # Which pixels are compared is decided by the imagined depth alone: by the real one, its noise would be cut off.
-    both = (imagined.depth < reach) & real.valid_mask & (real.patch.depth < reach + EXTRA_REACH_M)
-    difference = np.where(both, heights(real.patch) - heights(imagined), np.nan)
-    enough = np.isfinite(difference).mean((2, 3)) >= MIN_SHARE
+    rendered = Patch(*(np.broadcast_to(field, (len(depths), *field.shape)) for field in once))
+    # The rendered depth alone selects the compared pixels, because a selection by the real depth would clip its noise.
+    compared = (rendered.depth < reach) & real.valid_mask & (real.patch.depth < reach + STANDOFF)
+    difference = np.where(compared, heights(real.patch) - heights(rendered), np.nan)
+    enough = np.isfinite(difference).mean((2, 3)) >= 0.1
     bias = np.full(enough.shape, np.nan)
     bias[enough] = np.nanmedian(difference[enough], axis=(1, 2))
-    return Compared(real, imagined, difference, bias)
+    return Compared(real, rendered, difference, bias)
 
 
 def heights(patch: Patch) -> np.ndarray:
@@ -169,7 +171,7 @@ def heights(patch: Patch) -> np.ndarray:
 
 
 def summary(part: Compared) -> dict[str, Any]:
-    """Median absolute difference once each patch's bias is taken off, with its interval over sites, and the spread."""
+    """Summarise the differences after removing each patch's bias: median absolute value with interval, and spread."""
     used = np.isfinite(part.bias)
     bias, sites = part.bias[used], np.nonzero(used)[1]
     rest = part.difference[used] - bias[:, None, None]
@@ -193,13 +195,13 @@ def summary(part: Compared) -> dict[str, Any]:
 
 
 def measured_share(path: Path) -> float:
-    """The share of the pixels of an F200's depth image that were measured."""
-    return float(np.isfinite(read_depth(path, YCB_DEPTH_UNIT_M, Encoding.ROTATED)).mean())
+    """Fraction of measured pixels in a depth image of the F200."""
+    return float(np.isfinite(read_depth(path, DEPTH_UNIT_M, Encoding.ROTATED)).mean())
 
 
 def report(metrics: dict[str, Any]) -> None:
-    """The table a person reads."""
-    print("real against imagined patches, each patch's bias taken off; 95 % interval over sites; mm")
+    """Print the table."""
+    print("real against rendered patches after removing each patch's bias; 95 % interval over sites; mm")
     rows = []
     for name, windows in metrics["objects"].items():
         for window, values in windows.items():
@@ -211,4 +213,4 @@ def report(metrics: dict[str, Any]) -> None:
             rows.append((name, window, str(values["patches"]), median, spread, bias, *shares))
     print(text_table(("object", "window", "patches", "median |d|", "IQR", "bias", "> 5 mm", "compared"), rows))
     for name, share in metrics["f200_measured"].items():
-        print(f"F200 {name}: {100 * share:.0f} % of the image measured")
+        print(f"F200 {name}: {100 * share:.0f} % of the pixels measured")

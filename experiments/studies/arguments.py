@@ -1,4 +1,4 @@
-"""The options of `python -m experiments.studies`, without JAX, so that its help and its refusals are there at once."""
+"""Options of `python -m experiments.studies`, free of JAX so that help and refusals are immediate."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,24 +16,24 @@ StudyName = Literal["open_set", "mismatch", "physics", "stopping"]
 
 @dataclass(frozen=True)
 class StudyArgs(ResumableOptions):
-    """Study recognition by touch."""
+    """Run one study of recognition by touch on finished training runs."""
 
     FORMER_NAMES: ClassVar = FORMER_NAMES
 
     study: tyro.conf.Positional[StudyName]
-    out: Path | None = None  # folder for everything that is made; runs/STUDY unless given
-    pad_model: Path = Path("runs/train")  # folder of a run of experiments.train, or of several pads and seeds
-    pads: tuple[str, ...] = ()  # of several, those that are used, by number; all unless given
+    out: Path | None = None  # output folder; default: runs/STUDY
+    pad_model: Path = Path("runs/train")  # folder of one run of experiments.train, or of several pads and seeds
+    pads: tuple[str, ...] = ()  # numbers of the pads to use; default: all
     preset: Literal["paper", "debug"] = "paper"
-    episodes: Count = 20  # of each object and setting, for each pad and seed
+    episodes: Count = 20  # episodes per object and setting, for each pad and seed
 
     @property
     def folder(self) -> Path:
-        """Folder for everything that is made."""
+        """Output folder."""
         return self.out or Path("runs") / self.study
 
     def check(self) -> None:
-        """Refuse what does not go together, and files that are not there."""
+        """Refuse missing packages and unusable training runs."""
         if self.study == "physics":
             require_extra("skfem", "a pad with free sides")
         require_simulated_runs(self.pad_model, self.pads)

@@ -1,15 +1,15 @@
-"""A pad whose side faces are free: what that changes of the bonded layer, by finite elements.
+"""Effect of free side faces on a pad, as a finite-element correction to the bonded layer.
 
-The layer of `i2t.skin.elasticity` goes on beyond the pad. Here a block of the pad's width, bonded to its base and free
-on its four sides, and one that goes on for `BEYOND` thicknesses on every side are each pressed on one cell after the
-other. The difference of the two is smooth, and little but near the sides. It is what free sides change, and it is added
-to the layer's own answer: to the sinking of the surface in the contact problem, and to the motion and rotation of the
-magnets. Both blocks have the same elements on the pad, so that most of the elements' error is not in the difference.
+The layer of `i2t.skin.elasticity` extends beyond the pad. Here two blocks are loaded cell by cell: one of the pad's
+width with four free sides, and one that extends four thicknesses further on every side; both are bonded at the base.
+The difference between them is the effect of free sides. It is smooth and small except near the sides, and is added to
+the layer's response: to the indentation of the surface in the contact problem, and to the displacement and rotation of
+the magnets. Both blocks have the same elements on the pad, so most of the discretisation error cancels.
 
-By symmetry a quarter of each block is enough: loads and motions are sums of parts that are even or odd along x and
-along y. Elements are bricks of quadratic displacement, which hardly lock at nu = 0.48; without a pressure of their own,
-because then a block with free sides is softer than the other under every load, as it is in truth. They need
-scikit-fem, as the tests do. Metres, pascals, newtons; row i along tool y, column j along tool x.
+By symmetry a quarter of each block suffices: loads and motions are sums of parts that are even or odd along x and y.
+Elements are bricks with quadratic displacement, which hardly lock at nu = 0.48. They have no pressure unknowns, which
+guarantees that the block with free sides is the softer one under every load, as in reality. scikit-fem is required.
+Metres, pascals, newtons; row i along tool y, column j along tool x.
 """
 
 from functools import lru_cache
@@ -27,47 +27,42 @@ from i2t.skin.contact import GRID, Grid
 from i2t.skin.dipoles import CELL_NODES
 from i2t.types import Pad
 
-TABLE_CELLS = 20  # of the table along each edge of the pad: 1 mm
-ELEMENT_LAYERS = 3  # of elements across the thickness
-BEYOND = 4.0  # thicknesses by which the block with far sides goes on
-BEYOND_ELEMENTS = 5
 PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along x and y: even 1, odd -1
-# Displacement along x, y and z, then rotation: which change sign in a mirror across x = 0, and across y = 0, next to
-# the displacement along z.
+# Signs of displacement (x, y, z) and rotation (x, y, z) after reflection at x = 0 and at y = 0.
 MIRRORED_X = np.array([-1, 1, 1, 1, -1, -1])
 MIRRORED_Y = np.array([1, -1, 1, -1, 1, -1])
-NEEDS_FINITE_ELEMENTS = "a pad with free sides"
 
 
 class SideTable(NamedTuple):
-    """Effects of free sides for each of `PARITIES`, on the q cells of the quarter x, y > 0 (row by row), per newton on
-    a cell and its mirror images; Young's modulus is 1.
+    """Effect of free sides by parity (`PARITIES`) on the q cells of the quarter x, y > 0, row by row.
+
+    Values are per newton on a cell and its mirror images, for a Young's modulus of 1 Pa.
     """
 
-    sinking: Float[np.ndarray, "4 q q"]  # mean of the surface's first cell under a load on the second
+    sinking: Float[np.ndarray, "4 q q"]  # mean indentation of the first cell under a load on the second
     motion: Float[np.ndarray, "4 d 6 q q"]  # displacement and rotation at the depths of the magnets
 
 
 # --- finite elements ---
 
 
-def tabulate(thickness: float, poisson: float, *, cells: int = TABLE_CELLS, layers: int = ELEMENT_LAYERS) -> SideTable:
+def tabulate(thickness: float, poisson: float, *, cells: int = 20, layers: int = 3) -> SideTable:
     """Tabulate the effect of free sides on a layer.
 
     Args:
-        thickness: Of the layer (m).
-        poisson: Its Poisson's ratio.
-        cells: Along each edge of the pad, an even number.
-        layers: Of elements.
+        thickness: Thickness of the layer (m).
+        poisson: Poisson's ratio of the layer.
+        cells: Number of table cells along each edge of the pad, even; 20 are 1 mm each.
+        layers: Number of elements across the thickness.
 
     Returns:
-        The table.
+        Table of indentation and motion by parity.
 
     Raises:
         MissingExtraError: scikit-fem is missing.
     """
     half = np.linspace(0, PAD_WINDOW / 2, cells // 2 + 1)
-    far = np.linspace(half[-1], half[-1] + BEYOND * thickness, BEYOND_ELEMENTS + 1)
+    far = np.linspace(half[-1], half[-1] + 4 * thickness, 6)
     deep = np.linspace(-thickness, 0, layers + 1)
     free, wide = _Block(half, deep, poisson), _Block(np.concatenate([half, far[1:]]), deep, poisson)
     roots, _ = np.polynomial.legendre.leggauss(CELL_NODES)
@@ -81,10 +76,10 @@ def tabulate(thickness: float, poisson: float, *, cells: int = TABLE_CELLS, laye
 
 
 class _Block:
-    """A quarter of a block: elements between `across` (m, from the middle) along x and y, and `deep` along z."""
+    """A quarter of a block, with element edges `across` (m, from the centre) along x and y, and `deep` along z."""
 
     def __init__(self, across: np.ndarray, deep: np.ndarray, poisson: float) -> None:
-        require_extra("skfem", NEEDS_FINITE_ELEMENTS)
+        require_extra("skfem", "a pad with free sides")
         import skfem
         from skfem.helpers import ddot, div, sym_grad
 
@@ -105,8 +100,8 @@ class _Block:
     def respond(
         self, parity: tuple[int, int], cells: int, heights: np.ndarray, *, sides_free: bool
     ) -> tuple[Float[np.ndarray, "q q"], Float[np.ndarray, "d 6 q q"]]:
-        """Mean sinking of the cells nearest to the middle, and motions at heights (m) below their middles, under a
-        newton on each of them in turn.
+        """Mean indentation of the cells next to the centre, and motions `heights` (m) below their centres, under one
+        newton on each cell in turn.
         """
         held = [dofs[np.isclose(self.places[2], self.deep[0])] for dofs in self.parts]
         for axis, sign in enumerate(parity):
@@ -125,23 +120,21 @@ class _Block:
         return loads.T @ solution, self._motions(near, heights, cells)
 
     def _loads(self, cells: int) -> np.ndarray:
-        """(n, q): a newton, spread evenly over each of the cells."""
+        """Load vectors `(n, q)` of one newton spread evenly over each cell."""
         area = self.across[1] ** 2
         element = self.skfem.ElementVector(self.skfem.ElementHex2())
         down = self.skfem.LinearForm(lambda v, _: -v[2] / area)
         middles = self.mesh.p[:, self.mesh.facets].mean(axis=1)
-        found = []
+        columns = []
         for y in range(cells):
             for x in range(cells):
                 place = np.array([(x + 0.5) * self.across[1], (y + 0.5) * self.across[1], 0.0])
                 facet = np.argmin(np.linalg.norm(middles - place[:, None], axis=0))
-                found.append(down.assemble(self.skfem.FacetBasis(self.mesh, element, facets=np.array([facet]))))
-        return np.stack(found, axis=1)
+                columns.append(down.assemble(self.skfem.FacetBasis(self.mesh, element, facets=np.array([facet]))))
+        return np.stack(columns, axis=1)
 
     def _motions(self, moved: np.ndarray, heights: np.ndarray, cells: int) -> np.ndarray:
-        """Displacement and half of its curl at the middles of the cells: along x and y, that of an element is its
-        middle node's.
-        """
+        """Displacement and half its curl at the centres of the cells, where elements have their middle nodes."""
         value, slope = quadratic(self.deep, heights)
         size, ends = self.across[1], slice(0, None, 2)
         at, steep = (np.einsum("dz,czyxl->dcyxl", weights, moved) for weights in (value, slope))
@@ -155,19 +148,19 @@ class _Block:
 
 
 def _factor(matrix: Any) -> Any:
-    """Factors of a symmetric positive matrix, ordered as such: with far less fill than by default."""
+    """Factorise a symmetric positive matrix, with a symmetric ordering that causes far less fill than the default."""
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def quadratic(edges: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolation within quadratic elements.
+    """Interpolation weights of quadratic elements.
 
     Args:
-        edges: Of the elements.
-        places: Where.
+        edges: Coordinates of the element edges, ascending.
+        places: Coordinates at which to interpolate.
 
     Returns:
-        Weights (places, nodes) of the values at the elements' ends and middles, and those of the slope.
+        Weights (places, nodes) of the values at the elements' ends and middles, and the weights of the slope.
     """
     element = np.clip(np.searchsorted(edges, places) - 1, 0, len(edges) - 2)
     width = edges[element + 1] - edges[element]
@@ -184,7 +177,7 @@ def quadratic(edges: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 class FreeSides(LinearSkin):
-    """A pad with free sides, from its table."""
+    """Press law of a pad with free sides, from its table."""
 
     def __init__(self, table: SideTable) -> None:
         self.cells = 2 * round(np.sqrt(table.sinking.shape[-1]))
@@ -193,31 +186,31 @@ class FreeSides(LinearSkin):
         self.motion = jnp.asarray(table.motion, jnp.float32)
 
     def extra_indentation(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Sinking by the free sides, as `LinearSkin.extra_indentation`."""
+        """Indentation due to free sides, as in `LinearSkin.extra_indentation`."""
         weights = _weights(grid, self.cells)
         moved = jnp.einsum("sij,sj->si", self.sinking, self._parities(weights.T @ force @ weights))
         return weights @ self._whole(moved[:, None], np.ones(1), np.ones(1))[0] @ weights.T
 
     def extra_bound(self, grid: Grid) -> float:
-        """Bound by the largest eigenvalue of the table, as `LinearSkin.extra_bound`."""
-        return (1.5 * grid.cells / self.cells) ** 2 * self.largest  # squared, at least the cells' largest weight
+        """Bound from the largest eigenvalue of the table, as in `LinearSkin.extra_bound`."""
+        return (1.5 * grid.cells / self.cells) ** 2 * self.largest  # the square is at least the cells' largest weight
 
     def extra_motion(self, pad: Pad, pressure: Float[Array, "n n"], grid: Grid) -> Float[Array, "d 6 n n"]:
-        """Motion by the free sides, as `LinearSkin.extra_motion`."""
+        """Motion due to free sides, as in `LinearSkin.extra_motion`."""
         weights = _weights(grid, self.cells)
         parities = self._parities(weights.T @ (pressure * grid.spacing**2) @ weights)
         moved = jnp.einsum("sdcij,sj->sdci", self.motion, parities)
         return jnp.einsum("ni,dcij,mj->dcnm", weights, self._whole(moved, MIRRORED_X, MIRRORED_Y), weights) / pad.young
 
     def _parities(self, values: Array) -> Array:
-        """(4, q): the even and odd parts of values on the table's cells, on the quarter x, y > 0."""
+        """Even and odd parts `(4, q)` of values on the table's cells, on the quarter x, y > 0."""
         half = self.cells // 2
         quarters = {(a, b): _quarter(values, half, a, b) for a in (0, 1) for b in (0, 1)}
         parts = [sum(sx**a * sy**b * part for (a, b), part in quarters.items()) / 4 for sx, sy in PARITIES]
         return jnp.stack([jnp.asarray(part).reshape(-1) for part in parts])
 
     def _whole(self, moved: Array, mirrored_x: np.ndarray, mirrored_y: np.ndarray) -> Array:
-        """(..., components, cells, cells) from what the parities (4, ..., components, q) are on a quarter."""
+        """Expand parities (4, ..., components, q) on a quarter to values (..., components, cells, cells)."""
         half = self.cells // 2
         quarter = moved.reshape(*moved.shape[:-1], half, half)
         rows = []
@@ -232,14 +225,15 @@ class FreeSides(LinearSkin):
 
 
 def _quarter(values: Array, half: int, a: int, b: int) -> Array:
-    """A quarter of an array as its mirror image on x, y > 0: that of x < 0 with `a`, of y < 0 with `b`."""
+    """Quarter of an array reflected to x, y > 0: the quarter at x < 0 if `a`, at y < 0 if `b`."""
     rows = values[:half][::-1] if b else values[half:]
     return rows[:, :half][:, ::-1] if a else rows[:, half:]
 
 
 def _weights(grid: Grid, cells: int) -> np.ndarray:
-    """(n, cells): linear interpolation from the middles of the table's cells to those of a grid, and beyond the last
-    ones. Its rows sum to 1, so that its transpose shares a load out among the table's cells.
+    """Weights `(n, cells)` of linear inter- and extrapolation from the table's cell centres to those of a grid.
+
+    The rows sum to 1, so the transpose distributes a load over the table's cells.
     """
     place = (grid.centres / PAD_WINDOW + 0.5) * cells - 0.5
     first = np.clip(np.floor(place).astype(int), 0, cells - 2)
@@ -250,7 +244,7 @@ def _weights(grid: Grid, cells: int) -> np.ndarray:
 
 
 def press_law(pad: Pad) -> FreeSides:
-    """The law of a pad, worked out once for its thickness and Poisson's ratio (about a minute)."""
+    """Press law of a pad, computed once for its thickness and Poisson's ratio (about a minute)."""
     return _law(float(pad.thickness), float(pad.poisson))
 
 

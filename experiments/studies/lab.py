@@ -1,4 +1,4 @@
-"""The harness of all studies: a finished run with its pad model, objects to tell apart, and simulated episodes."""
+"""Common setup of the studies: a finished run with its pad model, objects to distinguish, and simulated episodes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -37,15 +37,12 @@ from i2t.skin_models.pad_model import PadModel
 from i2t.skin_models.reading_model import READING_PRIOR, LinearReadingModel, ReadingPrior
 from i2t.types import Pad, Surface
 
-MAX_PARTICLES = 64  # of each object: with 64 to 512 accuracies are the same within 0.01
-DEBUG_EPISODES = 2  # of each object
 SETS = ("validation", "test")
-FIRST_SEED = 100  # of the studies' keys, apart from those of other experiments
 
 
-@dataclass(frozen=True, eq=False)  # a world is that very one
+@dataclass(frozen=True, eq=False)  # compared by identity
 class StudyWorld:
-    """What is other in a simulated world than in the lab."""
+    """A simulated world's differences from the assumptions of the pad model; None means no difference."""
 
     pad: Pad | None = None
     mesh: Callable[[Mesh], Mesh] | None = None
@@ -57,13 +54,13 @@ class StudyWorld:
 class StudySize(NamedTuple):
     """Size of a study."""
 
-    episodes: int  # of each object and setting, for each pad and seed
-    debug: bool  # whether it is too small to mean anything, with few settings
+    episodes: int  # per object and setting, for each pad and seed
+    debug: bool  # whether the study is reduced to a few settings, too small for a result
 
 
 @dataclass(frozen=True)
 class StudyLab:
-    """One pad and seed: the finished run with its pad model, and the objects to tell apart."""
+    """One pad and seed: the finished run with its pad model, and the objects to distinguish."""
 
     cfg: Recognition
     size: StudySize
@@ -79,15 +76,15 @@ class StudyLab:
         return self.run.pad_model
 
     def particles(self) -> Particles:
-        """Pose particles of an object under the errors of placement that the lab states."""
+        """Pose particles of an object under the stated errors of placement."""
         return pose_particles(self.cfg.errors, self.cfg.num_particles, self.seed)
 
     def truth(self) -> np.ndarray:
-        """Object of each episode: all in turn."""
+        """Object index `(e,)` of each episode, with all objects in turn."""
         return np.arange(len(self.surfaces) * self.size.episodes) % len(self.surfaces)
 
     def plan(self, key: Array, episodes: int) -> TouchPlan:
-        """Random sites, at which `SHARED_BY` episodes one after the other touch."""
+        """Plan random sites; `cfg.pool_episodes` consecutive episodes share their sites."""
         cfg, limits = self.cfg, self.cfg.site_limits
         return plan_random_touches(
             key, self.surfaces, self.names, episodes, cfg.touches, limits=limits, share=cfg.pool_episodes
@@ -96,7 +93,7 @@ class StudyLab:
     def predict(
         self, sites: SitePool, particles: Particles, models: Sequence[LinearReadingModel], label: str
     ) -> list[PredictedTouch]:
-        """Predicted touches of the lab's objects, for each reading model."""
+        """Predict touches of the lab's objects with each reading model."""
         overtravel = self.cfg.limits.overtravel
         return predict_outcomes(self.surfaces, particles.twist, sites.T_w_t, models, overtravel=overtravel, label=label)
 
@@ -110,7 +107,16 @@ class StudyLab:
         surfaces: Sequence[Surface] | None = None,
         world: StudyWorld = StudyWorld(),
     ) -> Episodes:
-        """Simulated episodes; surfaces, of which `truth` says which is there, and world are the lab's unless given."""
+        """Simulate episodes, with the lab's surfaces and world unless given.
+
+        Args:
+            key: Random key of the episodes.
+            plan: Sites of each episode.
+            truth: (e,) index into `surfaces` of each episode's object.
+            label: Title of the progress bar.
+            surfaces: Objects of the simulation.
+            world: Differences from the lab.
+        """
         pad, errors, limits = (
             world.pad or self.run.pad,
             world.errors or self.cfg.errors,
@@ -123,7 +129,7 @@ class StudyLab:
         )  # fmt: skip
 
     def with_objects(self, names: Sequence[str]) -> "StudyLab":
-        """The lab with other objects of the catalogue to tell apart."""
+        """Copy of the lab with other catalogue objects to distinguish."""
         if tuple(names) == self.names:
             return self
         surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
@@ -134,14 +140,14 @@ class StudyLab:
         return named_surfaces(meshes_by_name(self.run.trained_objects))
 
     def touch_known_objects(self, key: Array, surfaces: Mapping[str, Surface], world: StudyWorld) -> Dataset:
-        """As many touches of the training objects as the run had, with pad, errors and law of some world."""
+        """Simulate as many touches of the training objects as the run had, in a given world."""
         pad = world.pad or self.run.pad
         _, counts = np.unique(self.run.dataset.touches.object[self.run.rows], return_counts=True)
-        made = simulation.simulate_touches(
+        touches = simulation.simulate_touches(
             key, list(surfaces.values()), pad, world.errors or self.cfg.errors, counts.tolist(),
             limits=self.cfg.limits, law=world.law(pad),
         )  # fmt: skip
-        return Dataset.simulated(made, tuple(surfaces), pad)
+        return Dataset.simulated(touches, tuple(surfaces), pad)
 
     def refit(
         self,
@@ -151,18 +157,19 @@ class StudyLab:
         touches: int | None = None,
         prior: ReadingPrior = READING_PRIOR,
     ) -> PadModel:
-        """The pad model as the run fitted it, but to other touches, all or the first so many, and from some prior."""
-        each = None if touches is None else touches // len(dataset.objects)
+        """Fit a pad model as the run did, to other touches and with another prior; `touches` limits their number."""
+        per_object = None if touches is None else touches // len(dataset.objects)
         rows = np.zeros(len(dataset), bool)
         for i in range(len(dataset.objects)):
-            rows[np.flatnonzero(dataset.touches.object == i)[:each]] = True
+            rows[np.flatnonzero(dataset.touches.object == i)[:per_object]] = True
         cfg = self.cfg
         return ContactModel(cfg.errors, cfg.limits, prior).fit(key, ObjectTouches(dataset, rows, surfaces)).model
 
 
 def prepare_lab(cfg: Recognition, size: StudySize, run: FinishedRun, seed: int) -> StudyLab:
-    """Read a finished run with its pad model, and prepare the objects."""
-    cfg = replace(cfg, num_particles=min(cfg.num_particles, MAX_PARTICLES))
-    _, key = jax.random.split(jax.random.key(FIRST_SEED + seed))
+    """Load a finished run with its pad model, and prepare the objects."""
+    # 64 pose particles per object suffice: with 64 to 512, accuracies are the same within 0.01.
+    cfg = replace(cfg, num_particles=min(cfg.num_particles, 64))
+    _, key = jax.random.split(jax.random.key(100 + seed))  # distinct from the seeds of other experiments
     surfaces = prepare_surfaces(list(meshes_by_name(cfg.objects).values()))
     return StudyLab(cfg, size, load_trained_run(run), cfg.objects, surfaces, seed, key)

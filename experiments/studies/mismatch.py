@@ -1,5 +1,6 @@
-"""Worlds that differ in one thing from what the belief was fitted to, which does not know it: the same objects are
-touched in all of them at the same sites, with common random numbers.
+"""Cost of one wrong assumption: each world differs in one respect from the one that the belief assumes.
+
+The same objects are touched in all worlds at the same sites, with common random numbers.
 """
 
 from collections.abc import Mapping
@@ -23,18 +24,16 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface
 
 KINDS = ("fused", "readings")
-CAMERA_BIAS = np.array([0.6e-3, -0.6e-3, 0.6e-3, *(TWIST_LEVER_M * np.radians([0.6, 0.6, -0.6]))])  # 1 mm, 1 degree
-MESH_PERCENT = (-3, -1, 1, 3)
 DEBUG_WORLDS = ("matched", "chip remembers twice as much", "meshes 3 % larger")
 
 
 def placed(errors: SimulationErrors, factor: float) -> SimulationErrors:
-    """Errors of placement larger by a factor."""
+    """Scale the errors of placement by a factor."""
     return replace(errors, placement=factor * errors.placement, placement_angle=factor * errors.placement_angle)
 
 
 def faulty(errors: SimulationErrors, **faults: Any) -> SimulationErrors:
-    """Errors with other faults of the sensor."""
+    """Change some faults of the sensor."""
     return replace(errors, faults=replace(errors.faults, **faults))
 
 
@@ -43,14 +42,16 @@ def _scaled(mesh: Mesh, factor: float) -> Mesh:
 
 
 def _shifted(mesh: Mesh) -> Mesh:
-    T = np.asarray(from_twist(jnp.float32(CAMERA_BIAS)), float)
+    """Shift a mesh by 1 mm and 1 degree, the effect of a biased camera."""
+    bias = np.array([0.6e-3, -0.6e-3, 0.6e-3, *(TWIST_LEVER_M * np.radians([0.6, 0.6, -0.6]))])
+    T = np.asarray(from_twist(jnp.float32(bias)), float)
     return mesh._replace(vertices=np.asarray(mesh.vertices) @ T[:3, :3].T + T[:3, 3])
 
 
 def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
-    """Worlds by name; the first is the lab's."""
+    """Worlds by name; the first matches the assumptions."""
     errors, limits = lab.cfg.errors, lab.cfg.limits
-    found = {
+    all_worlds = {
         "matched": StudyWorld(),
         "chip remembers twice as much": StudyWorld(errors=faulty(errors, hysteresis=0.6)),
         "ambient once, before the episode": StudyWorld(errors=faulty(errors, ambient_every=0)),
@@ -60,33 +61,35 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
             f"meshes {abs(percent)} % {'larger' if percent > 0 else 'smaller'}": StudyWorld(
                 mesh=partial(_scaled, factor=1 + percent / 100)
             )
-            for percent in MESH_PERCENT
+            for percent in (-3, -1, 1, 3)
         },
         "camera biased by 1 mm and degree": StudyWorld(mesh=_shifted),
     }
-    return {name: each for name, each in found.items() if name in DEBUG_WORLDS or not lab.size.debug}
+    return {name: world for name, world in all_worlds.items() if name in DEBUG_WORLDS or not lab.size.debug}
 
 
 def evaluate(lab: StudyLab) -> Part:
-    """Beliefs (e, t, objects) in every world, by "evidence, world"."""
+    """Compute beliefs `(e, t, objects)` in every world, keyed by "evidence, world"."""
     key_sites, key_episodes = jax.random.split(lab.key)
     truth, particles, model = lab.truth(), lab.particles(), lab.pad_model
     plan = lab.plan(key_sites, len(truth))
     (table,) = lab.predict(plan.sites, particles, [model.reading_model], "possible objects")
-    found: Part = {"truth": truth, "pool": plan.pool}
-    made = worlds(lab)
-    surfaces = _surfaces_of(lab, made)
-    for name, world in made.items():
+    part: Part = {"truth": truth, "pool": plan.pool}
+    study_worlds = worlds(lab)
+    surfaces = _surfaces_of(lab, study_worlds)
+    for name, world in study_worlds.items():
         key = jax.random.clone(key_episodes)
         episodes = lab.simulate(key, plan, truth, name, surfaces=surfaces[name], world=world)
         beliefs = run_belief(table, episodes, model.likelihood, particles, KINDS)
-        found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
-    return found
+        part |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
+    return part
 
 
-def _surfaces_of(lab: StudyLab, made: Mapping[str, StudyWorld]) -> dict[str, list[Surface]]:
-    """Surfaces of each world, those of other meshes prepared at once: they are of one size class, and compile once."""
+def _surfaces_of(lab: StudyLab, study_worlds: Mapping[str, StudyWorld]) -> dict[str, list[Surface]]:
+    """Prepare the surfaces of each world, all changed meshes together so that they share one size and compile once."""
     meshes = list(meshes_by_name(lab.names).values())
-    others = [world.mesh(mesh) for world in made.values() if world.mesh for mesh in meshes]
+    others = [world.mesh(mesh) for world in study_worlds.values() if world.mesh for mesh in meshes]
     prepared = iter(prepare_surfaces(others) if others else [])
-    return {name: [next(prepared) for _ in meshes] if world.mesh else lab.surfaces for name, world in made.items()}
+    return {
+        name: [next(prepared) for _ in meshes] if world.mesh else lab.surfaces for name, world in study_worlds.items()
+    }

@@ -1,9 +1,9 @@
 """Detection of unknown objects. Half of the episodes have an unknown object of the same families as the known ones.
 
-The unknown class is represented by surrogate unknowns (`i2t.objects.catalogue.surrogate_unknown`): objects like the
-known ones, but none of them. They have pose particles as the known ones have and take part in the posterior throughout
-an episode; together they are the unknown class. Its probability is calibrated (Platt) on validation objects and other
-unknown ones.
+The unknown class consists of surrogates (`i2t.objects.catalogue.surrogate_unknown`): objects similar to the known ones
+but different from all of them. Surrogates have pose particles and take part in the posterior as known objects do; the
+sum of their probabilities is that of the unknown class. It is calibrated (Platt scaling) on validation objects and
+other unknown objects.
 """
 
 from collections.abc import Sequence
@@ -25,20 +25,15 @@ from i2t.recognition.metrics import to_json
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.types import Surface
 
-# No pad model was fitted to touches of any of these, and none is in two sets.
+# Disjoint sets; no pad model was fitted to touches of these objects.
 TEST_UNKNOWN = ("triangle", "cross", "wedge", "dome", "torus", "spanner", "cutter", "scissors")
 VALIDATION_UNKNOWN = ("pentagon", "pyramid", "cone", "ellipsoid", "pliers")
 VALIDATION_KNOWN = ("flower", "octagon", "stairs", "ridge", "marker")
-NUM_SURROGATES, DEBUG_NUM_SURROGATES = 48, 2
-DEBUG_OBJECTS = 2  # of each kind
-PRIOR_UNKNOWN = 0.5
-UNKNOWN_SHARES = (0.01, 0.25, 0.5)  # of the episodes, for which accuracies are reported
-AUROC_TOUCHES = (1, 3, 5, 10)  # in tables
-NUM_BINS = 10  # of a calibration error
+UNKNOWN_PRIOR = 0.5
 
 
 class OpenSetObjects(NamedTuple):
-    """Known objects, unknown ones, and surrogates, in this order."""
+    """Known objects, unknown objects, and surrogates, in this order."""
 
     known: tuple[str, ...]
     unknown: tuple[str, ...]
@@ -46,9 +41,13 @@ class OpenSetObjects(NamedTuple):
 
     def meshes(self) -> list[Mesh]:
         """Meshes of all objects."""
-        known = [catalogue.make_object(name).mesh for name in self.known]
-        unknown = [catalogue.make_object(name).mesh for name in self.unknown]
-        return known + unknown + [catalogue.surrogate_unknown(known, i).mesh for i in range(self.surrogates)]
+        known_meshes = [catalogue.make_object(name).mesh for name in self.known]
+        unknown_meshes = [catalogue.make_object(name).mesh for name in self.unknown]
+        return (
+            known_meshes
+            + unknown_meshes
+            + [catalogue.surrogate_unknown(known_meshes, i).mesh for i in range(self.surrogates)]
+        )
 
 
 class OpenSetEpisodes(NamedTuple):
@@ -56,20 +55,19 @@ class OpenSetEpisodes(NamedTuple):
 
     truth: np.ndarray  # (e,), -1 for an unknown object
     p: np.ndarray  # (e, t, known)
-    p_unknown: np.ndarray  # (e, t) of the unknown class
-    there: np.ndarray  # (e,) the object that was there: known ones first, unknown ones after them
-    pool: np.ndarray  # (e,) number of the sites' draw
+    p_unknown: np.ndarray  # (e, t) probability of the unknown class
+    there: np.ndarray  # (e,) index of the touched object: known ones first, then unknown ones
+    pool: np.ndarray  # (e,) index of the pool of sites
 
 
 def evaluate(lab: StudyLab) -> Part:
-    """Beliefs on validation objects and on test objects."""
+    """Compute beliefs in episodes with validation objects and with test objects."""
     key_test, key_validation = jax.random.split(lab.key)
-    some = DEBUG_OBJECTS if lab.size.debug else None
-    surrogates = DEBUG_NUM_SURROGATES if lab.size.debug else NUM_SURROGATES
-    validation = OpenSetObjects(VALIDATION_KNOWN[:some], VALIDATION_UNKNOWN[:some], surrogates)
-    test = OpenSetObjects(lab.names, TEST_UNKNOWN[:some], surrogates)
+    limit, surrogates = (2, 2) if lab.size.debug else (None, 48)
+    validation = OpenSetObjects(VALIDATION_KNOWN[:limit], VALIDATION_UNKNOWN[:limit], surrogates)
+    test = OpenSetObjects(lab.names, TEST_UNKNOWN[:limit], surrogates)
     meshes = validation.meshes(), test.meshes()
-    surfaces = prepare_surfaces([*meshes[0], *meshes[1]])  # of one size class, so that they compile once
+    surfaces = prepare_surfaces([*meshes[0], *meshes[1]])  # together, so that they share one size and compile once
     count = len(meshes[0])
     fitted = evaluate_set(lab, key_validation, validation, surfaces[:count], "validation")
     tested = evaluate_set(lab, key_test, test, surfaces[count:], "test")
@@ -79,49 +77,49 @@ def evaluate(lab: StudyLab) -> Part:
 def evaluate_set(
     lab: StudyLab, key: jax.Array, objects: OpenSetObjects, surfaces: list[Surface], label: str
 ) -> OpenSetEpisodes:
-    """Beliefs in episodes with known objects, then in as many with unknown ones."""
+    """Compute beliefs in episodes with known objects, then in as many with unknown ones."""
     key_sites, key_episodes = jax.random.split(key)
-    known, unknown = len(objects.known), len(objects.unknown)
-    lab = replace(lab, surfaces=surfaces[:known], names=objects.known)
-    there = draw_objects(known, unknown, lab.size.episodes, lab.seed)
+    num_known, num_unknown = len(objects.known), len(objects.unknown)
+    lab = replace(lab, surfaces=surfaces[:num_known], names=objects.known)
+    there = draw_objects(num_known, num_unknown, lab.size.episodes, lab.seed)
     plan = lab.plan(key_sites, len(there))
-    believed = surfaces[:known] + surfaces[known + unknown :]
+    believed = surfaces[:num_known] + surfaces[num_known + num_unknown :]
     lab, particles = replace(lab, surfaces=believed), lab.particles()
     (table,) = jax.device_put(lab.predict(plan.sites, particles, [lab.pad_model.reading_model], label))
-    episodes = lab.simulate(key_episodes, plan, there, label, surfaces=surfaces[: known + unknown])
+    episodes = lab.simulate(key_episodes, plan, there, label, surfaces=surfaces[: num_known + num_unknown])
     p = posteriors(jnp.asarray(plan.chosen), episodes.observations, table, lab.pad_model.likelihood, particles)
     p = np.asarray(p, np.float64)
-    share = (len(believed) - known) / len(believed)  # prior of the unknown class: all objects alike
-    p, p_unknown = calibrated.with_unknown_prior(p[..., :known], p[..., known:].sum(-1), share, PRIOR_UNKNOWN)
-    return OpenSetEpisodes(np.where(there < known, there, -1), p, p_unknown, there, plan.pool)
+    share = (len(believed) - num_known) / len(believed)  # prior of the unknown class if all objects are equally likely
+    p, p_unknown = calibrated.with_unknown_prior(p[..., :num_known], p[..., num_known:].sum(-1), share, UNKNOWN_PRIOR)
+    return OpenSetEpisodes(np.where(there < num_known, there, -1), p, p_unknown, there, plan.pool)
 
 
 def draw_objects(known: int, unknown: int, episodes: int, seed: int) -> np.ndarray:
-    """Draw each episode's object: the known in turn, then as many episodes with unknown ones, each about as often."""
+    """Draw each episode's object: the known ones in turn, then as many unknown ones, each about equally often."""
     rng, count = np.random.default_rng(seed), known * episodes
     drawn = np.concatenate([rng.permutation(unknown) for _ in range(-(-count // unknown))])[:count]
     return np.concatenate([np.arange(count) % known, known + drawn])
 
 
 def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
-    """Detection of unknown objects among known ones, and calibration of the unknown class."""
+    """Report the detection of unknown objects and the calibration of the unknown class."""
     validation, test = (_pooled([OpenSetEpisodes(**part[name]) for part in parts]) for name in ("validation", "test"))
     scaling = calibrated.fit_platt(validation.p_unknown, validation.truth < 0)
     p, p_unknown = calibrated.apply_platt(test.p, test.p_unknown, scaling)
-    # Unknown objects are few, and another one may be told apart less or more easily: they are drawn again, too.
+    # Unknown objects are few and differ in difficulty, so the bootstrap resamples objects too.
     clusters = clusters_of([part["test"] for part in parts], pads, objects="there")
     unknown = test.truth < 0
     area = metrics.auroc(test.p_unknown, unknown, clusters=clusters)
     truth = np.where(unknown, p.shape[-1], test.truth)
     rows = []
-    for share in UNKNOWN_SHARES:
-        at_share = calibrated.with_unknown_prior(p, p_unknown, PRIOR_UNKNOWN, share)
+    for share in (0.01, 0.25, 0.5):
+        at_share = calibrated.with_unknown_prior(p, p_unknown, UNKNOWN_PRIOR, share)
         hit = metrics.hits(np.concatenate([at_share[0], at_share[1][..., None]], axis=-1), truth)[:, -1]
         rates = (rate_interval(hit[some], rows_of(clusters, some)) for some in (~unknown, unknown))
         rows.append([f"{share:.0%}", *rates])
     last = p_unknown[:, -1]
-    error = metrics.calibration_error(np.maximum(last, 1 - last), (last > 0.5) == unknown, NUM_BINS)
-    shown = [[str(t), estimate_at(area, t - 1)] for t in sorted({min(t, len(area.mean)) for t in AUROC_TOUCHES})]
+    error = metrics.calibration_error(np.maximum(last, 1 - last), (last > 0.5) == unknown, 10)
+    shown = [[str(t), estimate_at(area, t - 1)] for t in sorted({min(t, len(area.mean)) for t in (1, 3, 5, 10)})]
     head = ["share of unknown objects", "known objects named right", "unknown objects called unknown"]
     tables = {
         "auroc": make_table(["touches", "AUROC of the unknown class [95 %]"], shown),

@@ -1,10 +1,10 @@
-"""A skin of another physics than the pad model's, to which one is fitted by its own touches.
+"""Recognition with a skin whose physics differs from the pad model's, with a pad model fitted to its own touches.
 
-Every physics is left out once. How far its readings count (an inflation of their errors, and the temperature of the
-belief) is fitted to episodes with validation objects in all others, and so is the prior of its pad models
-(`experiments.studies.priors`); test objects in this physics judge them. Pad models are fitted to a few touches of the
-training objects made in that physics, or to as many as the run had; an oracle, fitted to as many touches without errors
-of pose and reading, shows what these cost. "None" is the pad model of the matched physics, with a prior from there.
+Each physics is left out once. The inflation of reading errors and the temperature of the belief are fitted to episodes
+with validation objects in all other physics, as is the prior of the pad models (`experiments.studies.priors`). Test
+objects in the left-out physics give the scores. Pad models are fitted to a few touches of the training objects in that
+physics, or to as many as the run had. An oracle, fitted to as many touches without errors of pose and reading, shows
+the cost of these errors. "None" is the pad model of the matched physics, with a prior from that physics.
 """
 
 from collections.abc import Sequence
@@ -32,25 +32,20 @@ from i2t.skin_models.pad_model import PadModel, inflate_errors
 from i2t.skin_models.reading_model import LAYERS
 from i2t.types import Board
 
-TOUCHES = (20, 200, None)  # of the skin that a pad model is fitted to; None: as many as the run had
-DEBUG_TOUCHES = (20, None)
-INFLATIONS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # of the errors of readings, to choose from
-WITHOUT = "position and presence"  # the evidence of a belief without readings
+INFLATIONS = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)  # candidate factors of the errors of readings
+WITHOUT = "position and presence"  # evidence of a belief without readings
 KINDS = ("fused", "readings")
 MATCHED = "bonded layer"
 TWO_LAYERS = "soft layer on a stiff one"
-SOFT_ON_STIFF = ((0.5, 0.5), (0.5, 2.0))  # from the surface down: part of the thickness, factor of Young's modulus
-DEBUG_WORLDS = (MATCHED, TWO_LAYERS)
-REMOUNTED_M = np.array([0.3e-3, 0.4e-3, 0.0])  # by 0.5 mm, chips against the skin
 ALL = "as many as the run"
-ELSEWHERE = "none"  # of its own touches: the pad model is that of the matched physics
+ELSEWHERE = "none"  # no touches of its own: the pad model is that of the matched physics
 ORACLE = "oracle"
 
 
 def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
-    """Physics by name; the first is that of the pad models' layer."""
+    """Worlds by physics; the first matches the pad model's layer."""
     pad, errors = lab.run.pad, lab.cfg.errors
-    chips = jnp.asarray(pad.board.chips) + jnp.asarray(REMOUNTED_M, jnp.float32)[None]
+    chips = jnp.asarray(pad.board.chips) + jnp.array([0.3e-3, 0.4e-3, 0.0], jnp.float32)
     worn = pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization)
     physics = {
         MATCHED: StudyWorld(),
@@ -58,15 +53,15 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
         "free side faces": StudyWorld(law=free_sides.press_law),
         "soft compressible layer": StudyWorld(pad=pad._replace(young=0.6 * pad.young, poisson=jnp.float32(0.3))),
         "softer layer": StudyWorld(pad=pad._replace(young=0.8 * pad.young, poisson=jnp.float32(0.4))),
-        TWO_LAYERS: StudyWorld(law=partial(layered_skin.press_law, layers=SOFT_ON_STIFF)),
+        TWO_LAYERS: StudyWorld(law=partial(layered_skin.press_law, layers=((0.5, 0.5), (0.5, 2.0)))),
         "worn pad": StudyWorld(pad=worn, errors=faulty(errors, relaxation=0.15)),
         "skin remounted by 0.5 mm": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
     }
-    return {name: world for name, world in physics.items() if name in DEBUG_WORLDS or not lab.size.debug}
+    return {name: world for name, world in physics.items() if name in (MATCHED, TWO_LAYERS) or not lab.size.debug}
 
 
 def evaluate(lab: StudyLab) -> Part:
-    """Beliefs (e, t, objects) by set and "physics; touches; inflation; evidence", and the truth of each set."""
+    """Compute beliefs `(e, t, objects)` by set and "physics; touches; inflation; evidence", and each set's truth."""
     key_touch, key_fit, *keys = jax.random.split(lab.key, 2 + len(SETS))
     physics, surfaces = worlds(lab), lab.trained_surfaces()
     touched = {
@@ -79,7 +74,7 @@ def evaluate(lab: StudyLab) -> Part:
     models = {(MATCHED, ELSEWHERE): matched}
     for i, (name, dataset) in enumerate(touched.items()):
         prior = prior_without(calls, name)
-        for count in DEBUG_TOUCHES if lab.size.debug else TOUCHES:
+        for count in (20, None) if lab.size.debug else (20, 200, None):  # None: as many as the run had
             model = lab.refit(jax.random.fold_in(key_fit, i), dataset, surfaces, count, prior)
             models[name, ALL if count is None else str(count)] = model
         rows = np.ones(len(dataset), bool)
@@ -94,7 +89,7 @@ def evaluate(lab: StudyLab) -> Part:
 
 
 def _as_row(call: WorldCall) -> np.ndarray:
-    """What a world calls for in one row: the layer's Poisson's ratio and modulus, then weights, bend and width."""
+    """Flatten the best prior of a world: the layer's Poisson's ratio and modulus, then weights, bend and width."""
     weights, bend, width, _ = call.discrepancy
     return np.array([*(float(part) for part in LAYERS[call.layer]), *np.asarray(weights), float(bend), float(width)])
 
@@ -103,7 +98,7 @@ def _evaluate_set(
     lab: StudyLab,
     key: Array,
     physics: dict[str, StudyWorld],
-    models: dict[tuple[str, str], PadModel],  # by physics and number of own touches
+    models: dict[tuple[str, str], PadModel],  # by physics and number of its own touches
     label: str,
 ) -> Part:
     key_sites, key_episodes = jax.random.split(key)
@@ -126,16 +121,26 @@ def _evaluate_set(
     return part
 
 
-class Judged(NamedTuple):
-    """Beliefs of test episodes in one physics, whose scale and temperature come from the others."""
+class LeftOutBeliefs(NamedTuple):
+    """Beliefs of test episodes in one physics, with inflation and temperature from the others."""
 
     p: np.ndarray  # (e, t, objects)
     inflation: float
 
 
-def leave_out(parts: Sequence[Part], physics: str, touches: str, kind: str) -> Judged:
-    """Fit inflation and temperature to validation episodes in all other physics, and judge test episodes in this. The
-    pad model of the matched physics is scaled by episodes there alone: it knows no other.
+def leave_out(parts: Sequence[Part], physics: str, touches: str, kind: str) -> LeftOutBeliefs:
+    """Fit inflation and temperature to validation episodes in all other physics, and apply them to test episodes.
+
+    For the pad model of the matched physics (`ELSEWHERE`), both are fitted to episodes in the matched physics alone.
+
+    Args:
+        parts: Results of the pads and seeds.
+        physics: The physics that is left out.
+        touches: Number of its own touches that the pad model is fitted to.
+        kind: Evidence of the belief.
+
+    Returns:
+        Calibrated beliefs of the test episodes, and the chosen inflation.
     """
     validation, test = (pool_parts([part[name] for part in parts]) for name in SETS)
     others = [name for name in names_of(parts) if name != physics] if touches != ELSEWHERE else [MATCHED]
@@ -148,22 +153,22 @@ def leave_out(parts: Sequence[Part], physics: str, touches: str, kind: str) -> J
         candidates.append((float(loss), factor, temperature))
     _, factor, temperature = min(candidates, key=lambda candidate: candidate[0])
     p = test[f"{physics}; {touches}; {factor:g}; {kind}"].astype(np.float64)
-    return Judged(calibrated.calibrated_beliefs(p, temperature), factor)
+    return LeftOutBeliefs(calibrated.calibrated_beliefs(p, temperature), factor)
 
 
 def names_of(parts: Sequence[Part]) -> list[str]:
-    """Physics that were simulated."""
+    """Names of the simulated physics."""
     return list(dict.fromkeys(key.split("; ")[0] for key in parts[0]["test"] if "; " in key))
 
 
 def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
-    """Accuracy in every physics left out, its difference to the matched one with all touches, and the log loss less
-    that of a belief without readings.
+    """Report accuracy in each left-out physics, its difference from the matched one with all touches, and the log loss
+    minus that of a belief without readings.
     """
     tests = [part["test"] for part in parts]
     clusters, truth = clusters_of(tests, pads), np.concatenate([part["truth"] for part in tests])
     cases = list(dict.fromkeys(tuple(key.split("; ")[:2]) for key in tests[0] if "; " in key))
-    cases.remove((MATCHED, ELSEWHERE))  # fitted to no other physics, and judged in none
+    cases.remove((MATCHED, ELSEWHERE))  # its calibration leaves no physics out
     rows, inflations = [], {}
     for kind in KINDS:
         matched = metrics.hits(leave_out(parts, MATCHED, ALL, kind).p, truth)

@@ -1,7 +1,7 @@
-"""Presses of skins that move otherwise than the bonded layer of `i2t.skin.elasticity`, yet linearly.
+"""Press laws of linear skins other than the bonded layer of `i2t.skin.elasticity`.
 
-Such a skin adds its own motion to the layer's: to the sinking of the surface in the contact problem, and to the motion
-and rotation of the magnets. Metres, pascals, newtons; row i along tool y, column j along tool x.
+A linear skin adds a correction to the layer's motion: to the indentation of the surface in the contact problem, and to
+the displacement and rotation of the magnets. Metres, pascals, newtons; row i along tool y, column j along tool x.
 """
 
 from abc import ABC, abstractmethod
@@ -19,7 +19,7 @@ from i2t.types import Pad
 
 
 class LinearSkin(ABC):
-    """The law of a press (`i2t.contact.press.PressLaw`) of a skin whose motion is linear in the pressure."""
+    """Press law (`i2t.contact.press.PressLaw`) of a skin whose motion is linear in the pressure."""
 
     @abstractmethod
     def extra_motion(self, pad: Pad, pressure: Float[Array, "n n"], grid: Grid) -> Float[Array, "d 6 n n"]:
@@ -27,46 +27,46 @@ class LinearSkin(ABC):
 
         Args:
             pad: The skin.
-            pressure: Pa, on the cells of `grid`.
-            grid: Cells of the pad, below each of which a magnet lies.
+            pressure: Pressure (Pa) on the cells of `grid`.
+            grid: Cells of the pad, with a magnet below each.
 
         Returns:
             Displacement (m) and rotation (rad) at the magnets' depths.
         """
 
     def magnets(self, pad: Pad, grid: Grid) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
-        """Dipoles at rest, as `i2t.skin.dipoles.sheets`.
+        """Dipoles at rest, as in `i2t.skin.dipoles.sheets`.
 
         Args:
             pad: The skin.
-            grid: Cells of the pad, below each of which a magnet lies.
+            grid: Cells of the pad, with a magnet below each.
 
         Returns:
-            Depths (m) and moments (A m2).
+            Depths (m) and moments (A m2) of the dipoles.
         """
         return sheets(pad, grid)
 
     def compliance(self, pad: Pad, grid: Grid) -> Float[Array, "k k"]:
-        """Sinking of the surface in each wave of a pressure, without `extra_indentation`; the bonded layer's here.
+        """Compliance of the surface for each wave of pressure, without `extra_indentation`; here the bonded layer's.
 
         Args:
             pad: The skin.
-            grid: Of the series.
+            grid: Grid of the Fourier series.
 
         Returns:
-            m/Pa.
+            Indentation per pressure (m/Pa) for each pair of wavenumbers.
         """
         return compliance(pad, grid)
 
     def extra_indentation(self, force: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "n n"]:
-        """Extra sinking of the surface over that of `compliance`; none here.
+        """Indentation of the surface in addition to that of `compliance`; here zero.
 
         Args:
-            force: On each cell of `grid` (N).
+            force: Force (N) on each cell of `grid`.
             grid: Cells of the pad.
 
         Returns:
-            Metres, times Young's modulus.
+            Indentation (m) times Young's modulus (Pa).
         """
         return jnp.zeros_like(force)
 
@@ -77,7 +77,7 @@ class LinearSkin(ABC):
             grid: Cells of the pad.
 
         Returns:
-            1/m.
+            Upper bound (1/m), zero if there is no extra indentation.
         """
         return 0.0
 
@@ -89,7 +89,7 @@ class LinearSkin(ABC):
         grid: Grid = GRID,
         start: Float[Array, "n n"] | None = None,
     ) -> Press:
-        """A press to an indentation, as `i2t.skin.pad.press`."""
+        """Press to an indentation, as in `i2t.skin.pad.press`."""
         pressure, converged = self._contact(pad, height, indentation, grid, start)
         force = jnp.sum(pressure) * grid.spacing**2
         return Press(self._reading(pad, pressure, grid), force, jnp.asarray(indentation), pressure, converged)
@@ -97,7 +97,7 @@ class LinearSkin(ABC):
     def _contact(
         self, pad: Pad, height: Array, indentation: Array | float, grid: Grid, start: Array | None
     ) -> tuple[Array, Array]:
-        """Pressure (Pa), as `i2t.skin.contact.solve` with this skin's sinking, in its units."""
+        """Solve for the pressure (Pa), as in `i2t.skin.contact.solve` with this skin's indentation."""
         gap = (jnp.minimum(height, MAX_HEIGHT_M) - indentation) / pad.thickness
         scale = jnp.maximum(jnp.max(-gap), CONTACT_SOLVER.min_strain)
         unit, area = pad.young / pad.thickness, grid.spacing**2
@@ -119,7 +119,7 @@ class LinearSkin(ABC):
         return state.point[..., 0] * scale * pad.young, state.residual.squeeze() <= CONTACT_SOLVER.tolerance
 
     def _reading(self, pad: Pad, pressure: Array, grid: Grid) -> Array:
-        """Reading (uT), as `i2t.skin.dipoles.response` with this skin's motion."""
+        """Compute the reading (uT), as in `i2t.skin.dipoles.response` with this skin's motion."""
         loaded = load(pad, pressure, None, grid)
         y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
 

@@ -1,8 +1,8 @@
-"""The prior of pad models, estimated from the touches of some worlds for a pad in another.
+"""Prior of pad models for a pad in one world, estimated from touches in other worlds.
 
-A prior is a list of layers and the covariance of what they leave (`i2t.skin_models.reading_model.ReadingPrior`). Each
-world calls for one of the layers and for hyperparameters of that covariance, fitted to exact contacts and recorded
-readings of a simulated pad. A prior holds the layers that its worlds call for and the medians of their hyperparameters.
+A prior is a list of layers and the covariance of their discrepancy (`i2t.skin_models.reading_model.ReadingPrior`). For
+each world, the best layer and the hyperparameters of the covariance are fitted to exact contacts and recorded readings
+of a simulated pad. The prior consists of the best layers of its worlds and the medians of their hyperparameters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,27 +18,27 @@ from i2t.skin_models.pad_fit import press_at_truth
 from i2t.skin_models.pressure_gp import GPHyperparameters, choose_hyperparameters
 from i2t.skin_models.reading_model import AVERAGING, LAYERS, PressedTouches, ReadingPrior, choose_layer
 
-CALLING_TOUCHES = 900  # of a world, as those that `DISCREPANCY` was fitted to
+FITTING_TOUCHES = 900  # as many as `DISCREPANCY` was fitted to
 
 
 class WorldCall(NamedTuple):
-    """What the touches of one world call for."""
+    """Best layer and discrepancy for the touches of one world."""
 
-    layer: int  # place in LAYERS
+    layer: int  # index into LAYERS
     discrepancy: GPHyperparameters
 
 
 def call_of(dataset: Dataset) -> WorldCall:
-    """Find the layer and the covariance that simulated touches call for.
+    """Fit the layer and the covariance of its discrepancy to simulated touches.
 
     Args:
-        dataset: Touches of one pad with their truth.
+        dataset: Touches of one pad with their true contacts.
 
     Returns:
-        The hyperparameters that predict sessions left out best on the nominal layer, and with them the layer that
-        explains the touches best.
+        The hyperparameters that best predict left-out sessions on the nominal layer, and the layer that then best
+        explains the touches.
     """
-    rows = np.random.default_rng(0).permutation(len(dataset))[:CALLING_TOUCHES]
+    rows = np.random.default_rng(0).permutation(len(dataset))[:FITTING_TOUCHES]
 
     def press(rows: np.ndarray, layer: Layer) -> PressedTouches:
         touches = jax.tree.map(lambda x: x[rows], dataset.touches)
@@ -46,19 +46,19 @@ def call_of(dataset: Dataset) -> WorldCall:
 
     contact, readings = press(rows, NOMINAL_LAYER)
     sessions = np.asarray(dataset.touches.session)[rows]
-    discrepancy, _ = choose_hyperparameters(contact, jnp.asarray(readings), sessions, limit=CALLING_TOUCHES)
+    discrepancy, _ = choose_hyperparameters(contact, jnp.asarray(readings), sessions, limit=FITTING_TOUCHES)
     pressed = [press(rows[: AVERAGING.max_touches], layer) for layer in LAYERS]
     return WorldCall(choose_layer(pressed, LAYERS, dataset.board, discrepancy), discrepancy)
 
 
 def prior_from(calls: Sequence[WorldCall]) -> ReadingPrior:
-    """The prior that some worlds give.
+    """Build the prior from some worlds.
 
     Args:
-        calls: Of the worlds.
+        calls: Best layers and discrepancies of the worlds.
 
     Returns:
-        The layers that they call for, in the order of LAYERS, and the medians of their hyperparameters, without noise.
+        The distinct layers, in the order of LAYERS, and the medians of the hyperparameters, without noise.
     """
     layers = tuple(LAYERS[i] for i in sorted({call.layer for call in calls}))
     fits = [call.discrepancy for call in calls]
@@ -68,13 +68,13 @@ def prior_from(calls: Sequence[WorldCall]) -> ReadingPrior:
 
 
 def prior_without(calls: Mapping[str, WorldCall], world: str) -> ReadingPrior:
-    """The prior for a pad in a world, from all others.
+    """Build the prior for a pad in one world from all other worlds.
 
     Args:
-        calls: Of the worlds, by name.
-        world: That is left out.
+        calls: Best layers and discrepancies by world.
+        world: Name of the world that is left out.
 
     Returns:
-        The prior.
+        The prior from the remaining worlds.
     """
     return prior_from([call for name, call in calls.items() if name != world])

@@ -1,4 +1,4 @@
-"""Reports of studies: the parts of all pads pooled, and tables in one form, as the documents show them."""
+"""Reports of studies: pooled results of all pads, and tables in one form."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -13,7 +13,7 @@ from i2t.recognition.metrics import to_json
 
 
 class Column(NamedTuple):
-    """A column of a study's table: how its numbers are written."""
+    """Heading and number format of a table column."""
 
     name: str
     decimals: int = 3
@@ -22,11 +22,11 @@ class Column(NamedTuple):
 
 
 def make_table(columns: Sequence[Any], rows: Sequence[Sequence[Any]]) -> dict[str, Any]:
-    """A table as `metrics.json` holds it and `tools.reproduce` writes it: the same form for all studies.
+    """Build a table for `metrics.json`, in the form that `study_table` formats.
 
     Args:
-        columns: `Column`, or a name alone.
-        rows: Words, numbers, and means with their intervals (`Estimate`, or the dict of its JSON).
+        columns: Columns, or their headings alone.
+        rows: Cells that are text, numbers, or means with their intervals (`Estimate`, or the dict of its JSON).
     """
     described = [column if isinstance(column, Column) else Column(column) for column in columns]
     return {
@@ -36,8 +36,16 @@ def make_table(columns: Sequence[Any], rows: Sequence[Sequence[Any]]) -> dict[st
 
 
 def clusters_of(parts: Sequence[Part], pads: Sequence[str], *, objects: str | None = None) -> list[np.ndarray]:
-    """Clusters of the pooled episodes, for their intervals: by pad, by the draw of their sites where parts tell it, and
-    with `objects`, a column's name, by the object that was there. Without them intervals are for these very objects.
+    """Clusters of the pooled episodes, over which intervals are computed.
+
+    Args:
+        parts: Results of the pads and seeds.
+        pads: Name of each part's pad.
+        objects: Name of the array of object indices; without it, intervals hold for these objects only.
+
+    Returns:
+        Cluster indices `(e,)` by pad, by pool of sites if recorded, and by object if wanted. The list is empty, and
+        intervals hold for these episodes only, if every grouping has fewer clusters than an interval needs.
     """
     counts = [len(part["truth"]) for part in parts]
     labels = [np.repeat(np.asarray(pads), counts)]
@@ -47,28 +55,28 @@ def clusters_of(parts: Sequence[Part], pads: Sequence[str], *, objects: str | No
     if objects is not None:
         labels.append(np.concatenate([part[objects] for part in parts]))
     numbers = [np.unique(label, axis=-1, return_inverse=True)[1].reshape(-1) for label in labels]
-    # Nothing tells episodes of one or two clusters apart: their interval is for these very ones.
     return numbers if any(number.max() >= MIN_CLUSTERS - 1 for number in numbers) else []
 
 
 def pool_parts(parts: Sequence[Part]) -> dict[str, np.ndarray]:
-    """Arrays of several pads and seeds as one, by name. Raises ValueError where the pads were not asked the same."""
+    """Concatenate the arrays of several pads and seeds by name; `ValueError` if their names differ."""
     for part in parts:
         if differing := sorted(set(part) ^ set(parts[0])):
             raise ValueError(
-                f"the parts of this study are not of one version ({differing[0]!r} is in some of them only); "
+                f"the parts of this study come from different versions ({differing[0]!r} is missing in some); "
                 "delete its folder and run it again"
             )
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def report_settings(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
-    """Accuracy of every "evidence, setting" on the same episodes, and its paired difference to the first setting; the
-    temperature is that of the recogniser.
+    """Report the accuracy of every "evidence, setting" and its paired difference from the first setting.
+
+    The temperature is that of the recogniser.
     """
     columns, clusters = pool_parts(parts), clusters_of(parts, pads)
     truth, _ = columns.pop("truth"), columns.pop("pool")
-    first: dict[str, np.ndarray] = {}  # whether right, by evidence, in the first setting
+    first: dict[str, np.ndarray] = {}  # (e, t) correct in the first setting, by evidence
     rows: list[list[Any]] = []
     for name, beliefs in columns.items():
         p = calibrated_beliefs(beliefs.astype(np.float64))

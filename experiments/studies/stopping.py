@@ -1,8 +1,8 @@
-"""How often a belief that stops when it is sure is wrong, where objects are placed as far off as stated, half or twice
-as far: enough episodes to tell an error of one in a hundred.
+"""Error rate of beliefs that stop at a requested error, with placement errors as stated, half or twice as large.
 
-One temperature serves all placements, because nobody knows which is the case: fitted to validation objects in all of
-them, or, more careful, in the largest alone.
+There are enough episodes to measure an error rate of one in a hundred. One temperature serves all placements, because
+the actual one is unknown in use. It is fitted to validation objects in all placements or, more conservatively, in the
+largest alone.
 """
 
 from collections.abc import Sequence
@@ -24,9 +24,9 @@ from i2t.recognition.episodes import run_belief
 from i2t.recognition.metrics import to_json
 
 LARGEST = "twice as far"
-PLACEMENTS = {"as stated": 1.0, "half as far": 0.5, LARGEST: 2.0}  # errors of placement over those stated
+PLACEMENTS = {"as stated": 1.0, "half as far": 0.5, LARGEST: 2.0}  # factors of the stated errors of placement
 KINDS = ("fused", "position")
-# Of the likelihood, about the values that it has: tried on validation objects.
+# Constants of the likelihood, with values around the default that are compared on validation objects.
 CONSTANTS = {
     "dof": (2.0, 4.0, 8.0, 16.0, 32.0),
     "inflation": (0.5, 0.7, 1.0, 1.4, 2.0),
@@ -36,13 +36,13 @@ CONSTANTS = {
 
 
 def evaluate(lab: StudyLab) -> Part:
-    """Beliefs (e, t, objects) by "evidence, placement" in episodes with validation objects and with test objects."""
-    found: Part = {}
+    """Compute beliefs `(e, t, objects)` by "evidence, placement" with validation objects and with test objects."""
+    part: Part = {}
     for name, key, objects in zip(
         SETS, jax.random.split(lab.key, len(SETS)), (lab.cfg.validation, lab.cfg.objects), strict=True
     ):
-        found[name] = _evaluate_set(lab.with_objects(objects), key, name)
-    return found
+        part[name] = _evaluate_set(lab.with_objects(objects), key, name)
+    return part
 
 
 def _evaluate_set(lab: StudyLab, key: Array, label: str) -> Part:
@@ -50,26 +50,26 @@ def _evaluate_set(lab: StudyLab, key: Array, label: str) -> Part:
     truth, particles, model = lab.truth(), lab.particles(), lab.pad_model
     plan = lab.plan(key_sites, len(truth))
     (table,) = lab.predict(plan.sites, particles, [model.reading_model], label)
-    found: Part = {"truth": truth, "pool": plan.pool}
+    part: Part = {"truth": truth, "pool": plan.pool}
     for name, factor in PLACEMENTS.items():
         world = StudyWorld(errors=placed(lab.cfg.errors, factor))
         episodes = lab.simulate(jax.random.clone(key_episodes), plan, truth, f"{label}, {name}", world=world)
         beliefs = run_belief(table, episodes, model.likelihood, particles, KINDS)
-        found |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
+        part |= {f"{kind}, {name}": p for kind, p in beliefs.items()}
         if label == SETS[0] and factor == 1:
             for constant, value in tried():
                 other = model.likelihood._replace(**{constant: jnp.float32(value)})
-                found[f"{constant}={value:g}"] = run_belief(table, episodes, other, particles, KINDS[:1])[KINDS[0]]
-    return found
+                part[f"{constant}={value:g}"] = run_belief(table, episodes, other, particles, KINDS[:1])[KINDS[0]]
+    return part
 
 
 def tried() -> list[tuple[str, float]]:
-    """Constants of the likelihood with each value that is tried."""
+    """Pairs of a likelihood constant and a value to compare."""
     return [(constant, value) for constant, values in CONSTANTS.items() for value in values]
 
 
 def _constants(validation: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Log loss of validation episodes, at the temperature that suits them best, by value of each constant."""
+    """Table of the validation log loss, at its best temperature, by value of each constant."""
     rows = []
     for constant, values in CONSTANTS.items():
         losses = []
@@ -83,34 +83,34 @@ def _constants(validation: dict[str, np.ndarray]) -> dict[str, Any]:
 
 
 def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
-    """Errors of stopping against those asked for, by placement, and how hard both sets of objects are."""
+    """Report error rates of stopping against the requested ones by placement, and how hard both object sets are."""
     validation, test = (pool_parts([part[name] for part in parts]) for name in SETS)
     clusters = clusters_of([part["test"] for part in parts], pads)
     temperatures = {}
-    for which, names in (("all placements", list(PLACEMENTS)), ("the largest", [LARGEST])):
-        known = np.concatenate([validation[f"fused, {name}"] for name in names]).astype(np.float64)
-        temperatures[which] = calibrated.fit_temperature(known, np.tile(validation["truth"], len(names)))
+    for label, names in (("all placements", list(PLACEMENTS)), ("the largest", [LARGEST])):
+        beliefs = np.concatenate([validation[f"fused, {name}"] for name in names]).astype(np.float64)
+        temperatures[label] = calibrated.fit_temperature(beliefs, np.tile(validation["truth"], len(names)))
     rows = []
     for name in PLACEMENTS:
         raw = test[f"fused, {name}"].astype(np.float64)
-        both = [calibrated.calibrated_beliefs(raw, temperature) for temperature in temperatures.values()]
+        scaled = [calibrated.calibrated_beliefs(raw, temperature) for temperature in temperatures.values()]
         for requested in REQUESTED_ERRORS:
-            stops = [metrics.stopping(p, test["truth"], requested, clusters=clusters) for p in both]
+            stops = [metrics.stopping(p, test["truth"], requested, clusters=clusters) for p in scaled]
             cells = [cell for stop in stops for cell in (stop.stopped, stop.stopped_error, stop.touches)]
             rows.append([name, f"{requested:.0%}", *cells])
     head: list[Any] = ["placement", "asked error"]
-    for which in temperatures:
+    for label in temperatures:
         head += [
-            Column(f"{which}: stop early", 0, percent=True), Column("of these err", 1, percent=True),
+            Column(f"{label}: stop early", 0, percent=True), Column("of these err", 1, percent=True),
             Column("touches", 1),
         ]  # fmt: skip
     groups = clusters_of([part["validation"] for part in parts], pads), clusters
     hardness = []
-    for objects, found, cluster in zip(("validation objects", "test objects"), (validation, test), groups, strict=True):
-        for name in PLACEMENTS if found is test else ["as stated"]:
-            position, fused = (found[f"{kind}, {name}"].astype(np.float64) for kind in ("position", "fused"))
-            means = [metrics.mean_accuracy(p, found["truth"], clusters=cluster) for p in (position, fused)]
-            last = estimate_at(metrics.accuracy(fused, found["truth"], clusters=cluster), -1)
+    for objects, data, cluster in zip(("validation objects", "test objects"), (validation, test), groups, strict=True):
+        for name in PLACEMENTS if data is test else ["as stated"]:
+            position, fused = (data[f"{kind}, {name}"].astype(np.float64) for kind in ("position", "fused"))
+            means = [metrics.mean_accuracy(p, data["truth"], clusters=cluster) for p in (position, fused)]
+            last = estimate_at(metrics.accuracy(fused, data["truth"], clusters=cluster), -1)
             hardness.append([objects, name, *means, last])
     columns = [Column(name, 2) for name in ("position, mean over touches", "fused, mean over touches", "fused, last")]
     tables = {

@@ -8,24 +8,27 @@ from experiments.common.tables import cell, markdown
 
 
 def study_table(name: str, hidden: Sequence[str] = ()) -> Table:
-    """One of the tables that a study's metrics hold in a form of their own (`experiments.studies.report`), without rows
-    whose first cell has a hidden word.
+    """Formatter of one table of a study's metrics (`experiments.studies.report.make_table`).
+
+    Args:
+        name: Name of the table.
+        hidden: Words; rows whose first cell contains one are omitted.
     """
 
     def render(measured: Measured) -> str:
-        found = measured["tables"][name]
+        table = measured["tables"][name]
         rows = [
-            [_cell(x, column) for x, column in zip(row, found["columns"], strict=True)]
-            for row in found["rows"]
+            [_cell(x, column) for x, column in zip(row, table["columns"], strict=True)]
+            for row in table["rows"]
             if shown(str(row[0]), *hidden)
         ]
-        return markdown([column["name"] for column in found["columns"]], rows)
+        return markdown([column["name"] for column in table["columns"]], rows)
 
     return render
 
 
 def _cell(value: Any, column: Mapping[str, Any]) -> str:
-    """A word as it is; a number or an interval as its column says; a dash where there is none."""
+    """Format a cell: text unchanged, a number or an interval as its column requires, a dash if it is missing."""
     if isinstance(value, str):
         return value
     if column["percent"] and isinstance(value, dict) and value["mean"] is not None:

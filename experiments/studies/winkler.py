@@ -1,4 +1,4 @@
-"""A skin of other physics: columns that are springs and know nothing of each other (a Winkler foundation)."""
+"""A skin of independent elastic columns (a Winkler foundation)."""
 
 import jax
 import jax.numpy as jnp
@@ -18,21 +18,23 @@ def winkler_press(
     grid: Grid = GRID,
     start: Float[Array, "n n"] | None = None,
 ) -> Press:
-    """A press in which each column is shortened evenly by as far as the surface reaches into it, p = E u / h, and moves
-    its magnets straight down. Its pressure needs no `start`.
+    """Press law in which each column is compressed uniformly by the overlap u with the surface, p = E u / h.
+
+    Magnets move straight down. The pressure is explicit, so `start` is unused.
     """
     compression = jnp.maximum(indentation - height, 0.0)
     pressure = pad.young / pad.thickness * compression
-    each = grid.cells // GRID.cells  # cells of GRID are whole ones of `grid`
-    means = compression.reshape(GRID.cells, each, GRID.cells, each).mean((1, 3))
+    ratio = grid.cells // GRID.cells  # each cell of GRID consists of whole cells of `grid`
+    means = compression.reshape(GRID.cells, ratio, GRID.cells, ratio).mean((1, 3))
     reading = pad.gains * pad.board.to_board(_column_field(pad, means) - rest_field(pad, GRID))
     force = jnp.sum(pressure) * grid.spacing**2
     return Press(reading, force, jnp.asarray(indentation), pressure, jnp.asarray(True))
 
 
 def _column_field(pad: Pad, compression: Float[Array, "m m"]) -> Float[Array, "chips 3"]:
-    """Field (uT, tool axes) at the chips of columns shortened evenly by `compression` (m): a magnet at a part of the
-    height moves down by that part, and turns with half the curl of that motion.
+    """Field (uT, tool axes) at the chips, of columns compressed uniformly by `compression` (m).
+
+    A magnet's displacement is proportional to its height, and it rotates by half the curl of the displacement.
     """
     y, x = np.meshgrid(GRID.centres, GRID.centres, indexing="ij")
     along_y, along_x = (jnp.asarray(jnp.gradient(compression, GRID.spacing, axis=axis)) for axis in (0, 1))

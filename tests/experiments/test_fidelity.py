@@ -193,7 +193,7 @@ def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
             if section.title == "Calibration curves":
                 break
         curves_of.append(sections["Calibration curves"].numbers["r2"]["random presses"]["i2t.calibrate"][40]["mean"])
-    assert any("put right: units, lag of the labels" in sentence for sentence in sections["Checks"].sentences)
+    assert any("Corrections: units, lag of the labels" in sentence for sentence in sections["Checks"].sentences)
     assert curves_of[1] > curves_of[0] - 0.1 > 0.5
 
 
@@ -201,7 +201,7 @@ def test_too_few_rows_say_how_many_are_enough():
     """24 rows of which a fifth is held out leave 19 to a head or a calibration that needs 20; 25 are enough."""
     few, share = presses_of_a_skin(24), 0.2
     assert heads.rows_enough(share) == 25
-    with pytest.raises(ValueError, match=r"knows position of 24 rows, too few .*; 25 are enough"):
+    with pytest.raises(ValueError, match=r"has position in 24 rows, too few .*; 25 are enough"):
         heads.test_heads(few, "position", FEW, share=share, seed=0)
     preset = replace(TINY, counts=(20,), held_out_share=share)
     with pytest.raises(CannotTellError, match=r"24 presses leave 19 .* and 20 are needed; 25 are enough"):

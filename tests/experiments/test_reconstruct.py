@@ -16,7 +16,7 @@ from experiments.reconstruct.__main__ import main
 from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.reconstruct.patch import CURVE, METHODS, PRIOR
 from experiments.reconstruct.patch_scores import edge_of
-from experiments.reconstruct.recorded import choose_object, read_touches, swept_way
+from experiments.reconstruct.recorded import choose_object, read_touches, swept_distance
 from experiments.reconstruct.world import Reality, Session, split_objects
 from i2t.dataset import save_dataset
 from i2t.errors import DataError
@@ -179,10 +179,10 @@ def _recorded(name):
 
 def test_no_more_space_is_carved_behind_recorded_contacts_than_was_surely_swept():
     recorded = _recorded("pyramid")
-    assert swept_way(recorded) == 40e-3
-    assert swept_way(replace(recorded, source="real")) == 2e-3
+    assert swept_distance(recorded) == 40e-3
+    assert swept_distance(replace(recorded, source="real")) == 2e-3
     merged = {"settings": '{"prepare": 0.03, "near": 0.01}; {"prepare": 5e-3}'}
-    assert swept_way(replace(recorded, source="real", meta=merged)) == 5e-3
+    assert swept_distance(replace(recorded, source="real", meta=merged)) == 5e-3
 
 
 @pytest.mark.full
@@ -210,7 +210,7 @@ def test_touches_of_a_data_set_are_taken_back_to_first_contact_in_the_objects_fr
     shifted = dataset.touches.T_w_t.copy()
     shifted[:2, 0, 3] += 20.0  # millimetres taken for metres
     far = replace(dataset, touches=dataset.touches._replace(T_w_t=shifted))
-    with pytest.raises(DataError, match=r"contacts lie 20\.00 m apart"):
+    with pytest.raises(DataError, match=r"contacts span 20\.00 m"):
         read_touches(far, "thing")
     with pytest.raises(DataError, match="holds no touch of other; pass --object with one of thing"):
         choose_object(dataset, "other", Path("DATA"))

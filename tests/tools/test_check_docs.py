@@ -31,7 +31,7 @@ PLANTED = [
     (pages.tables, "<!-- table: paper methods -->\n| before |\n<!-- end of table -->", "not what docs/results holds"),
     (pages.tables, "<!-- table: all summary -->\n| before |\n<!-- end of table -->", "not what docs/results holds"),
     (pages.tables, "<!-- table: nothing methods -->\n<!-- end of table -->", "no step nothing"),
-    (pages.advice, "Type `pip install 'i2t[view]'`.", "installs what there is not"),
+    (pages.advice, "Type `pip install 'i2t[view]'`.", "names an unknown package or extra"),
     (pages.advice, "Type `pip install -e '.[view]'`.", ""),
     (numbers.numbers, "It reaches .83.", "no table holds the number .83"),
     (numbers.numbers, "It reaches .83 and 12 %.\n\n| a | 0.826 |\n| b | 0.118 |", ""),

@@ -2,12 +2,12 @@
 
 import pytest
 
-from tools.gallery.arguments import FIGURE_NAMES, OF_A_RUN, GalleryArgs
+from tools.gallery.arguments import FIGURE_NAMES, FIGURES_OF_RUN, GalleryArgs
 
 
 def test_a_figure_without_a_trained_run_needs_none(tmp_path):
     nowhere = tmp_path / "none"
-    GalleryArgs(pad_model=nowhere, only=tuple(set(FIGURE_NAMES) - OF_A_RUN)).check()
-    for name in OF_A_RUN:
+    GalleryArgs(pad_model=nowhere, only=tuple(set(FIGURE_NAMES) - FIGURES_OF_RUN)).check()
+    for name in FIGURES_OF_RUN:
         with pytest.raises(ValueError, match="no finished run"):
             GalleryArgs(pad_model=nowhere, only=(name,)).check()

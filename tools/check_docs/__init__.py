@@ -1,1 +1,1 @@
-"""Checks of the project's text: pages, tables, docstrings, imports and the site."""
+"""Checks of pages, tables, docstrings, imports and the site."""

@@ -1,14 +1,14 @@
-"""Are the documents true, and is the house in order?
+"""Question: do the documents agree with the code and the results, and does the code follow the project's rules?
 
-    python -m tools.check_docs             all of it, a minute
-    python -m tools.check_docs --no-site   without building the site
+    python -m tools.check_docs             all checks, a minute
+    python -m tools.check_docs --no-site   all checks without building the site
 
-Each finding is one line, `file:line: sentence`, or a linter's own report. The exit code is 1 if there is any.
+Each finding is one line, `file:line: sentence`, or a linter's own report. The exit code is 1 if there is a finding.
 
-Pages: files, tests, commands and their options exist; tables repeat what was measured (docs/results), and results that
-sentences name stand in tables. mypy checks their Python, and Sphinx, which builds the site, their links and names.
-Code: floors, circles and forbidden imports are contracts of import-linter; docstrings say what is taken and given, and
-ruff compares them with the signature. pyproject.toml and docs/conf.py configure these.
+Pages: files, tests, commands and their options must exist; tables must match docs/results, and numbers in sentences
+must appear in tables. mypy checks the Python of the pages; Sphinx builds the site and checks links and names.
+Code: import-linter checks layers, cycles and forbidden imports; docstrings need their sections, which ruff compares
+with the signature. pyproject.toml and docs/conf.py configure these tools.
 """
 
 import sys
@@ -23,13 +23,13 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class CheckDocsArgs:
-    """Check documents and house rules."""
+    """Check documents and code rules."""
 
-    site: bool = True  # build the site as well
+    site: bool = True  # build the site too
 
 
 def run(args: CheckDocsArgs) -> int:
-    """Print what is wrong; returns the exit code."""
+    """Print all findings, and return the exit code."""
     from tools.check_docs import code, linters, numbers, pages
 
     with tempfile.TemporaryDirectory() as folder:
@@ -40,7 +40,7 @@ def run(args: CheckDocsArgs) -> int:
         print(f"{path.relative_to(ROOT)}:{line}: {sentence}")
     print(*reports, sep="\n", end="\n" if reports else "")
     if not mistakes and not reports:
-        print("documents and house are in order")
+        print("no findings")
     return 1 if mistakes or reports else 0
 
 

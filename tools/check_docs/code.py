@@ -1,7 +1,4 @@
-"""What linters of the code do not see: docstrings without their sections, floors on the page, examples of the face.
-
-`tools.check_docs.linters` runs those that see the rest.
-"""
+"""Checks of the code beyond the linters': missing docstring sections, layers on the page, examples of public names."""
 
 import ast
 import inspect
@@ -13,9 +10,6 @@ from pathlib import Path
 
 import i2t
 from tools.check_docs.pages import PageProblem
-
-FREE = re.compile(r"overload|register|setter")  # decorators of what another's docstring describes
-REFERENCE = "as in `"  # to the docstring of the method that this one implements
 
 
 def findings(root: Path) -> Iterator[PageProblem]:
@@ -29,9 +23,9 @@ def findings(root: Path) -> Iterator[PageProblem]:
 
 
 def docstrings(path: Path, text: str) -> Iterator[PageProblem]:
-    """Public functions, methods and constructors that take arguments say in sections what they take and give.
+    """Find public functions, methods and constructors with arguments whose docstring lacks sections.
 
-    Ruff compares sections with the signature, and lets a docstring without any pass.
+    Ruff compares sections with the signature, but accepts a docstring without sections.
     """
     for node in ast.parse(text).body:
         for member in node.body if isinstance(node, ast.ClassDef) else (node,):
@@ -44,21 +38,21 @@ def _missing_sections(function: ast.FunctionDef, holder: ast.stmt) -> list[str]:
     public = constructor or not function.name.startswith(("_", "test_"))
     if not public or getattr(holder, "name", "").startswith("_"):
         return []
-    if any(FREE.search(ast.unparse(decorator)) for decorator in function.decorator_list):
-        return []
+    if any(re.search("overload|register|setter", ast.unparse(decorator)) for decorator in function.decorator_list):
+        return []  # another docstring describes it
     docstring = ast.get_docstring(function) or ""
     if constructor and isinstance(holder, ast.ClassDef):
         docstring += "\n" + (ast.get_docstring(holder) or "")
     names = {word.arg for word in ast.walk(function.args) if isinstance(word, ast.arg)} - {"self", "cls", "_"}
-    if not names or REFERENCE in docstring:
+    if not names or "as in `" in docstring:  # a reference to the method that it implements
         return []
-    gives = function.returns is not None and ast.unparse(function.returns) != "None"
-    needed = {"Args": "Args:", **({"Returns": "Returns:|Yields:"} if gives else {})}
+    returns = function.returns is not None and ast.unparse(function.returns) != "None"
+    needed = {"Args": "Args:", **({"Returns": "Returns:|Yields:"} if returns else {})}
     return [name for name, title in needed.items() if not re.search(f"^(?:{title})", docstring, re.M)]
 
 
 def architecture(page: Path) -> Iterator[PageProblem]:
-    """The page has every package at the floor that the contract gives it."""
+    """Find packages whose layer on the page differs from the contract of import-linter."""
     contracts = tomllib.loads((page.parents[1] / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(contract["layers"] for contract in contracts if contract["id"] == "floors")
     floors = {name: floor for floor, layer in enumerate(reversed(layers)) for name in re.findall(r"\w+", layer)}
@@ -70,13 +64,13 @@ def architecture(page: Path) -> Iterator[PageProblem]:
 
 
 def face(name: str) -> Iterator[str]:
-    """Find what the docstring of a public name leaves out: what it raises, and an example."""
+    """Find missing parts of a public name's docstring: its exceptions and an example."""
     value = getattr(i2t, name)
     docstring = inspect.getdoc(value) or ""
     if inspect.isfunction(value):
         body = ast.parse(textwrap.dedent(inspect.getsource(inspect.unwrap(value))))
         if any(isinstance(node, ast.Raise) for node in ast.walk(body)) and "Raises:" not in docstring:
-            yield f"i2t.{name} raises and does not say what"
+            yield f"i2t.{name} raises an exception, but has no section Raises"
     error = inspect.isclass(value) and issubclass(value, Exception)
     if not error and "Example:\n" not in docstring:
         yield f"i2t.{name} has no example"

@@ -1,7 +1,5 @@
-"""What libraries judge by their own commands: imports, Python on the pages, and the site.
-
-import-linter checks the contracts of pyproject.toml, mypy the code that pages and the examples of public names show,
-and Sphinx every link, anchor and name.
+"""External linters: import-linter for the contracts of pyproject.toml, mypy for the Python of pages and of examples in
+docstrings, and Sphinx for links, anchors and names.
 """
 
 import inspect
@@ -13,8 +11,10 @@ from pathlib import Path
 import i2t
 from tools.check_docs.pages import BLOCK, pages_of
 
-PRELUDE = "import i2t; import jax; import numpy as np\n"  # of an example; what a reader is to bring is free
-SITE = {
+PRELUDE = (
+    "import i2t; import jax; import numpy as np\n"  # precedes each example, whose other undefined names are allowed
+)
+REQUIRED_ON_SITE = {
     "reference_api": ("load_predictor",),
     "reference_commands": ("--max-touches", "--square", "--dictionary", "--quarter-turns"),
     "physics": ("<math",),
@@ -23,15 +23,15 @@ SITE = {
 
 
 def start(root: Path, folder: Path, *, site: bool = True) -> dict[str, subprocess.Popen[str]]:
-    """Start all linters, next to each other.
+    """Start all linters in parallel.
 
     Args:
-        root: Of the checkout.
-        folder: Empty, for code and pages that are made.
-        site: Whether to build the site, too.
+        root: Root of the checkout.
+        folder: Empty folder for generated code and pages.
+        site: Whether to build the site too.
 
     Returns:
-        What runs, by the linter's name.
+        Running processes by the linter's name.
     """
     scripts = Path(sys.executable).parent
     commands = {
@@ -52,29 +52,29 @@ def finish(running: dict[str, subprocess.Popen[str]], folder: Path) -> list[str]
     """Wait for the linters.
 
     Args:
-        running: As `start` returns it.
-        folder: As `start` took it.
+        running: Processes that `start` returned.
+        folder: Folder that was passed to `start`.
 
     Returns:
-        Reports of those that found mistakes.
+        Reports of the linters with findings.
     """
     outputs = {name: process.communicate()[0] for name, process in running.items()}
     reports = [f"{name}: {outputs[name].strip()}" for name, process in running.items() if process.returncode]
-    for name, needed in SITE.items() if "sphinx" in running and not reports else ():
+    for name, needed in REQUIRED_ON_SITE.items() if "sphinx" in running and not reports else ():
         text = (folder / "site" / "docs" / f"{name}.html").read_text()
         reports += [f"docs/{name}.md: the page lacks {words}" for words in needed if words not in text]
     return reports
 
 
 def write_code(root: Path, folder: Path) -> list[Path]:
-    """Write the Python of each page, on the page's own lines, and of each public name's example.
+    """Write the Python of each page, keeping its line numbers, and the example of each public name.
 
     Args:
-        root: Of the checkout.
-        folder: To write to; it is made.
+        root: Root of the checkout.
+        folder: Folder to create and write to.
 
     Returns:
-        The files, named as the pages and names are.
+        The files, named after pages and public names.
     """
     sources = {f"example_{name}": _example(name) for name in i2t.__all__}
     for page in pages_of(root):
@@ -84,7 +84,7 @@ def write_code(root: Path, folder: Path) -> list[Path]:
             if block[1] == "python":
                 first = text.count("\n", 0, block.start(2))
                 lines[first : first + block[2].count("\n")] = block[2].splitlines()
-        sources[page.stem] = PRELUDE + "\n".join(lines[1:])  # of which the first is a title
+        sources[page.stem] = PRELUDE + "\n".join(lines[1:])  # without the title line
     folder.mkdir()
     files = {folder / f"{name}.py": source for name, source in sources.items() if source.strip() != PRELUDE.strip()}
     for path, source in files.items():
@@ -93,6 +93,6 @@ def write_code(root: Path, folder: Path) -> list[Path]:
 
 
 def _example(name: str) -> str:
-    """The example in a public name's docstring."""
+    """Example in the docstring of a public name."""
     docstring = inspect.getdoc(getattr(i2t, name)) or ""
     return PRELUDE + textwrap.dedent(docstring.partition("Example:\n")[2])

@@ -1,10 +1,10 @@
-"""Numbers in sentences: a result that a sentence names stands in a table.
+"""Check that each result in a sentence appears in a table.
 
-A result is a number without a unit of size, a percentage, a time, a ratio or a count of a thousand and more. It is held
-if a table of the sentence's section has it, or a table of the page or section that the paragraph links to, rounded to
-as many decimals. Free are whole numbers below a thousand, sizes of at most one decimal ("0.5 mm") or of images
-("48 x 48"), years, versions, and the levels 90 % and 95 %.
-In the README, rows of a table that is not written from docs/results are sentences too.
+A result is a number without a unit of size, a percentage, a time, a ratio, or a count of at least a thousand. It must
+appear, rounded to as many decimals, in a table of the sentence's section or of the page or section that the paragraph
+links to. Exempt are whole numbers below a thousand, sizes of at most one decimal ("0.5 mm") or of images ("48 x 48"),
+years, versions, and the levels 90 % and 95 %. In the README, rows of tables that are not generated from docs/results
+count as sentences.
 """
 
 import re
@@ -17,88 +17,91 @@ from tools.reproduce.tables import MARK
 
 LINK = re.compile(r"\]\(([\w./]+\.md)?(?:#([\w-]+))?\)")
 HEADING = re.compile(r"^(#+) (.*)$", re.M)
-UNSPOKEN = (
+EXEMPT = re.compile("|".join(f"(?:{pattern})" for pattern in (
     r"^```.*?^```", r"<!--.*?-->", r"\$\$.*?\$\$", r"\$[^$\n]+\$", r"`[^`]*`", r"^#.*?$", r"!\[[^\]]*\]",
     r"(?<=\])\([^)]*\)", r"\d+ x \d+(?: x \d+)*", r"Python \d\.\d+(?:(?:,| and| or| to) \d\.\d+)*",
     r"\bv?\d+\.\d+\.\d+\b", r"\b(?:19|20)\d\d\b", r"^ *\d+\. ", r"[A-Za-z_]\w*[-\d]\d[\w.]*", r"\b9[05] %",
-)  # fmt: skip
-UNSPOKEN_PATTERN = re.compile("|".join(f"(?:{each})" for each in UNSPOKEN), re.M | re.S)
-UNITS = (
-    r"mm²|mm|cm|m|[uµ]m|[uµ]T|mT|nT|N|Nm|N/m|kPa|MPa|kg|g|[kM]?Hz|degrees?|deg|°|pixels?|bits?|V|m/s|bytes?|threads?"
-)
-RESULTS = r"%|points?|times|ms|s|minutes?|min|hours?|MB|GB"
+)), re.M | re.S)  # fmt: skip
 NUMBER = re.compile(
-    rf"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)(?=(?: to [\d.]+)? ?-? ?({RESULTS})(?!\w)|)(?: ({UNITS})(?!\w))?"
+    r"(?<![\w.])(\d[\d  ]*\.?\d*|\.\d+)"
+    r"(?=(?: to [\d.]+)? ?-? ?(%|points?|times|ms|s|minutes?|min|hours?|MB|GB)(?!\w)|)"  # makes it a result
+    r"(?: (mm²|mm|cm|m|[uµ]m|[uµ]T|mT|nT|N|Nm|N/m|kPa|MPa|kg|g|[kM]?Hz|degrees?|deg|°|pixels?|bits?|V|m/s|bytes?|"
+    r"threads?)(?!\w))?"  # makes it a size
 )
-PARAGRAPH = re.compile(r"^\|.*$|(?:^(?!\|).*\S.*$\n?)+", re.M)  # a row of a table is one
+PARAGRAPH = re.compile(r"^\|.*$|(?:^(?!\|).*\S.*$\n?)+", re.M)  # each row of a table is a paragraph
 TABLE_ROW = re.compile(r"^\|.*$", re.M)
-SMALL = 1000  # whole numbers below it are free
 
 
 def findings(root: Path) -> Iterator[PageProblem]:
-    """Results that sentences of the pages name and no table holds; the list of changes tells history."""
+    """Find results in sentences of the pages that no table contains; the list of changes is history and exempt."""
     for page in pages_of(root):
         if page.stem != "CHANGELOG":
             yield from numbers(page, page.read_text())
 
 
 def numbers(page: Path, text: str) -> Iterator[PageProblem]:
-    """Results that sentences of one page name and no table holds."""
-    spoken = MARK.sub(blank, text) if page.stem == "README" else TABLE_ROW.sub(blank, text)
-    spoken = UNSPOKEN_PATTERN.sub(blank, spoken)
-    code = BLOCK.sub(blank, text)  # a comment in it is no heading
-    ends = [found.start() for found in HEADING.finditer(code) if len(found[1]) <= 2]
+    """Find results in sentences of one page that no table contains."""
+    prose = MARK.sub(blank, text) if page.stem == "README" else TABLE_ROW.sub(blank, text)
+    prose = EXEMPT.sub(blank, prose)
+    code = BLOCK.sub(blank, text)  # comments in code look like headings
+    starts = [match.start() for match in HEADING.finditer(code) if len(match[1]) <= 2]
     for paragraph in PARAGRAPH.finditer(text):
-        begin = max((end for end in ends if end <= paragraph.start()), default=0)
-        places = [text[begin : min((end for end in ends if end > paragraph.start()), default=len(text))]]
+        begin = max((start for start in starts if start <= paragraph.start()), default=0)
+        places = [text[begin : min((start for start in starts if start > paragraph.start()), default=len(text))]]
         for name, anchor in LINK.findall(paragraph[0]):
             other = page.parent / name if name else page
             if other.is_file():
                 places.append(_section(text if other == page else other.read_text(), anchor))
-        held = frozenset().union(*(_held(said, page.stem == "README" and said in text) for said in places))
-        for found in NUMBER.finditer(spoken, paragraph.start(), paragraph.end()):
-            if _is_result(found) and not _is_held(found, held):
-                line = text.count("\n", 0, found.start()) + 1
-                number = " ".join(filter(None, (found[1].strip(), found[2])))
+        tabulated = frozenset().union(*(_tabulated(place, page.stem == "README" and place in text) for place in places))
+        for match in NUMBER.finditer(prose, paragraph.start(), paragraph.end()):
+            if _is_result(match) and not _is_tabulated(match, tabulated):
+                line = text.count("\n", 0, match.start()) + 1
+                number = " ".join(filter(None, (match[1].strip(), match[2])))
                 yield PageProblem(page, line, f"no table holds the number {number}")
 
 
 def slug(heading: str) -> str:
-    """The anchor that a heading has on the site."""
+    """Anchor of a heading on the site."""
     return re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-")
 
 
 def _section(text: str, anchor: str) -> str:
-    """The section of a page with an anchor, to the next heading of its level; the page where there is no anchor."""
+    """Section of a page at an anchor, up to the next heading of its level; the whole page without an anchor."""
     headings = list(HEADING.finditer(BLOCK.sub(blank, text)))
-    found = next((each for each in headings if slug(each[2]) == anchor), None)
-    if found is None:
+    start = next((heading for heading in headings if slug(heading[2]) == anchor), None)
+    if start is None:
         return text
-    later = (each.start() for each in headings if each.start() > found.start() and len(each[1]) <= len(found[1]))
-    return text[found.start() : next(later, len(text))]
+    later = (
+        heading.start() for heading in headings if heading.start() > start.start() and len(heading[1]) <= len(start[1])
+    )
+    return text[start.start() : next(later, len(text))]
 
 
-def _value(found: re.Match[str]) -> tuple[float, int]:
-    """A number, and its decimals."""
-    digits = re.sub(r"\s", "", found[1]).rstrip(".")
+def _value(match: re.Match[str]) -> tuple[float, int]:
+    """Parse a number and count its decimals."""
+    digits = re.sub(r"\s", "", match[1]).rstrip(".")
     return float(digits), len(digits.partition(".")[2])
 
 
-def _is_result(found: re.Match[str]) -> bool:
-    value, decimals = _value(found)
-    return bool(found[2]) or value >= SMALL or decimals > (1 if found[3] else 0)
+def _is_result(match: re.Match[str]) -> bool:
+    value, decimals = _value(match)
+    return bool(match[2]) or value >= 1000 or decimals > (1 if match[3] else 0)
 
 
-def _is_held(found: re.Match[str], held: frozenset[float]) -> bool:
-    value, decimals = _value(found)
-    asked = [(value, decimals)]
-    if found[2] in ("%", "point", "points"):
-        asked.append((value / 100, decimals + 2))
-    return any(abs(each - of) <= 0.5 * 10**-to + 1e-9 for of, to in asked for each in held)
+def _is_tabulated(match: re.Match[str], tabulated: frozenset[float]) -> bool:
+    value, decimals = _value(match)
+    forms = [(value, decimals)]
+    if match[2] in ("%", "point", "points"):
+        forms.append((value / 100, decimals + 2))
+    return any(
+        abs(tabulated_value - number) <= 0.5 * 10**-digits + 1e-9
+        for number, digits in forms
+        for tabulated_value in tabulated
+    )
 
 
 @cache
-def _held(text: str, marked_only: bool) -> frozenset[float]:
-    """All numbers in the tables of a text."""
-    text = "\n".join(found[0] for found in MARK.finditer(text)) if marked_only else text
-    return frozenset(_value(found)[0] for row in TABLE_ROW.findall(text) for found in NUMBER.finditer(row))
+def _tabulated(text: str, marked_only: bool) -> frozenset[float]:
+    """Numbers in the tables of a text, or in its generated tables only."""
+    text = "\n".join(match[0] for match in MARK.finditer(text)) if marked_only else text
+    return frozenset(_value(match)[0] for row in TABLE_ROW.findall(text) for match in NUMBER.finditer(row))

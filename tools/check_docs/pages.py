@@ -1,4 +1,4 @@
-"""Checks of each page. A check takes a page and its text, and gives what is wrong, and where."""
+"""Checks of pages and notebooks; each check takes a page and its text, and yields findings."""
 
 import contextlib
 import importlib
@@ -18,13 +18,11 @@ from tools.reproduce.steps import STEPS
 from tools.reproduce.tables import LIMITS_TABLE, MARK, README_TABLE, table
 
 ROOT = Path(__file__).parents[2]
-COMMAND = re.compile(r"python -m (?:i2t|experiments|tools|tests)[^`\n]*")
-FILE = re.compile(r"`((?:i2t|experiments|tools|tests|examples|notebooks|docs)/[\w./-]+\.(?:py|md|ipynb))`")
 BLOCK = re.compile(r"^```([a-z]*)\n(.*?)^```", re.M | re.S)
 
 
 class PageProblem(NamedTuple):
-    """A mistake and its place."""
+    """A mistake and its location."""
 
     path: Path
     line: int
@@ -32,7 +30,7 @@ class PageProblem(NamedTuple):
 
 
 def pages_of(root: Path) -> list[Path]:
-    """The pages that users read."""
+    """Pages for users."""
     return [*(root / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")), *sorted(root.glob("docs/*.md"))]
 
 
@@ -52,54 +50,57 @@ def _line(text: str, position: int) -> int:
     return text.count("\n", 0, position) + 1
 
 
-def blank(found: re.Match[str]) -> str:
-    """Spaces in place of what is found, so that lines stay where they are."""
-    return re.sub(r"[^\n]", " ", found[0])
+def blank(match: re.Match[str]) -> str:
+    """Replace a match by spaces, which keeps line numbers."""
+    return re.sub(r"[^\n]", " ", match[0])
 
 
 def files(page: Path, text: str) -> Iterator[PageProblem]:
-    """Files of the repository that are named exist; Sphinx follows the links."""
-    for found in FILE.finditer(text):
-        if not (ROOT / found[1]).exists():
-            yield PageProblem(page, _line(text, found.start()), f"{found[1]} does not exist")
+    """Find names of files of the repository that do not exist; Sphinx checks links."""
+    folders = "i2t|experiments|tools|tests|examples|notebooks|docs"
+    for match in re.finditer(rf"`((?:{folders})/[\w./-]+\.(?:py|md|ipynb))`", text):
+        if not (ROOT / match[1]).exists():
+            yield PageProblem(page, _line(text, match.start()), f"{match[1]} does not exist")
 
 
 def figures(page: Path, text: str) -> Iterator[PageProblem]:
-    """Every figure has a text for those who cannot see it."""
-    for found in re.finditer(r"!\[([^\]]*)\]\(([^)]+)\)", text):
-        if len(found[1]) <= 20 and "://" not in found[2]:
-            yield PageProblem(page, _line(text, found.start()), f"the figure {found[2]} has no text")
+    """Find figures without alternative text."""
+    for match in re.finditer(r"!\[([^\]]*)\]\(([^)]+)\)", text):
+        if len(match[1]) <= 20 and "://" not in match[2]:
+            yield PageProblem(page, _line(text, match.start()), f"the figure {match[2]} has no text")
 
 
 def tests(page: Path, text: str) -> Iterator[PageProblem]:
-    """Tests that a page names exist."""
-    for found in re.finditer(r"\b((?:tests/[\w/]+/|tests/)?test_\w+\.py)(?:::(\w+))?", text):
-        file, name = found[1], found[2]
+    """Find names of tests that do not exist."""
+    for match in re.finditer(r"\b((?:tests/[\w/]+/|tests/)?test_\w+\.py)(?:::(\w+))?", text):
+        file, name = match[1], match[2]
         paths = [ROOT / file] if "/" in file else [*(ROOT / "tests").rglob(file)]
         code = "".join(path.read_text() for path in paths if path.is_file())
         if not code or (name and f"def {name}(" not in code):
-            yield PageProblem(page, _line(text, found.start()), f"there is no test {found[0]}")
+            yield PageProblem(page, _line(text, match.start()), f"there is no test {match[0]}")
 
 
 def printed_commands(text: str) -> list[tuple[int, list[str]]]:
-    """The line of each command of i2t in a page, in fenced blocks, indented lines and sentences, and the words after
-    `python -m`.
+    """Extract the commands of i2t from fenced blocks, indented lines and sentences of a page.
+
+    Returns:
+        Line number of each command, and its words after `python -m`.
     """
-    places = [(found.start(2), found[2]) for found in BLOCK.finditer(text) if found[1] in ("", "bash", "sh", "console")]
+    places = [(match.start(2), match[2]) for match in BLOCK.finditer(text) if match[1] in ("", "bash", "sh", "console")]
     prose = BLOCK.sub(blank, text)
-    places += [(found.start(1), found[1]) for found in re.finditer(r"^ {4,}(?:\$ )?(python -m .*)$", prose, re.M)]
-    places += [(each.start(1), " ".join(each[1].split())) for each in re.finditer(r"`(python -m [^`]+)`", prose)]
+    places += [(match.start(1), match[1]) for match in re.finditer(r"^ {4,}(?:\$ )?(python -m .*)$", prose, re.M)]
+    places += [(match.start(1), " ".join(match[1].split())) for match in re.finditer(r"`(python -m [^`]+)`", prose)]
     commands = []
     for position, block in places:
-        for found in COMMAND.finditer(block.replace("\\\n", "  ")):
-            words = shlex.split(re.split(r"&&|;|\||  #", found[0])[0], comments=True)
-            commands.append((_line(text, position) + block.count("\n", 0, found.start()), words[2:]))
+        for match in re.finditer(r"python -m (?:i2t|experiments|tools|tests)[^`\n]*", block.replace("\\\n", "  ")):
+            words = shlex.split(re.split(r"&&|;|\||  #", match[0])[0], comments=True)
+            commands.append((_line(text, position) + block.count("\n", 0, match.start()), words[2:]))
     return commands
 
 
 @cache
 def help_of(module: str, part: str = "") -> str:
-    """Output of a command for `--help`; nothing if there is no such command."""
+    """Help text of a command; empty if the command does not exist."""
     try:
         package = importlib.util.find_spec(module)
     except ModuleNotFoundError:
@@ -119,70 +120,70 @@ def help_of(module: str, part: str = "") -> str:
 
 
 def commands(page: Path, text: str) -> Iterator[PageProblem]:
-    """Commands that are printed exist, are complete, and have the options."""
+    """Find commands that do not exist, are incomplete, or lack an option."""
     for line, (module, *args) in printed_commands(text):
-        said = help_of(module)
-        if not said:
+        help_text = help_of(module)
+        if not help_text:
             yield PageProblem(page, line, f"there is no command {module}")
         elif "..." in args:
             yield PageProblem(page, line, f"the command {module} is not complete")
-        elif args and not args[0].startswith("-") and _mentions(said, args[0]):
-            said += help_of(module, args[0])
-        for flag in (arg.split("=")[0] for arg in args if arg.startswith("--") and said):
-            if not _mentions(said, flag):
+        elif args and not args[0].startswith("-") and _mentions(help_text, args[0]):
+            help_text += help_of(module, args[0])
+        for flag in (arg.split("=")[0] for arg in args if arg.startswith("--") and help_text):
+            if not _mentions(help_text, flag):
                 yield PageProblem(page, line, f"{module} has no option {flag}")
 
 
-def _mentions(said: str, word: str) -> bool:
-    return bool(re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", said))
+def _mentions(help_text: str, word: str) -> bool:
+    return bool(re.search(rf"(?<![\w-]){re.escape(word)}(?![\w-])", help_text))
 
 
 def tables(page: Path, text: str) -> Iterator[PageProblem]:
-    """Tables are what was measured, on a page that prints the command."""
+    """Find tables that differ from docs/results, and tables on pages that do not print their command."""
     printed = {step.name: f"python {step.command}" for step in STEPS}
-    printed |= dict.fromkeys((README_TABLE[0], LIMITS_TABLE[0]), "")  # tables of no single command
-    for found in MARK.finditer(text):
-        line, step = _line(text, found.start()), found[2]
+    printed |= dict.fromkeys((README_TABLE[0], LIMITS_TABLE[0]), "")  # tables without a command of their own
+    for match in MARK.finditer(text):
+        line, step = _line(text, match.start()), match[2]
         if step not in printed:
             yield PageProblem(page, line, f"there is no step {step}")
-        elif found[1] + table(ROOT / "docs", step, found[3], page.name) + "\n" + found[4] != found[0]:
-            yield PageProblem(page, line, f"the table {step} {found[3]} is not what docs/results holds")
+        elif match[1] + table(ROOT / "docs", step, match[3], page.name) + "\n" + match[4] != match[0]:
+            yield PageProblem(page, line, f"the table {step} {match[3]} is not what docs/results holds")
         elif printed[step] not in text:
             yield PageProblem(page, line, f"the table {step} has no command on this page")
 
 
 def steps_printed(root: Path) -> Iterator[PageProblem]:
-    """Each step of tools.reproduce is printed somewhere, perhaps with further options."""
-    found = [set(words) for page in pages_of(root) for _, words in printed_commands(page.read_text())]
+    """Find steps of tools.reproduce that no page prints, possibly with further options."""
+    printed = [set(words) for page in pages_of(root) for _, words in printed_commands(page.read_text())]
     for step in STEPS:
         words = set(shlex.split(step.command)) - {"-m"}
-        if not any(words <= line for line in found):
+        if not any(words <= line for line in printed):
             yield PageProblem(root / "tools/reproduce/steps.py", 1, f"no page prints python {step.command}")
 
 
 def versions(root: Path) -> Iterator[PageProblem]:
-    """The version is one everywhere."""
+    """Find files whose version differs from the package's."""
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
     stated = {"pyproject.toml": project["version"]}
     for name, pattern in (("CITATION.cff", r"^version: (\S+)$"), ("CHANGELOG.md", r"^## (\S+)")):
-        found = re.search(pattern, (root / name).read_text(), re.M)
-        stated[name] = found[1] if found else "none"
+        match = re.search(pattern, (root / name).read_text(), re.M)
+        stated[name] = match[1] if match else "none"
     for name, version in stated.items():
         if version != i2t.__version__:
-            yield PageProblem(root / name, 1, f"the version is {version}, that of the package {i2t.__version__}")
+            yield PageProblem(root / name, 1, f"the version is {version}, but that of the package is {i2t.__version__}")
 
 
 def advice(page: Path, text: str) -> Iterator[PageProblem]:
-    """Advice to install names this distribution and extras that it has."""
+    """Find install commands with another distribution or with unknown extras."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    for found in re.finditer(r"""pip install -?e? ?["'](\.|[\w.-]+)\[([\w,]+)\]""", text):
-        known = set(found[2].split(",")) <= project["optional-dependencies"].keys()
-        if found[1] not in (".", project["name"]) or not known:
-            yield PageProblem(page, _line(text, found.start()), f"{found[0]} installs what there is not")
+    for match in re.finditer(r"""pip install -?e? ?["'](\.|[\w.-]+)\[([\w,]+)\]""", text):
+        extras_exist = set(match[2].split(",")) <= project["optional-dependencies"].keys()
+        if match[1] not in (".", project["name"]) or not extras_exist:
+            yield PageProblem(page, _line(text, match.start()), f"{match[0]} names an unknown package or extra")
 
 
 def notebook(path: Path, text: str) -> Iterator[PageProblem]:
-    """A notebook is stored without outputs and needs the package only."""
+    """Find notebooks that are stored with outputs or import anything but the package."""
     for cell in json.loads(text)["cells"]:
         source = "".join(cell["source"])
         if cell["cell_type"] == "code" and (cell["outputs"] or cell["execution_count"] is not None):

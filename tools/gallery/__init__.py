@@ -1,1 +1,1 @@
-"""Figures of the documents, made by one command."""
+"""Figures of the documents."""

@@ -1,4 +1,4 @@
-"""The options of `python -m tools.gallery`, without JAX."""
+"""Options of `python -m tools.gallery`, free of JAX."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,21 +11,21 @@ FigureName = Literal[
     "monitor", "from_depth", "stamps",
 ]  # fmt: skip
 FIGURE_NAMES: tuple[FigureName, ...] = get_args(FigureName)
-OF_A_RUN = frozenset[FigureName](("overview", "episode", "predictors"))  # which the others do without
+FIGURES_OF_RUN = frozenset[FigureName](("overview", "episode", "predictors"))  # figures that need a trained run
 
 
 @dataclass(frozen=True)
 class GalleryArgs:
     """Draw the figures of the documents."""
 
-    out: Path = Path("runs/gallery")  # folder for the figures
+    out: Path = Path("runs/gallery")  # output folder
     FORMER_NAMES: ClassVar = FORMER_NAMES
 
     pad_model: Path = Path("runs/train")  # folder of a run of experiments.train that simulated its touches
-    only: tuple[FigureName, ...] = ()  # some of the figures, by name
+    only: tuple[FigureName, ...] = ()  # names of the figures to draw; default: all
 
     def check(self) -> None:
-        """Refuse a run that is not there, where a figure needs one."""
-        if OF_A_RUN.isdisjoint(self.only or FIGURE_NAMES):
+        """Refuse a missing run if a figure needs one."""
+        if FIGURES_OF_RUN.isdisjoint(self.only or FIGURE_NAMES):
             return
         require_simulated_runs(self.pad_model)

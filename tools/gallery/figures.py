@@ -1,4 +1,4 @@
-"""One function for each figure of the documents, here and in the modules it imports; a simulated one says so."""
+"""Figures of the documents, one function each, here and in the imported modules; simulated data are labelled."""
 
 import json
 from pathlib import Path
@@ -21,14 +21,12 @@ from tools.gallery.lab_figures import monitor, registration, rig
 from tools.gallery.page_figures import from_depth, stamps
 from tools.gallery.story import HIDDEN_OBJECT, Draw, Story
 
-SHOWN = ("star", "pyramid", "cylinder", "screwdriver", "hammer")
-TIP_RADIUS_M = 4e-3
+PATCH_OBJECTS = ("star", "pyramid", "cylinder", "screwdriver", "hammer")
 DOCS = Path(__file__).parents[2] / "docs"
-NAMED_PROBABILITY = 0.04  # from which an object's name has room next to its curve
 
 
 def overview(story: Story) -> Figure:
-    """From an object to a belief: patch, imagined and felt reading, and which object it is after each touch."""
+    """From an object to a belief: patch, predicted and measured reading, and the belief after each touch."""
     record, touches = story.episode, story.unseen
     row = story.ranked[len(story.ranked) // 2]  # the touch of median error
     figure = Figure(figsize=(11.5, 3.5), layout="constrained")
@@ -36,33 +34,33 @@ def overview(story: Story) -> Figure:
     parts = figure.subplots(1, 4, width_ratios=(1.15, 1, 1, 1.1))
     mesh = record.meshes[record.truth]
     _draw_scene(parts[0], mesh, inverse(touches.T_w_o[row]) @ touches.T_w_t[row])
-    parts[0].set_title(f"1  an object never touched: {HIDDEN_OBJECT}", fontsize=10)
+    parts[0].set_title(f"1  an object never touched before: {HIDDEN_OBJECT}", fontsize=10)
     image = viz.draw_patch(parts[1], touches.patch[row])
     figure.colorbar(image, ax=parts[1], label="mm behind the nearest point", shrink=0.8)
     _outline(parts[1], np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
     parts[1].set_title("2  the patch that the camera sees", fontsize=10)
     _draw_both(parts[2], story, int(row))
-    parts[2].set_title("3  the reading, imagined and felt", fontsize=10)
+    parts[2].set_title("3  the reading, predicted and measured", fontsize=10)
     _draw_beliefs(parts[3], record)
     parts[3].set_title("4  which object is it?", fontsize=10)
     return figure
 
 
 def patches(story: Story) -> Figure:
-    """Patches of five objects, and where a skin would touch them."""
+    """Patches of five objects, and the contact of a skin with them."""
     depth = []
-    for number, name in enumerate(SHOWN):
+    for number, name in enumerate(PATCH_OBJECTS):
         mesh = i2t.make_object(name).mesh
         T_o_t = i2t.sample_touch_sites(mesh, 1, seed=number).T_o_t[0]
         depth.append(i2t.render_patch(i2t.prepare_surface(mesh), T_o_t).depth)
-    return viz.plot_patches(np.stack(depth), SHOWN, "Patches at random safe sites", True)
+    return viz.plot_patches(np.stack(depth), PATCH_OBJECTS, "Patches at random safe sites", True)
 
 
 def press(story: Story) -> Figure:
     """A ball pressed into the skin: pressure, displacement, reading."""
     pad = i2t.nominal_pad()
     squared = (GRID.centres[None, :] - 3e-3) ** 2 + GRID.centres[:, None] ** 2
-    pressed = i2t.press(pad, squared / (2 * TIP_RADIUS_M), 0.4e-3)
+    pressed = i2t.press(pad, squared / (2 * 4e-3), 0.4e-3)
     moved, _ = interior(pad, load(pad, pressed.pressure), 0.0)
     return viz.plot_press(
         np.asarray(pressed.pressure), -np.asarray(moved[2]), pad.board, np.asarray(pressed.reading),
@@ -71,44 +69,53 @@ def press(story: Story) -> Figure:
 
 
 def episode(story: Story) -> Figure:
-    """An episode of recognition: each touch, what each candidate would show there, and the belief."""
+    """An episode of recognition: each touch, the predicted patch of each candidate, and the belief."""
     return viz.plot_episode(story.episode)
 
 
 def calibration_curve(story: Story) -> Figure:
-    """Number of presses of a real skin that predict those of whole blocks left out (docs/results/calibrate.json)."""
+    """Accuracy on left-out blocks of a real skin by number of calibration presses (docs/results/calibrate.json)."""
     measured = json.loads((DOCS / "results" / "calibrate.json").read_text())
-    curves, over = (measured[name]["blocks of 6 mm"] for name in ("r2", "calibrate_over_blocks"))
-    counts = [int(count) for count in over["r2"]]
+    curves, with_intervals = (measured[name]["blocks of 6 mm"] for name in ("r2", "calibrate_over_blocks"))
+    counts = [int(count) for count in with_intervals["r2"]]
     figure = Figure(figsize=(6.5, 4), layout="constrained")
     axes = figure.subplots()
     for name, style in {"k nearest presses": ":", "plain Gaussian process": "--", "i2t.calibrate": "-"}.items():
         colour = Colour.BLUE if name == "i2t.calibrate" else Colour.GREY
-        axes.plot(counts, [each["mean"] for each in curves[name].values()], style, color=colour, marker="o", label=name)
-    low, high = np.array([[each["low"], each["high"]] for each in over["r2"].values()]).T
+        axes.plot(
+            counts,
+            [interval["mean"] for interval in curves[name].values()],
+            style,
+            color=colour,
+            marker="o",
+            label=name,
+        )
+    low, high = np.array([[interval["low"], interval["high"]] for interval in with_intervals["r2"].values()]).T
     axes.fill_between(counts, low, high, color=Colour.BLUE, alpha=0.18, lw=0)
     axes.set_xscale("log")
     axes.set_xticks(counts, [str(count) for count in counts], minor=False)
-    axes.set(xlabel="presses that it is fitted to", ylabel="R² on presses of blocks left out", ylim=(-0.65, 1))
+    axes.set(xlabel="calibration presses", ylabel="R² on presses of left-out blocks", ylim=(-0.65, 1))
     axes.axhline(0, color="black", lw=0.8)
     axes.legend(loc="lower right")
-    axes.set_title("A real skin from a few presses, 95 % over blocks")
+    axes.set_title("Calibration of a real skin, 95 % intervals over blocks")
     return figure
 
 
 def predictors(story: Story) -> Figure:
-    """Every predictor of the run on unseen objects."""
+    """R² of all predictors of the run on unknown objects."""
     methods = json.loads((story.finished.folder / "metrics.json").read_text())["methods"]
     names = list(methods)
     r2 = np.array([methods[name]["r2"] for name in names])
-    low, high = np.array([methods[name]["r2_interval"] for name in names], float).T  # none of too few sessions is NaN
+    low, high = np.array(
+        [methods[name]["r2_interval"] for name in names], float
+    ).T  # missing intervals (too few sessions) become NaN
     figure = Figure(figsize=(8, 4.2), layout="constrained")
     axes = figure.subplots()
     colours = [Colour.BLUE if "pressure" in name else Colour.GREY for name in names]
     axes.barh(names, r2, xerr=np.maximum([r2 - low, high - r2], 0), color=colours, capsize=2)
     axes.invert_yaxis()
     axes.axvline(0, color="black", lw=0.8)
-    axes.set_xlabel("R² on unseen objects, 95 % over sessions")
+    axes.set_xlabel("R² on unknown objects, 95 % intervals over sessions")
     axes.set_title(titled("Predictors", True))
     return figure
 
@@ -117,7 +124,7 @@ def predictors(story: Story) -> Figure:
 
 
 def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray) -> None:
-    """An object in three dimensions, with the skin where it touches, or why it cannot be drawn."""
+    """Draw an object in three dimensions with the touching skin, or the reason that it cannot be drawn."""
     axes.set_axis_off()
     picture = viz.object_image(mesh.vertices, mesh.faces, T_o_t[None])
     if picture is None:
@@ -133,26 +140,26 @@ def _outline(axes: Axes, mask: np.ndarray) -> None:
 
 
 def _draw_both(axes: Axes, story: Story, row: int) -> None:
-    """Imagined and felt reading of a touch, as the field's change at each chip."""
-    board, felt, imagined = story.run.dataset.board, story.unseen.reading[row], story.imagined.mean[row]
-    scale = float(np.abs(np.stack([felt, imagined])).max())
+    """Draw the predicted and the measured reading of a touch, as the change of the field at each chip."""
+    board, measured, predicted = story.run.dataset.board, story.unseen.reading[row], story.predicted.mean[row]
+    scale = float(np.abs(np.stack([measured, predicted])).max())
     viz.draw_skin(axes)
-    viz.draw_reading(axes, board, felt, scale, colour=Colour.BLUE, label="felt")
-    viz.draw_reading(axes, board, imagined, scale, colour=Colour.ORANGE, label="imagined", width=0.006)
+    viz.draw_reading(axes, board, measured, scale, colour=Colour.BLUE, label="measured")
+    viz.draw_reading(axes, board, predicted, scale, colour=Colour.ORANGE, label="predicted", width=0.006)
     axes.set(xlabel="x (mm)", ylabel="y (mm)")
     axes.legend(loc="upper right", fontsize=8)
 
 
 def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
-    """Each object's probability after each touch."""
+    """Draw each object's probability after each touch."""
     n = len(record.names)
     p = np.vstack([np.full(n, 1 / n), record.p])
     for i in np.argsort(np.arange(n) == record.truth):
-        there = i == record.truth
+        true = i == record.truth
         axes.plot(
-            p[:, i], color=Colour.BLUE if there else Colour.GREY, lw=2.5 if there else 1, marker="o" if there else ""
+            p[:, i], color=Colour.BLUE if true else Colour.GREY, lw=2.5 if true else 1, marker="o" if true else ""
         )
-    likely = [i for i in range(n) if p[-1, i] > NAMED_PROBABILITY]
+    likely = [i for i in range(n) if p[-1, i] > 0.04]  # less has no room for a name
     ends = [(record.names[i], p[-1, i]) for i in likely]
     for name, end in ends if len(likely) == n else [*ends, (f"{n - len(likely)} others", 0.0)]:
         axes.annotate(name, (len(p) - 1, end), xytext=(7, 0), textcoords="offset points", fontsize=9, va="center")

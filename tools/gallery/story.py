@@ -1,4 +1,4 @@
-"""Data that several figures of the documents share."""
+"""Data that several figures share."""
 
 from collections.abc import Callable
 from functools import cached_property
@@ -20,40 +20,40 @@ from i2t.simulation.touches import touch_simulator
 from i2t.types import ReturnCode, Touches
 from i2t.viz.episode_report import EpisodeRecord
 
-HIDDEN_OBJECT = "hammer"  # what stands there in the overview and in the episode
-OTHERS = ("star", "square", "cylinder", "screwdriver")  # that might stand there as well
+HIDDEN_OBJECT = "hammer"  # true object of the overview and of the episode
+OTHER_CANDIDATES = ("star", "square", "cylinder", "screwdriver")
 LOOKING_DOWN = np.diag([1.0, -1.0, -1.0, 1.0])  # T_o_t of a skin over a stamp
-EPISODE = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
+EPISODE_CONFIG = RecognizerConfig(num_sites=24, num_particles=64, max_touches=5)
 
 
 class Story:
-    """Data that several figures share: a finished run, its predictions, and one episode of recognition."""
+    """A finished run, its predictions, and one episode of recognition."""
 
     def __init__(
-        self, folder: Path, *, world: Recognition = PRESETS["paper"], config: RecognizerConfig = EPISODE
+        self, folder: Path, *, world: Recognition = PRESETS["paper"], config: RecognizerConfig = EPISODE_CONFIG
     ) -> None:
         self.folder, self.world, self.config = folder, world, config
 
     @property
     def finished(self) -> FinishedRun:
-        """The run."""
+        """Finished run."""
         return finished_runs(self.folder)[0]
 
     @cached_property
     def run(self) -> TrainedRun:
-        """The run with its pad model."""
+        """Finished run with its pad model."""
         return load_trained_run(self.finished)
 
     @cached_property
     def unseen(self) -> Touches:
-        """Touches of the hidden object, on which the predictor was not trained."""
+        """Touches of the hidden object, which is not in the training set."""
         dataset = self.run.dataset
         rows = dataset.touches.object == dataset.objects.index(HIDDEN_OBJECT)
         return dataset.select(rows & (dataset.touches.code != ReturnCode.AIR)).touches
 
     @cached_property
-    def imagined(self) -> Reading:
-        """The predictor's readings of the unseen touches, not checked again: a wrench sensor's noise may pull."""
+    def predicted(self) -> Reading:
+        """Predicted readings of the unseen touches, unchecked because sensor noise may make forces negative."""
         touches = self.unseen
         pitch = self.run.predictor.window / touches.patch.shape[1]
         return self.run.predictor.predict_batch(
@@ -62,24 +62,26 @@ class Story:
 
     @cached_property
     def ranked(self) -> np.ndarray:
-        """Unseen touches from the smallest to the largest error of their prediction."""
-        return np.argsort(np.square(self.imagined.mean - self.unseen.reading).mean(1))
+        """Indices of the unseen touches, sorted by prediction error."""
+        return np.argsort(np.square(self.predicted.mean - self.unseen.reading).mean(1))
 
     @cached_property
     def episode(self) -> EpisodeRecord:
-        """The hidden object among five, touched where the belief expects to learn most."""
-        world, meshes = self.world, meshes_by_name((*OTHERS, HIDDEN_OBJECT))
+        """Episode with the hidden object among five candidates, at the most informative sites."""
+        world, meshes = self.world, meshes_by_name((*OTHER_CANDIDATES, HIDDEN_OBJECT))
         recognizer = i2t.ObjectRecognizer(jax.random.key(1), self.run.pad_model, meshes, config=self.config)
         hidden = i2t.prepare_surface(meshes[HIDDEN_OBJECT])
         touch = touch_simulator(jax.random.key(2), hidden, self.run.pad, errors=world.errors, limits=world.limits)
         state, poses, readings, beliefs = recognizer.init(), [], [], []
         while (site := recognizer.choose_touch(state)) is not None:
-            made = touch(site.T_w_t)
-            contact = int(made.code) != ReturnCode.AIR
-            seen = recognizer.observe(site, made.reading, force=float(made.force), T_w_t=made.T_w_t, contact=contact)
+            result = touch(site.T_w_t)
+            contact = int(result.code) != ReturnCode.AIR
+            seen = recognizer.observe(
+                site, result.reading, force=float(result.force), T_w_t=result.T_w_t, contact=contact
+            )
             state, info = recognizer.update(state, seen)
-            poses.append(made.T_w_t)
-            readings.append(made.reading)
+            poses.append(result.T_w_t)
+            readings.append(result.reading)
             beliefs.append(info.probability)
         names = list(meshes)
         return EpisodeRecord(

@@ -1,1 +1,1 @@
-"""The measurements of the documents again, and the tables that the documents show."""
+"""Commands that reproduce the documents' measurements and tables."""

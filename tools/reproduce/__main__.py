@@ -1,19 +1,18 @@
-"""The measurements of the documents again, and the tables that the documents show.
+"""Repeat the measurements of the documents, and write the documents' tables.
 
-    python -m tools.reproduce                         all steps, one after another (most of a day on two cores)
-    python -m tools.reproduce --only study recognize  some of them
-    python -m tools.reproduce --list                  what there is, how long it takes, and what is done
-    python -m tools.reproduce --tables                only write the documents' tables from what was measured
+    python -m tools.reproduce                         all steps in turn (most of a day on two cores)
+    python -m tools.reproduce --only study recognize  some steps
+    python -m tools.reproduce --list                  names, durations and states of the steps
+    python -m tools.reproduce --tables                only write the tables from docs/results
 
-Each step is a command that the documents print. It is run as it is printed, in a process of its own; an unfinished one
-goes on where it stopped, or begins again if its command cannot go on, and a finished one is not run again. What a step
-measured is kept, shortened, in docs/results, and the tables between the marks `<!-- table: STEP NAME -->` and
-`<!-- end of table -->` of the documents are written from it; figures outside such marks are compared by eye.
+Each step is a command printed in the documents, run in its own process. An unfinished step resumes, or restarts if its
+command cannot resume; a finished step is not run again. The shortened results of a step are kept in docs/results. The
+tables between the marks `<!-- table: STEP NAME -->` and `<!-- end of table -->` in the documents are written from them;
+numbers outside these marks must be compared by hand.
 
-Steps that need recordings or meshes which are no part of the project look for them below the current folder, under the
-names of the documents, and are left out where they are not there. Not among the steps are timings, which belong to one
-machine (experiments.benchmark), pictures (tools.gallery), notebooks, the ready models, and
-what the documents say of single runs with other options.
+Steps that need recordings or meshes from elsewhere look for them in the current folder, under the names in the
+documents, and are skipped if they are missing. Not included are timings, which depend on the machine
+(experiments.benchmark), figures (tools.gallery), notebooks, the ready models, and single runs with other options.
 """
 
 import json
@@ -33,13 +32,13 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 @dataclass(frozen=True)
 class ReproduceArgs:
-    """Run the studies of the documents again and write their tables."""
+    """Repeat the documents' measurements and write their tables."""
 
-    out: Path = Path("runs/reproduce")  # folder for everything that is made
-    only: tuple[str, ...] = ()  # names of steps, in place of all; what they use must be there or among them
-    list: bool = False  # say what there is, and end
-    tables: bool = False  # run nothing; write the tables from docs/results
-    docs: Path | None = None  # folder of the documents; this checkout's unless given
+    out: Path = Path("runs/reproduce")  # output folder
+    only: tuple[str, ...] = ()  # names of the steps to run, with those that they use; default: all
+    list: bool = False  # list the steps and stop
+    tables: bool = False  # write the tables from docs/results, without running a step
+    docs: Path | None = None  # folder of the documents; default: that of this checkout
 
     @property
     def folder(self) -> Path:
@@ -48,16 +47,16 @@ class ReproduceArgs:
 
 
 def run(args: ReproduceArgs) -> None:
-    """The steps asked for, then the tables.
+    """Run the selected steps, then write the tables.
 
     Raises:
-        ValueError: A step is unknown, what it uses or needs is missing, or one fails.
+        ValueError: A step is unknown, fails, or lacks data or a step that it uses.
     """
-    known = {step.name: step for step in STEPS}
-    if unknown := [name for name in args.only if name not in known]:
-        remedy = did_you_mean(unknown[0], known, "see their names with --list")
+    by_name = {step.name: step for step in STEPS}
+    if unknown := [name for name in args.only if name not in by_name]:
+        remedy = did_you_mean(unknown[0], by_name, "see their names with --list")
         raise ValueError(f"there is no step {unknown[0]}; {remedy}")
-    steps = [known[name] for name in known if not args.only or name in args.only]
+    steps = [by_name[name] for name in by_name if not args.only or name in args.only]
     if args.list:
         print("\n".join(describe(step, args.out) for step in steps))
         return
@@ -65,8 +64,8 @@ def run(args: ReproduceArgs) -> None:
         for step in steps:
             if step.needs and not Path(step.needs).exists():
                 if args.only:
-                    raise ValueError(f"{step.name} needs {step.needs}, which is not there; docs say what it is")
-                print(f"\n== {step.name} is left out: it needs {step.needs}, which is not there", flush=True)
+                    raise ValueError(f"{step.name} needs {step.needs}, which is missing; the documents describe it")
+                print(f"\n== {step.name} is left out: it needs {step.needs}, which is missing", flush=True)
                 continue
             _run_step(step, args)
     written = write_tables(args.folder)
@@ -74,25 +73,27 @@ def run(args: ReproduceArgs) -> None:
 
 
 def describe(step: Step, out: Path) -> str:
-    """One line on a step: whether it is done, how long it takes, and its command."""
+    """Describe a step in one line: state or duration, and command."""
     expected = "time?" if step.minutes is None else f"{step.minutes} min"
     done = "done" if (out / step.name / step.result).exists() else expected
-    asked = [f"uses {step.uses}"] if step.uses else []
-    asked += [f"needs {step.needs}"] if step.needs else []
-    return f"{step.name:20} {done:>8}   python {step.command}" + (f"   ({', '.join(asked)})" if asked else "")
+    requirements = [f"uses {step.uses}"] if step.uses else []
+    requirements += [f"needs {step.needs}"] if step.needs else []
+    return f"{step.name:20} {done:>8}   python {step.command}" + (
+        f"   ({', '.join(requirements)})" if requirements else ""
+    )
 
 
 def _run_step(step: Step, args: ReproduceArgs) -> None:
-    """One command in a process of its own, unless it is done."""
+    """Run the command of a step in its own process unless it is done, and keep its results."""
     folder = args.out / step.name
     if step.uses and not (args.out / step.uses).exists():
-        raise ValueError(f"{step.name} uses {step.uses}, which is not there; run it first, or name both in --only")
+        raise ValueError(f"{step.name} uses {step.uses}, which is missing; run it first, or name both in --only")
     if not (folder / step.result).exists():
         words = step.arguments(args.out, resume=(folder / "config.json").exists())
         print(f"\n== {step.name}: python {' '.join(words)}", flush=True)
         code = subprocess.run([sys.executable, *words], env=dict(os.environ), check=False).returncode
         if code:
-            raise ValueError(f"{step.name} ended with exit code {code}; mend what it says and run this command again")
+            raise ValueError(f"{step.name} ended with exit code {code}; fix its error and run this command again")
     if step.name in TABLES:
         results = args.folder / "results"
         results.mkdir(exist_ok=True)

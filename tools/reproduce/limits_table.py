@@ -8,7 +8,7 @@ from i2t.hardware.limits import SAFETY
 
 
 def safety_limits() -> str:
-    """List every safety limit with its value and unit, and what it protects."""
+    """Table of the safety limits with value, unit and purpose."""
     rows = []
     for limit in fields(SAFETY):
         value = f"{_number(getattr(SAFETY, limit.name))} {limit.metadata['unit']}"

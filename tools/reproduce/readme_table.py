@@ -1,4 +1,4 @@
-"""The table of the README: what i2t can do on real data and in simulation, and where it falls short."""
+"""Table of the README: results on real data and in simulation, and limits."""
 
 import re
 from collections.abc import Mapping
@@ -8,11 +8,8 @@ from experiments.common.tables import cell, markdown
 from tools.reproduce.shape_tables import BETTER_BY
 from tools.reproduce.skin_tables import r2_of
 
-WARPED, CHANGES, RECORDED = "time-warped strokes", "less ambient", "as recorded"
-AT_REST, PAPER, POSED = "control: at rest, less the median", "paper's classifier", "classifier with pose"
 GP = "Gaussian process on predicted contact pressure"
-CALIBRATED, TUNED, PLAIN = "i2t.calibrate", "tuned GP on position and load", "plain Gaussian process"
-OTHER_PHYSICS = ("free side faces", "soft compressible layer", "Winkler foundation")
+CALIBRATED = "i2t.calibrate"
 VOTES = {
     "masks": "Imagine2touch (paper's network, mask), votes",
     "depths": "Imagine2touch (paper's network, depth), votes",
@@ -21,7 +18,7 @@ VOTES = {
 
 
 def summary(results: Mapping[str, Measured]) -> str:
-    """A row for each thing that i2t does, with links to where its numbers stand; of the metrics by step."""
+    """Table with a row for each function of i2t and links to the sources of its numbers; `results` is by step."""
     rows = [*_skins(results), *_objects(results), *_others(results)]
     table = markdown(["", "real data", "simulated", "falls short"], rows)
     return re.sub(r"\b0(?=\.\d\d\b)", "", table)  # .94 in place of 0.94
@@ -31,10 +28,13 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
     blocks, study, calibrate = results["train_blocks"], results["study"], results["calibrate"]
     real, pads, registered = blocks["methods"], study["over_pads"], results["train_registered"]["over_pads"]
     by_position = next(scores for name, scores in real.items() if name.startswith(CALIBRATED))
-    baseline = max((real[name] for name in (*blocks["baselines"], TUNED)), key=lambda scores: scores["r2"])
+    baseline = max(
+        (real[name] for name in (*blocks["baselines"], "tuned GP on position and load")),
+        key=lambda scores: scores["r2"],
+    )
     baseline_on_pads = max((pads[name]["r2"] for name in study["baselines"]), key=lambda r2: r2[0])
     press = calibrate["calibrate_over_blocks"]["blocks of 6 mm"]["r2"]["20"]
-    plain = calibrate["r2"]["blocks of 6 mm"][PLAIN]["20"]["mean"]
+    plain = calibrate["r2"]["blocks of 6 mm"]["plain Gaussian process"]["20"]["mean"]
     return [
         [
             "predict readings, R²",
@@ -66,7 +66,10 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
     rows = results["physics"]["tables"]["methods"]["rows"]
     means = {tuple(row[:3]): cell(row[3]["mean"], 2) for row in rows}
     readings, readings_own, belief_none, belief_own = (
-        " / ".join(means[name, evidence, touches] for name in OTHER_PHYSICS)
+        " / ".join(
+            means[name, evidence, touches]
+            for name in ("free side faces", "soft compressible layer", "Winkler foundation")
+        )
         for evidence in ("readings", "fused")
         for touches in ("none", "200")
     )
@@ -97,22 +100,24 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
     fitted_read, fitted_posed = _with_and_without_readings(results["reconstruct_fitted"])
     tip = heads["position"]["whole blocks or strokes"]["kept"]["median"]
     later = results["strokes"]["splits"]["in file order"]["methods"]
-    best, flattered = (
-        max((found for name, found in later.items() if name.endswith(kind)), key=lambda found: found["accuracy"][0])
-        for kind in (CHANGES, RECORDED)
+    warped, at_rest = later["time-warped strokes"], later["control: at rest, less the median"]
+    best, with_ambient = (
+        max((scores for name, scores in later.items() if name.endswith(kind)), key=lambda scores: scores["accuracy"][0])
+        for kind in ("less ambient", "as recorded")
     )
-    stamps = {name: cell(found["total"][0], 2) for name, found in results["shapes"]["splits"]["random"].items()}
+    stamps = {name: cell(scores["total"][0], 2) for name, scores in results["shapes"]["splits"]["random"].items()}
+    of_paper, with_pose = stamps["paper's classifier"], stamps["classifier with pose"]
     return [
         [
             "recognise shapes",
-            f"digits drawn on one skin, later strokes, chance .10: {cell(later[WARPED]['accuracy'], 2)}, best baseline "
+            f"digits drawn on one skin, later strokes, chance .10: {cell(warped['accuracy'], 2)}, best baseline "
             f"{cell(best['accuracy'], 2)}, better by {cell(best[BETTER_BY], 2)} "
             "([shapes](docs/shapes.md#on-a-real-skin))",
-            f"stamps: {stamps['imagined touch']}, paper's classifier {stamps[PAPER]}, a tuned one with pose and force "
-            f"{stamps[POSED]}",
+            f"stamps: {stamps['imagined touch']}, paper's classifier {of_paper}, a tuned one with pose and force "
+            f"{with_pose}",
             "each digit in one recording, so the field around tells it: kept, it lifts the best baseline to "
-            f"{cell(flattered['accuracy'][0], 2)}; samples at rest, less the median, tell "
-            f"{cell(later[AT_REST]['accuracy'][0], 2)}",
+            f"{cell(with_ambient['accuracy'][0], 2)}; samples at rest, less the median, tell "
+            f"{cell(at_rest['accuracy'][0], 2)}",
         ],
         [
             "patches from depth images",
@@ -140,7 +145,7 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
 
 
 def _with_and_without_readings(measured: Measured) -> tuple[Measured, Measured]:
-    """Scores after 5 touches with readings, and of the better condition without them."""
+    """Select the scores after 5 touches with readings, and those of the better condition without them."""
     scores = {name: condition["after"]["5"] for name, condition in measured["conditions"].items()}
     with_readings = scores.pop(next(name for name in scores if name.startswith("reading")))
     return with_readings, min(scores.values(), key=lambda entry: entry["ratio"][0])

@@ -1,4 +1,4 @@
-"""Tables of shapes from touches: surfaces, and the surface below one press."""
+"""Tables of surfaces from touches, patches below single presses, and recognised shapes."""
 
 from experiments.common.cells import Measured, Table, span
 from experiments.common.tables import cell, markdown
@@ -9,62 +9,69 @@ PATCH_SCORES = (
     ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_mm", "CRPS, mm"),
     ("crps_ratio", "CRPS / prior's"),
 )  # fmt: skip
-CRPS_GOALS = ("", "0.65", "0.52", "")  # of CRPS / prior's
-STOPS = ("prior", "one stop", "press curve", "press curve, pad fitted to 300 presses")
-BETTER_BY = "time-warped strokes better by"  # a score of every other method on the same strokes
+METHOD_TITLES = ("prior", "one stop", "press curve", "press curve, pad fitted to 300 presses")
+BETTER_BY = "time-warped strokes better by"  # score of all other methods on the same strokes
 
 
 def local_shapes(measured: Measured) -> str:
-    """Scores of every method over all test objects, what was wanted of CRPS, and medians of edges, which are few."""
+    """Scores of every method over all test objects, the goals of CRPS, and medians over the few edges."""
     methods = measured["methods"].values()
-    shown = [(score, title) for score, title in PATCH_SCORES if all(score in found for found in methods)]
+    shown = [(score, title) for score, title in PATCH_SCORES if all(score in scores for scores in methods)]
     rows = [
         [
             name,
-            *(span(score, 2, found) for score, _ in shown),
+            *(span(score, 2, scores) for score, _ in shown),
             goal,
-            f"{cell(found['edge_degrees_median'][0], 0)}, {cell(found['edge_mm_median'][0], 1)}",
+            f"{cell(scores['edge_degrees_median'][0], 0)}, {cell(scores['edge_mm_median'][0], 1)}",
         ]
-        for name, found, goal in zip(STOPS, methods, CRPS_GOALS, strict=False)
+        for name, scores, goal in zip(METHOD_TITLES, methods, ("", "0.65", "0.52", ""), strict=False)
     ]
     edges = f"edge, degrees and mm ({measured['edges']} presses)"
     return markdown(["method", *(title for _, title in shown), "its goal", edges], rows)
 
 
 def local_shapes_by_source(measured: Measured) -> str:
-    """Masks on objects of the catalogue, and on those drawn at random: a row for each source."""
-    shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # and the first method
-    stops = STOPS[: len(measured["methods"])]
-    head = [f"{title}, {stop}" for _, title, first in shown for stop in stops[first:]]
+    """Scores of masks, with a row for each source of test objects."""
+    shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # score, title, first method
+    titles = METHOD_TITLES[: len(measured["methods"])]
+    head = [f"{title}, {stop}" for _, title, first in shown for stop in titles[first:]]
     rows = [
         [
-            f"{source} ({found['objects']})",
-            *(span(score, 2, of) for score, _, first in shown for of in list(found["methods"].values())[first:]),
+            f"{source} ({result['objects']})",
+            *(
+                span(score, 2, scores)
+                for score, _, first in shown
+                for scores in list(result["methods"].values())[first:]
+            ),
         ]
-        for source, found in measured["sources"].items()
+        for source, result in measured["sources"].items()
     ]
     return markdown(["test objects", *head], rows)
 
 
-HELD_OUT = {
-    "random": "random fifths", "location": "squares of position", "travel": "fifths of travel",
-    "angle": "sectors of rotation",
-}  # fmt: skip
-STAMP_GOALS = {"random": "0.92 (classifier); 0.95 (best)", "location": "0.85", "20": "0.85"}
-
-
 def stamps(measured: Measured) -> str:
-    """Rates at which stamps are told apart, by what is held out, below the paper's."""
+    """Accuracy of stamp recognition by way of holding out, below the paper's."""
+    held_out = {
+        "random": "random fifths", "location": "squares of position", "travel": "fifths of travel",
+        "angle": "sectors of rotation",
+    }  # fmt: skip
+    goals = {"random": "0.92 (classifier); 0.95 (best)", "location": "0.85", "20": "0.85"}
     methods = list(measured["splits"]["random"])
-    found = {name: {method: each["total"] for method, each in of.items()} for name, of in measured["splits"].items()}
+    totals = {
+        name: {method: scores["total"] for method, scores in by_method.items()}
+        for name, by_method in measured["splits"].items()
+    }
     rows = [
         [
             title,
-            *("".join(cell(of[each], 2) for each in of if each.startswith(method)) for method in methods),
-            STAMP_GOALS.get(name, ""),
+            *(
+                "".join(cell(by_method[scores], 2) for scores in by_method if scores.startswith(method))
+                for method in methods
+            ),
+            goals.get(name, ""),
         ]
-        for name, of in (found | measured["new"]).items()
-        for title in [HELD_OUT.get(name, f"a new skin, {name} presses of each shape known")]
+        for name, by_method in (totals | measured["new"]).items()
+        for title in [held_out.get(name, f"a new skin, {name} presses of each shape known")]
     ]
     head = [f"held out, {measured['source']}", *(f"{method} [95 %]" for method in methods), "goal"]
     published = ["random fifths, the paper, one real skin", "0.92", *[""] * len(methods)]
@@ -72,18 +79,18 @@ def stamps(measured: Measured) -> str:
 
 
 def strokes(measured: Measured) -> str:
-    """Accuracy, log loss and calibration of every method on later strokes, and accuracy on strokes drawn at random."""
+    """Accuracy, log loss and calibration of every method on later strokes, and accuracy on random strokes."""
     order, drawn = (split["methods"] for split in measured["splits"].values())
     rows = [
         [
             name,
-            cell(found["accuracy"], 2),
-            cell(found["log_loss"][0], 2),
-            f"{cell(found['calibration']['error'])} ({cell(found['calibration']['chance'])})",
-            cell(found[BETTER_BY], 2, signed=True) if BETTER_BY in found else "",
+            cell(scores["accuracy"], 2),
+            cell(scores["log_loss"][0], 2),
+            f"{cell(scores['calibration']['error'])} ({cell(scores['calibration']['chance'])})",
+            cell(scores[BETTER_BY], 2, signed=True) if BETTER_BY in scores else "",
             cell(drawn[name]["accuracy"], 2),
         ]
-        for name, found in order.items()
+        for name, scores in order.items()
     ]
     goal = ["goal", "0.95", "", "0.030", "", ""]
     head = [

@@ -1,4 +1,4 @@
-"""Tables of predictors, of skins that are known from few presses, and of what a recording is worth."""
+"""Tables of predictors, of calibration from few presses, and of the fidelity of recordings."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -9,54 +9,45 @@ from experiments.common.tables import cell, markdown
 
 
 def r2_of(decimals: int, scores: Mapping[str, Any]) -> str:
-    """R² of one pad and seed with its interval over sessions."""
+    """Format R² of one pad and seed with its interval over sessions."""
     return cell([scores["r2"], *scores["r2_interval"]], decimals)
 
 
 def r2_over(scores: Mapping[str, Any]) -> str:
-    """R² over pads or skins with its interval."""
+    """Format R² over pads or skins with its interval."""
     return cell(scores["r2"], 2)
 
 
 ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / sigma", "median cosine")
-ON_UNSEEN = ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES)
-OVER_PADS = ("method", "R² [95 % over pads]", *ERROR_TITLES)
-OVER_PADS_CELLS: tuple[Cell, ...] = (
-    r2_over,
-    *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS),
-)
 
 
 def predictors_on_recording(over: str) -> Table:
-    """Scores of every predictor on a recording's held-out presses; `over` says what the intervals resample."""
+    """Table of every predictor's scores on a recording's held-out presses; intervals resample `over`."""
     head = ("on one skin, {source}", f"R² [95 % over {over}]", "median over channels", "in the 90 % range")
     cells: tuple[Cell, ...] = (partial(r2_of, 3), *numbers_of(["r2_median"], 3), *numbers_of(["coverage_90"]))
     return rows_over("methods", head, *cells, kept=True)
 
 
 def choice_on_validation(measured: Measured) -> str:
-    """The method that is best on validation touches over pads, and its lead over the best baseline."""
+    """The best method on validation touches over pads, and its lead over the best baseline."""
     choice = measured["choice"]
-    over, r2 = choice["validated_on"], choice["validation_r2"]
-    objects = "1 object" if over["objects"] == 1 else f"{over['objects']} objects"
-    of = f"{over['touches']} validation touches of {objects}, {measured['source']}"
+    counts, r2 = choice["validated_on"], choice["validation_r2"]
+    objects = "1 object" if counts["objects"] == 1 else f"{counts['objects']} objects"
+    heading = f"{counts['touches']} validation touches of {objects}, {measured['source']}"
     best, baseline = choice["best"], choice["best_baseline"]
     lead = cell(choice["over_best_baseline"], 2, signed=True)
     rows = [[f"best: {best}", cell(r2[best], 2)], [f"best baseline: {baseline}", cell(r2[baseline], 2)], ["lead", lead]]
-    return markdown([of, "R² [95 % over pads]"], rows)
+    return markdown([heading, "R² [95 % over pads]"], rows)
 
 
 CALIBRATED, PLAIN, NEIGHBOURS = "i2t.calibrate", "plain Gaussian process", "k nearest presses"
 GAIN = f"{CALIBRATED} - {PLAIN}"
-SHOWN_COUNTS = ("5", "20", "100", "300")  # of presses, where there are so many
-SESSIONS = {  # of eFlesh, by the names of their folders
+SESSIONS = {  # titles of eFlesh sessions by folder
     "20250316_155729_probe": "`spatial`",
     "20250401_014340_probe": "`normal`, first",
     "20250401_015037_probe": "`normal`, second",
     "20250416_200533_probe": "`shear`",
 }
-SHOWN_HEADS = ("position", "travel"), ("force",), ("force",), ("shear",)  # of each of these sessions
-HEAD_UNITS = {"position": "mm", "travel": "mm", "force": "N", "shear": "N"}
 KEPT_SECTIONS = {
     "What it is": ("rows", "channels"),
     "Noise and drift": ("noise", "drift"),
@@ -68,50 +59,49 @@ KEPT_SECTIONS = {
 
 
 def press_counts(test: str, held_out: str) -> Table:
-    """R² on one skin by the number of presses; of `i2t.calibrate` and its gain with intervals over blocks.
+    """Table of R² on one skin by the number of presses, with intervals over blocks for `i2t.calibrate` and its gain.
 
     Args:
-        test: What is held out, as the metrics name it.
-        held_out: The same in words, for the head.
+        test: Key in the metrics of the way of holding out.
+        held_out: Description of the held-out presses for the heading.
     """
 
     def render(measured: Measured) -> str:
-        curves, over = measured["r2"][test], measured["calibrate_over_blocks"][test]
+        curves, with_intervals = measured["r2"][test], measured["calibrate_over_blocks"][test]
         inside = measured["inside_90"][test][CALIBRATED]
-        counts = _shown(over["r2"])
+        counts = _shown(with_intervals["r2"])
         rows = [
             *([name, *(cell(curves[name][n]["mean"]) for n in counts)] for name in (NEIGHBOURS, PLAIN)),
-            [f"`{CALIBRATED}`", *(cell(over["r2"][n]) for n in counts)],
-            [f"its gain on the {PLAIN}", *(cell(over["differences"][GAIN][n], signed=True) for n in counts)],
+            [f"`{CALIBRATED}`", *(cell(with_intervals["r2"][n]) for n in counts)],
+            [f"its gain on the {PLAIN}", *(cell(with_intervals["differences"][GAIN][n], signed=True) for n in counts)],
             ["in its 90 % range", *(cell(inside[n]["mean"], 2) for n in counts)],
         ]
-        head = f"{measured['source']}, {measured['held_out'][test]} {held_out} [95 % over {over['blocks']} blocks]"
+        over = f"[95 % over {with_intervals['blocks']} blocks]"
+        head = f"{measured['source']}, {measured['held_out'][test]} {held_out} {over}"
         return markdown([head, *counts], rows)
 
     return render
 
 
 def kinds_of_skin(measured: Measured) -> str:
-    """R² of `i2t.calibrate` on kinds of skin by the number of presses, with its gain on a plain Gaussian process."""
+    """R² of `i2t.calibrate` on kinds of skin by the number of presses, with its gain over a plain Gaussian process."""
     rows, counts = [], _shown(next(iter(measured["cases"].values()))["inside_90"])
     for name, case in measured["cases"].items():
         r2, gains = case["r2"][CALIBRATED], case["differences"][GAIN]
-        inside = [found["mean"] for found in case["inside_90"].values()]
+        inside = [rate["mean"] for rate in case["inside_90"].values()]
         reached = (f"{cell(r2[n]['mean'], 2)}, {cell(gains[n], 2, signed=True)}" for n in counts)
         rows.append([name, *reached, f"{min(inside):.2f}-{max(inside):.2f}"])
     return markdown([measured["source"], *counts, "in its 90 % range"], rows)
 
 
-PARAMETERS = {"young": "Young's modulus", "poisson": "Poisson's ratio", "tip_scale": "tip radius"}
-
-
 def ranges_of_pads(measured: Measured) -> str:
-    """How often the ranges of a fitted pad hold the truth, by parameter, and R² of what is left out."""
+    """Coverage of the true values by the intervals of fitted pads, by parameter, and R² of left-out presses."""
+    titles = {"young": "Young's modulus", "poisson": "Poisson's ratio", "tip_scale": "tip radius"}
     by_load = measured["by_load"]
     counts = [part["inside"] | {"all": part["inside_all"]} for part in by_load.values()]
     names = [name for name in dict.fromkeys(name for part in counts for name in part) if name != "all"]
     rows = [
-        [PARAMETERS.get(name, name.replace("_", " ")), *(" of ".join(map(str, part.get(name, "-"))) for part in counts)]
+        [titles.get(name, name.replace("_", " ")), *(" of ".join(map(str, part.get(name, "-"))) for part in counts)]
         for name in (*names, "all")
     ]
     for key, title in (("r2", "R² of presses left out, mean"), ("r2_places", "R² of places left out, mean")):
@@ -121,11 +111,11 @@ def ranges_of_pads(measured: Measured) -> str:
 
 def _shown(curve: Mapping[str, Any]) -> list[str]:
     """Numbers of presses that a table shows."""
-    return [count for count in SHOWN_COUNTS if count in curve]
+    return [count for count in ("5", "20", "100", "300") if count in curve]
 
 
 def sections_of_recordings(recordings: Measured) -> Measured:
-    """What tables show of the sections of a report on recordings."""
+    """Reduce the sections of a fidelity report to the values in tables."""
     return {
         name: {
             title: {key: section[key] for key in KEPT_SECTIONS[title] if key in section}
@@ -137,20 +127,17 @@ def sections_of_recordings(recordings: Measured) -> Measured:
 
 
 def eflesh_sessions(measured: Measured) -> str:
-    """Noise, drift, hysteresis and creep of eFlesh's sessions, next to the simulator's."""
-    found = {name: measured["recordings"][name] for name in SESSIONS}
-    moving = {name: sections["Hysteresis and creep"] for name, sections in found.items()}
-    restless = {name: sections["Noise and drift"] for name, sections in found.items()}
-    drift = {name: parts["drift"] for name, parts in restless.items()}
-    at_rest = {name: x["noise"] for name, x in restless.items() if "in air" in x["noise"]["how"]}
+    """Noise, drift, hysteresis and creep of eFlesh's sessions and of the simulator."""
+    sessions = {name: measured["recordings"][name] for name in SESSIONS}
+    moving = {name: sections["Hysteresis and creep"] for name, sections in sessions.items()}
+    at_rest_and_drift = {name: sections["Noise and drift"] for name, sections in sessions.items()}
+    drift = {name: parts["drift"] for name, parts in at_rest_and_drift.items()}
+    at_rest = {name: x["noise"] for name, x in at_rest_and_drift.items() if "in air" in x["noise"]["how"]}
     strokes = {name: x["hysteresis"] for name, x in moving.items() if "hysteresis" in x}
     creep = {name: x["creep"] for name, x in moving.items() if "creep" in x}
     chips = {name: x["hysteresis_of_chips"] for name, x in moving.items() if "hysteresis_of_chips" in x}
-    ends = {
-        name: sections["Repeatability"]
-        for name, sections in found.items()
-        if "r2_repeatability_limit" in sections["Repeatability"]
-    }
+    repeated = {name: sections["Repeatability"] for name, sections in sessions.items()}
+    ends = {name: x for name, x in repeated.items() if "r2_repeatability_limit" in x}
 
     def noise(x: Any) -> str:
         return f"{x['xy_uT']:.2f}, {x['z_uT']:.2f}"
@@ -159,7 +146,7 @@ def eflesh_sessions(measured: Measured) -> str:
         return ", ".join(cell(sum(x[key]) / len(x[key])) for key in ("loop_share", "left_share"))
 
     def spread(x: Any) -> str:
-        square = [each**2 for each in x["repeat_std_uT"]]
+        square = [std**2 for std in x["repeat_std_uT"]]
         return f"{(sum(square) / len(square)) ** 0.5:.1f}, {x['r2_repeatability_limit']:.3f}"
 
     def growth(x: Any) -> str:
@@ -184,9 +171,11 @@ def eflesh_sessions(measured: Measured) -> str:
 
 
 def eflesh_heads(measured: Measured) -> str:
-    """Errors of heads on eFlesh's sessions: the kept one with the share in its 90 % range, and a baseline."""
+    """Errors of heads on eFlesh's sessions: the kept head, with the coverage of its 90 % range, and a baseline."""
     splits, rows = ("random rows", "whole blocks or strokes", "later in time"), []
-    for (name, title), targets in zip(SESSIONS.items(), SHOWN_HEADS, strict=True):
+    units = {"position": "mm", "travel": "mm", "force": "N", "shear": "N"}
+    heads = ("position", "travel"), ("force",), ("force",), ("shear",)  # by session
+    for (name, title), targets in zip(SESSIONS.items(), heads, strict=True):
         for target in targets:
             tests = measured["recordings"][name]["Heads"]["heads"][target]
             cells = [
@@ -194,26 +183,38 @@ def eflesh_heads(measured: Measured) -> str:
                 for test in map(tests.__getitem__, splits)
                 for nearest in [test["baselines"]["k nearest readings"]]
             ]
-            rows.append([f"{title}, {target} ({HEAD_UNITS[target]})", *cells])
+            rows.append([f"{title}, {target} ({units[target]})", *cells])
     return markdown(["real", *splits], rows)
 
 
 def predictors_by_object(measured: Measured) -> str:
-    """R2 of every predictor over pads, with its interval, and on each test object."""
+    """R² of every predictor over pads with its interval, and on each test object."""
     objects = measured["by_object"]
     rows = [
-        [name, r2_over(scores), *(cell(each[name][0], 2) for each in objects.values())]
+        [name, r2_over(scores), *(cell(by_method[name][0], 2) for by_method in objects.values())]
         for name, scores in measured["over_pads"].items()
     ]
     return markdown(["simulated", "R² [95 % over pads]", *objects], rows)
 
 
 TABLES: dict[str, dict[str, Table]] = {
-    "train": {"predictors": rows_over("methods", ON_UNSEEN, partial(r2_of, 2), *numbers_of(ERRORS))},
+    "train": {
+        "predictors": rows_over(
+            "methods",
+            ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES),
+            partial(r2_of, 2),
+            *numbers_of(ERRORS),
+        )
+    },
     "train_blocks": {"predictors": predictors_on_recording("blocks")},
     "train_time": {"predictors": predictors_on_recording("groups of 20 presses")},
     "study": {
-        "predictors": rows_over("over_pads", OVER_PADS, *OVER_PADS_CELLS),
+        "predictors": rows_over(
+            "over_pads",
+            ("method", "R² [95 % over pads]", *ERROR_TITLES),
+            r2_over,
+            *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS),
+        ),
         "choice": choice_on_validation,
     },
     "train_registered": {"predictors": predictors_by_object, "choice": choice_on_validation},

@@ -1,4 +1,4 @@
-"""Steps to run again, in order, and where their numbers appear: one for each command of the documents."""
+"""Steps of the reproduction in order, one for each command of the documents."""
 
 import shlex
 from itertools import pairwise
@@ -7,28 +7,28 @@ from typing import NamedTuple
 
 
 class Step(NamedTuple):
-    """A command whose metrics the documents show."""
+    """A command whose results are in the documents."""
 
-    name: str  # of the step, of its folder below --out, and of its file in docs/results
-    command: str  # as a user types it, without --out and --pad-model
-    uses: str | None = None  # the step whose folder it takes as --pad-model
-    minutes: int | None = None  # on two cores, roughly; none where it was not measured
-    again: str | None = "--resume"  # the option with which it takes up an unfinished folder
-    result: str = "metrics.json"  # the file that is there once it is done
+    name: str  # also the name of its folder in --out and of its file in docs/results
+    command: str  # without --out and --pad-model
+    uses: str | None = None  # step whose folder it takes as --pad-model
+    minutes: int | None = None  # rough duration on two cores; None if not measured
+    again: str | None = "--resume"  # option for an unfinished folder
+    result: str = "metrics.json"  # file that exists when the step is done
 
     @property
     def needs(self) -> str | None:
-        """Recording that is not part of the project, a folder or the first of its files, as the command names it."""
+        """Path in the command of a recording that is not part of the project, a folder or its first file."""
         words = shlex.split(self.command)
         flags = "--dataset", "--data", "--readings", "--objects"
         return next((path for flag, path in pairwise(words) if flag in flags), None)
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
-        """The command's words after `python`.
+        """Arguments of `python`.
 
         Args:
             out: Folder of all steps.
-            resume: Whether an unfinished run is there.
+            resume: Whether there is an unfinished run.
         """
         words = [*shlex.split(self.command), "--out", str(out / self.name)]
         if self.uses:
@@ -36,7 +36,7 @@ class Step(NamedTuple):
         return words + ([self.again] if resume and self.again else [])
 
 
-OVERWRITE = "--overwrite"  # of commands that begin again
+OVERWRITE = "--overwrite"  # for commands that restart
 STEPS = (
     Step("train", "-m experiments.train", minutes=4),
     Step("study", "-m experiments.train --preset study", minutes=30),

@@ -1,7 +1,7 @@
-"""Tables of the documents, written from what the steps measured.
+"""Tables of the documents, written from the results of the steps.
 
-A table stands between `<!-- table: STEP NAME -->` and `<!-- end of table -->`; STEP is a step's name, which has a file
-in docs/results, and NAME one of its tables in `TABLES`.
+A table is between `<!-- table: STEP NAME -->` and `<!-- end of table -->`: STEP is a step with a file in docs/results,
+and NAME is one of its tables in `TABLES`.
 """
 
 import json
@@ -17,33 +17,30 @@ from tools.reproduce.limits_table import safety_limits
 from tools.reproduce.readme_table import summary
 
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
-README_TABLE = ("all", "summary")  # made of all steps
-LIMITS_TABLE = ("safety", "limits")  # made of i2t/hardware/limits.py
-KEPT_SCORES = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss")
-KEPT_OF_STUDIES = ("source", "pads", "runs", "episodes", "touches", "tables")
-DECIMALS = 6  # of what is kept: fewer would be rounded twice in a table, .3146 to .315 and to .32
+README_TABLE = ("all", "summary")  # from the results of all steps
+LIMITS_TABLE = ("safety", "limits")  # from i2t/hardware/limits.py
 
 
 def write_tables(docs: Path) -> list[str]:
-    """Write every table that the documents ask for.
+    """Write all tables of the documents.
 
     Args:
-        docs: Folder of the documents, with what was measured in results/.
+        docs: Folder of the documents, with the results in results/.
 
     Returns:
-        The tables that were written, as "page: STEP NAME".
+        The written tables, as "page: STEP NAME".
 
     Raises:
-        ValueError: A page asks for a table that there is not, or its step was not measured.
+        ValueError: A page names an unknown table, or a step without results.
     """
     written = []
     for page in sorted([*docs.glob("*.md"), docs.parent / "README.md"]):
         before = page.read_text() if page.exists() else ""
 
-        def fill(found: re.Match[str], page: Path = page) -> str:
-            step, name = found[2], found[3]
+        def fill(match: re.Match[str], page: Path = page) -> str:
+            step, name = match[2], match[3]
             written.append(f"{page.name}: {step} {name}")
-            return found[1] + table(docs, step, name, page.name) + "\n" + found[4]
+            return match[1] + table(docs, step, name, page.name) + "\n" + match[4]
 
         after = MARK.sub(fill, before)
         if after != before:
@@ -52,16 +49,16 @@ def write_tables(docs: Path) -> list[str]:
 
 
 def table(docs: Path, step: str, name: str, page: str = "") -> str:
-    """One table in Markdown.
+    """Format one table in Markdown.
 
     Args:
         docs: Folder of the documents.
-        step: Whose measurements are shown.
-        name: Of the table.
-        page: That asks for it, for messages.
+        step: Name of the step.
+        name: Name of the table.
+        page: Name of the page, for error messages.
 
     Raises:
-        ValueError: There is no such table, or nothing was measured.
+        ValueError: The table is unknown, or the step has no results.
     """
     if (step, name) == README_TABLE:
         return summary({path.stem: json.loads(path.read_text()) for path in (docs / "results").glob("*.json")})
@@ -76,19 +73,21 @@ def table(docs: Path, step: str, name: str, page: str = "") -> str:
 
 
 def shortened(step: str, measured: Measured) -> Measured:
-    """Metrics of a step that are kept with the documents: what tables show, with a few decimals.
+    """Reduce the metrics of a step to the rounded values that tables show.
 
     Args:
-        step: Whose.
-        measured: Its metrics.json.
+        step: Name of the step.
+        measured: Contents of its metrics.json.
     """
     if step in recognition.STUDY_TABLES:
-        measured = {name: x for name, x in measured.items() if name in KEPT_OF_STUDIES}
+        kept = ("source", "pads", "runs", "episodes", "touches", "tables")
+        measured = {name: x for name, x in measured.items() if name in kept}
     if "sets" in measured:
+        scores_kept = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss")
         for entry in measured["sets"].values():
             entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(UNSHOWN)}
             for scores in entry["methods"].values():
-                for name in [name for name in scores if name not in KEPT_SCORES]:
+                for name in [name for name in scores if name not in scores_kept]:
                     del scores[name]
     if step == "fidelity":
         measured |= {"recordings": skins.sections_of_recordings(measured["recordings"])}
@@ -105,7 +104,8 @@ def _rounded(node: Any) -> Any:
         return {name: _rounded(value) for name, value in node.items()}
     if isinstance(node, list):
         return [_rounded(value) for value in node]
-    return round(node, DECIMALS) if isinstance(node, float) else node
+    # Fewer decimals would be rounded twice in a table, as .3146 to .315 and to .32.
+    return round(node, 6) if isinstance(node, float) else node
 
 
 TABLES: dict[str, dict[str, Table]] = recognition.TABLES | skins.TABLES | shapes.TABLES

@@ -27,7 +27,7 @@ static void frame_values(const uint8_t answer[8], float values[4]) {
   values[0] += 25.0f;
 }
 
-/* Packs chips x (t, x, y, z) into FRAME_BYTES(chips) bytes; x = y = z = 0 says that a chip did not answer. */
+/* Packs chips x (t, x, y, z) into FRAME_BYTES(chips) bytes; x = y = z = 0 for a chip that did not answer. */
 static void frame_pack(uint8_t *frame, uint8_t count, const float *values, size_t chips) {
   frame[0] = 0xA5;
   frame[1] = 0x5A;

@@ -1,8 +1,8 @@
 // Reads MLX90393 chips on one I2C bus and sends frames of i2t's `crc` format at 400 Hz.
 //
 // Adapt to your board: ADDRESSES, one for each chip, in the order of its board file; `choose`, where chips with one
-// address lie behind a multiplexer; and for more than about seven chips the bus's clock, or PERIOD_US, as a chip takes
-// 0.3 ms at 400 kHz. Any little-endian Arduino will do (SAMD21, RP2040, ESP32). It was tried with emulated chips only.
+// address are behind a multiplexer; and for more than about seven chips the bus's clock, or PERIOD_US, as a chip takes
+// 0.3 ms at 400 kHz. Any little-endian Arduino works (SAMD21, RP2040, ESP32). Tested with emulated chips only.
 #include <Wire.h>
 
 #include "frame.h"
@@ -21,7 +21,7 @@ static void choose(size_t chip) {
   (void)chip;  // for a TCA9548A: Wire.beginTransmission(0x70); Wire.write(1 << channel_of[chip]); Wire.endTransmission();
 }
 
-// Sends a command; the answer begins with a status. False where the chip is silent or refuses.
+// Sends a command; the answer begins with a status. False if the chip does not answer or reports a failure.
 static bool ask(size_t chip, const uint8_t *command, size_t length, uint8_t *answer, size_t size) {
   Wire.beginTransmission(ADDRESSES[chip]);
   Wire.write(command, length);
@@ -31,7 +31,7 @@ static bool ask(size_t chip, const uint8_t *command, size_t length, uint8_t *ans
 }
 
 void setup() {
-  Serial.begin(921600);  // means nothing over USB
+  Serial.begin(921600);  // ignored over USB
   Wire.begin();
   Wire.setClock(400000);
   uint8_t status;
@@ -59,7 +59,7 @@ void loop() {
   frame_pack(frame, count++, values, CHIPS);
   Serial.write(frame, sizeof frame);
   due += PERIOD_US;
-  if ((int32_t)(micros() - due) > 0) due = micros();  // late: what was missed is not made up for
+  if ((int32_t)(micros() - due) > 0) due = micros();  // late: skip missed frames
   while ((int32_t)(micros() - due) < 0) {
   }
 }
