@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from i2t.dataset import Dataset
 from i2t.geometry import apply, from_twist, full_precision, inverse, to_twist
 from i2t.patches.dimensions import PATCH_PIXELS
-from i2t.patches.views import PatchView, view_of_noisy_heights, complete_views
+from i2t.patches.views import PatchView, complete_views, view_of_noisy_heights
 from i2t.registration.session import SessionEstimate, SessionRegistrationConfig
 from i2t.runtime.batching import filled_batches
 from i2t.types import Array as AnyArray

@@ -33,7 +33,7 @@ from i2t import geometry, validation
 from i2t.contact.approach import FirstContact, facing_surface, meet
 from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_finally, press_to_stop
 from i2t.patches.dimensions import REACH, VIEW_PIXELS, VIEW_WINDOW
-from i2t.patches.views import PatchView, view_of_noisy_heights, centre, pixels_on_skin
+from i2t.patches.views import PatchView, centre, pixels_on_skin, view_of_noisy_heights
 from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.runtime.batching import select_rows, spread
 from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats

@@ -17,7 +17,7 @@ from i2t.depth.camera import Camera
 from i2t.depth.patches import view_from_depth
 from i2t.geometry import contact_frame, inverse
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, REACH, VIEW_PIXELS
-from i2t.patches.views import SAME_SURFACE_M, view_of_noisy_heights, centre, view_of_heights
+from i2t.patches.views import SAME_SURFACE_M, centre, view_of_heights, view_of_noisy_heights
 from i2t.rendering.render import prepare_surface, render_heights, render_patch, render_view, stack_surfaces
 from i2t.skin.contact import solve_force
 from i2t.skin.pad import nominal_pad

@@ -88,8 +88,8 @@ def test_corrected_views_are_those_that_embree_sees_from_the_tool(looked_from):
     assert missed(corrected.patch, true.patch.depth) < 0.25 * missed(touches.patch, true.patch.depth)
     assert missed(corrected.patch, true.patch.depth) < 1.2 * NOISE
     inner = np.s_[:, 8:-8, 8:-8]  # what is beyond a view's edge was not seen
-    assert missed(corrected.view[inner], np.minimum(true.view, REACH)[inner]) < 0.25 * missed(
-        touches.view[inner], np.minimum(true.view, REACH)[inner]
+    assert missed(corrected.view[inner], np.minimum(true.depth, REACH)[inner]) < 0.25 * missed(
+        touches.view[inner], np.minimum(true.depth, REACH)[inner]
     )
     assert np.abs(corrected.nearest - true.patch.nearest).max() < 3 * NOISE
     assert corrected.patch.min() >= 0
