@@ -33,7 +33,7 @@ from i2t.depth.camera import Camera, check_image, check_view, measured_mask
 from i2t.depth.distortion import pixel_rays, project_to_pixel
 from i2t.geometry import is_rigid
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH, STANDOFF, VIEW_PIXELS, VIEW_WINDOW
-from i2t.patches.views import PatchView, camera_view
+from i2t.patches.views import PatchView, view_of_noisy_heights
 from i2t.types import Patch, in_one_line
 
 
@@ -172,7 +172,7 @@ def view_from_depth(
     seen = patch_from_depth(depth, camera, T_w_c, T_w_t, window=VIEW_WINDOW, pixels=VIEW_PIXELS, reach=reach)
     known_mask = seen.valid_mask | seen.inpainted_mask
     z = jnp.where(known_mask & (seen.patch.depth < reach), seen.patch.nearest + seen.patch.depth, jnp.inf)
-    return DepthView(camera_view(z), known_mask)
+    return DepthView(view_of_noisy_heights(z), known_mask)
 
 
 @partial(jax.jit, static_argnames=("camera", "pixels", "window", "reach", "fill", "tracing"))

@@ -71,7 +71,7 @@ def view_of_heights(
     return PatchView(Patch(patch, nearest), jax.lax.dynamic_update_slice(depth, patch, (margin, margin)))
 
 
-def camera_view(z: Float[Array, "w w"], *, filter_pixels: int = 5, min_surface_pixels: int = 10) -> PatchView:
+def view_of_noisy_heights(z: Float[Array, "w w"], *, filter_pixels: int = 5, min_surface_pixels: int = 10) -> PatchView:
     """Compute a view of the default size from the heights of a noisy camera.
 
     The nearest pixel of a noisy image is not its nearest surface. That surface is the lowest mean over small squares of

@@ -181,13 +181,9 @@ class OnPressure(NetworkMethod):
 
     title = "network on predicted contact pressure"
     cfg = ModelConfig(
-        input="pressure",
-        bottleneck=30,
-        auxiliary=False,
-        heteroscedastic=True,
-        members=5,
+        input="pressure", bottleneck=30, auxiliary=False, heteroscedastic=True, members=5,
         conditions=("force", "travel"),
-    )
+    )  # fmt: skip
 
     def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, ModelFactory] | None:
         """Configure the network, as in `NetworkMethod.network`; it needs predicted pressures."""

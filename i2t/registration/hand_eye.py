@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from i2t.dataset import Dataset
 from i2t.geometry import apply, from_twist, full_precision, inverse, to_twist
 from i2t.patches.dimensions import PATCH_PIXELS
-from i2t.patches.views import PatchView, camera_view, complete_views
+from i2t.patches.views import PatchView, complete_views, view_of_noisy_heights
 from i2t.registration.session import SessionEstimate, SessionRegistrationConfig
 from i2t.runtime.batching import filled_batches
 from i2t.types import Array as AnyArray
@@ -140,6 +140,6 @@ def _moved(height: Float[Array, "n w w"], T_t_camera: Float[Array, "4 4"], pitch
         # Each step divides the error by the ratio of a pixel to the distance over which the slope changes.
         for _ in range(4):
             source = source + target - point(source)[..., :2]
-        return camera_view(point(source)[..., 2])
+        return view_of_noisy_heights(point(source)[..., 2])
 
     return jax.vmap(move)(height)

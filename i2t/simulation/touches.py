@@ -33,7 +33,7 @@ from i2t import geometry, validation
 from i2t.contact.approach import FirstContact, facing_surface, meet
 from i2t.contact.press import PadResponse, PressLaw, PressLimits, pad_response, press_at_stop, press_to_stop
 from i2t.patches.dimensions import REACH, VIEW_PIXELS, VIEW_WINDOW
-from i2t.patches.views import PatchView, camera_view, centre, pixels_on_skin
+from i2t.patches.views import PatchView, centre, pixels_on_skin, view_of_noisy_heights
 from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.runtime.batching import map_on_devices, select_rows
 from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
@@ -128,7 +128,7 @@ def apply_camera_model(key: Key[Array, ""], z: Float[Array, "w w"], errors: Simu
         errors: Sizes of the camera's errors.
 
     Returns:
-        The patch and its surroundings, as from `camera_view`.
+        The patch and its surroundings, as from `view_of_noisy_heights`.
     """
     row, column = jnp.meshgrid(jnp.arange(VIEW_PIXELS), jnp.arange(VIEW_PIXELS), indexing="ij")
     drawn = jax.random.normal(key, (3, *z.shape))  # a single draw, because XLA takes a second to compile each
@@ -138,7 +138,7 @@ def apply_camera_model(key: Key[Array, ""], z: Float[Array, "w w"], errors: Simu
     step = jnp.where(errors.depth_quantum > 0, errors.depth_quantum, 1.0)
     # A product, because compilers may replace a quotient by one, and pixels between two quanta would then differ.
     rounded = jnp.round((z + CAMERA_DISTANCE_M) * jax.lax.optimization_barrier(1 / step)) * step - CAMERA_DISTANCE_M
-    return camera_view(jnp.where(errors.depth_quantum > 0, rounded, z))
+    return view_of_noisy_heights(jnp.where(errors.depth_quantum > 0, rounded, z))
 
 
 class _Press(NamedTuple):

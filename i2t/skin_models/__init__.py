@@ -22,18 +22,8 @@ from i2t.skin_models.tip_gp.structured import (
 )
 
 __all__ = [
-    "FORCE_HYPERPARAMETERS",
-    "TRAVEL_HYPERPARAMETERS",
-    "Calibration",
-    "FittedSkinModel",
-    "LoadKind",
-    "SkinModel",
-    "StructuredGPHyperparameters",
-    "TipModel",
-    "TipPresses",
-    "calibrate",
-    "check_presses",
-    "load",
+    "FORCE_HYPERPARAMETERS", "TRAVEL_HYPERPARAMETERS", "Calibration", "FittedSkinModel", "LoadKind",
+    "SkinModel", "StructuredGPHyperparameters", "TipModel", "TipPresses", "calibrate", "check_presses", "load",
     "load_calibration",
 ]  # fmt: skip
 

@@ -17,7 +17,7 @@ from i2t.depth.camera import Camera
 from i2t.depth.patches import view_from_depth
 from i2t.geometry import contact_frame, inverse
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, REACH, VIEW_PIXELS
-from i2t.patches.views import SAME_SURFACE_M, camera_view, centre, view_of_heights
+from i2t.patches.views import SAME_SURFACE_M, centre, view_of_heights, view_of_noisy_heights
 from i2t.rendering.render import prepare_surface, render_heights, render_patch, render_view, stack_surfaces
 from i2t.skin.contact import solve_force
 from i2t.skin.pad import nominal_pad
@@ -96,7 +96,7 @@ def test_protruding_surroundings_have_negative_depths():
 
 def test_a_wall_protrudes_and_a_camera_s_noise_does_not():
     z = jnp.zeros((VIEW_PIXELS, VIEW_PIXELS)).at[:, :3].set(-0.9 * SAME_SURFACE_M).at[:, -3:].set(-2e-3)
-    depth = np.asarray(camera_view(z).depth)
+    depth = np.asarray(view_of_noisy_heights(z).depth)
     assert not depth[:, :-3].any()
     np.testing.assert_allclose(depth[:, -3:], -2e-3, atol=ROUNDING)
     exact = np.asarray(view_of_heights(z, jnp.zeros(())).depth)
@@ -104,7 +104,7 @@ def test_a_wall_protrudes_and_a_camera_s_noise_does_not():
 
 
 def test_nearest_is_a_surface_and_not_a_pixel():
-    look = jax.jit(camera_view)
+    look = jax.jit(view_of_noisy_heights)
     view = np.full((72, 72), 10e-3, np.float32)
     view[:, 30:33] = 2e-3  # a thin plate: three columns, about 1 mm
     patch, depth = look(view.copy())

@@ -11,7 +11,7 @@ import i2t
 from i2t.dataset import Dataset
 from i2t.geometry import from_twist, to_twist
 from i2t.patches.dimensions import REACH, VIEW_PIXELS, VIEW_WINDOW
-from i2t.patches.views import camera_view
+from i2t.patches.views import view_of_noisy_heights
 from i2t.registration import (
     SessionEstimate,
     SessionRegistrationConfig,
@@ -80,7 +80,7 @@ def test_corrected_views_are_those_that_embree_sees_from_the_tool(tool_offset_at
     corrected = with_hand_eye(dataset, offset, tool_offset_at_capture=tool_offset_at_capture).touches
     triangles = np.float32(MESHES[1].vertices)[np.asarray(MESHES[1].faces)]
     z = embree_heights(triangles, np.float32(touches.T_w_t), VIEW_WINDOW, VIEW_PIXELS)
-    true = jax.vmap(camera_view)(jnp.float32(z))
+    true = jax.vmap(view_of_noisy_heights)(jnp.float32(z))
 
     def missed(view, of_true):
         return np.median(np.abs(np.asarray(of_true) - view).mean((1, 2)))
@@ -88,8 +88,8 @@ def test_corrected_views_are_those_that_embree_sees_from_the_tool(tool_offset_at
     assert missed(corrected.patch, true.patch.depth) < 0.25 * missed(touches.patch, true.patch.depth)
     assert missed(corrected.patch, true.patch.depth) < 1.2 * NOISE
     inner = np.s_[:, 8:-8, 8:-8]  # what is beyond a view's edge was not seen
-    assert missed(corrected.view[inner], np.minimum(true.view, REACH)[inner]) < 0.25 * missed(
-        touches.view[inner], np.minimum(true.view, REACH)[inner]
+    assert missed(corrected.view[inner], np.minimum(true.depth, REACH)[inner]) < 0.25 * missed(
+        touches.view[inner], np.minimum(true.depth, REACH)[inner]
     )
     assert np.abs(corrected.nearest - true.patch.nearest).max() < 3 * NOISE
     assert corrected.patch.min() >= 0

@@ -215,7 +215,7 @@ def test_contact_of_recorded_touches():
     T = np.asarray(random_motion(jax.random.key(0), 0.1, 1.0))
     codes = [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH, ReturnCode.FAILED]
     touches = Touches(*[None] * len(Touches._fields))._replace(
-        T_w_t=jnp.asarray(np.tile(T, (4, 1, 1))), depth=jnp.array([1e-3, jnp.nan, 2e-3, 1e-3]), code=jnp.array(codes)
+        T_w_t=jnp.asarray(np.tile(T, (4, 1, 1))), travel=jnp.array([1e-3, jnp.nan, 2e-3, 1e-3]), code=jnp.array(codes)
     )
     poses, met = contact_poses(touches)
     assert met.tolist() == [True, False, True, False]

@@ -20,7 +20,7 @@ from i2t.contact.approach import first_contact
 from i2t.dataset import Dataset
 from i2t.geometry import from_twist, inverse, to_twist
 from i2t.patches.dimensions import PATCH_WINDOW, REACH, VIEW_PIXELS, VIEW_WINDOW
-from i2t.patches.views import camera_view
+from i2t.patches.views import view_of_noisy_heights
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.registration import SessionEstimate, SessionRegistrationConfig, register_session
 from i2t.registration import session as sessions
@@ -50,7 +50,7 @@ def embree_touches(mesh, surface, T_w_o: np.ndarray, T_t_camera: np.ndarray, n: 
     triangles = np.float32(mesh.vertices)[np.asarray(mesh.faces)]
     cameras = np.linalg.inv(T_w_o) @ T_w_t @ T_t_camera
     z = embree_heights(triangles, np.float32(cameras), VIEW_WINDOW, VIEW_PIXELS)
-    view = jax.vmap(camera_view)(jnp.float32(z + NOISE * np.random.default_rng(0).normal(size=z.shape)))
+    view = jax.vmap(view_of_noisy_heights)(jnp.float32(z + NOISE * np.random.default_rng(0).normal(size=z.shape)))
     none = np.zeros(n, np.int32)
     still = np.tile(np.eye(4, dtype=np.float32), (n, 1, 1))
     seen = (np.asarray(part) for part in (view.patch.depth, view.depth, view.patch.nearest))
