@@ -76,15 +76,17 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "the paper's recognition, mean of its five objects, chance .40",
             "not yet",
             f"{votes}; the paper's real skin .58, proprioception .46 ([recognition](docs/recognition.md))",
-            "masks do worse than proprioception on tools; depths, which the paper describes, are not shown to beat proprioception by votes",
+            "masks do worse than proprioception on tools; depths, which the paper describes, are not shown to beat "
+            "proprioception by votes",
         ],
         [
             "recognition by the belief, ten touches, chance .20",
             "not yet",
             f"{cell(fused, 2)} on six pads; for objects like these {others}; from readings alone "
             f"{cell(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            f"skins with free sides / soft / of springs, mean over all touches: readings alone {readings} instead of {matched} "
-            f"without touches of that skin, {readings_own} with 200; fused {belief_none} instead of {both} without, "
+            f"skins with free sides / soft / of springs, mean over all touches: readings alone {readings} "
+            f"instead of {matched} without touches of that skin, {readings_own} with 200; fused {belief_none} instead "
+            f"of {both} without, "
             f"{belief_own} with 200",
         ],
     ]
