@@ -150,7 +150,7 @@ class SafetyLimits:
         0.02,
         "s",
         "is the time between two heartbeats that feed the watchdog",
-        f"{_UR}::test_a_motion_is_made_under_a_fed_watchdog_only",
+        f"{_LIMITS}::test_heartbeats_are_sent_once_a_period_and_only_while_states_arrive",
     )
     command_timeout_s: float = _limit(
         2.0,

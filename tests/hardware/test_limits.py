@@ -23,7 +23,7 @@ from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import other_tool
 from i2t.hardware.touch_off import fit_plane
 from i2t.hardware.ur import rtde_worker
-from i2t.hardware.ur.rtde_link import RtdeConnection
+from i2t.hardware.ur.rtde_link import ControllerState, RtdeConnection
 
 ROOT = Path(__file__).parents[2]
 STIFFNESS = 10e3  # N/m, of the plane
@@ -214,6 +214,26 @@ def test_a_controller_that_does_not_take_a_command_is_reported(monkeypatch):
     with pytest.raises(DeviceError, match="does not take commands"):
         connection._wait(Future(), SAFETY.command_timeout_s)
     assert SAFETY.command_timeout_s <= time.monotonic() - start < 2 * SAFETY.command_timeout_s
+
+
+def test_heartbeats_are_sent_once_a_period_and_only_while_states_arrive():
+    connection, channel = RtdeConnection("192.0.2.1", SAFETY.state_timeout_s, SAFETY.watchdog_rate_hz), Mock()
+    state = make().arm.read_state()
+
+    def heartbeats(age=0.0, *, program=True):
+        connection._state = ControllerState(state._replace(time=time.monotonic() - age), 1.0, program)
+        connection._send_heartbeat(channel)
+        return channel.send.call_count
+
+    assert heartbeats() == 1
+    time.sleep(1.1 * SAFETY.heartbeat_period_s)
+    assert heartbeats() == 2
+    connection._heartbeat_time = time.monotonic()
+    assert heartbeats() == 2  # sooner than a period
+    time.sleep(1.1 * SAFETY.heartbeat_period_s)
+    assert heartbeats(1.1 * SAFETY.state_timeout_s) == 2  # the state is too old
+    assert heartbeats(program=False) == 2
+    assert 1 / SAFETY.watchdog_rate_hz > 2 * SAFETY.heartbeat_period_s
 
 
 LIBRARY = {  # answers of the part of ur_rtde that a state needs
