@@ -36,27 +36,23 @@ class SafetyLimits:
     """Table of the safety limits; a range is a pair of the lowest and the highest value that is accepted."""
 
     # What a rig may ask for
-    speed_range: tuple[float, float] = _limit(
-        (1e-4, 1.0), "m/s", "refuses a rig with an implausible speed limit", _OWN_LIMIT
-    )
+    speed_range: tuple[float, float] = _limit((1e-4, 1.0), "m/s", "refuses an implausible speed limit", _OWN_LIMIT)
     acceleration_range: tuple[float, float] = _limit(
         (1e-3, 5.0), "m/s^2", "refuses an implausible acceleration limit", _OWN_LIMIT
     )
     force_range: tuple[float, float] = _limit((1.0, 150.0), "N", "refuses an implausible force limit", _OWN_LIMIT)
     torque_range: tuple[float, float] = _limit((0.05, 50.0), "Nm", "refuses an implausible torque limit", _OWN_LIMIT)
     approach_distance_range: tuple[float, float] = _limit(
-        (1e-3, 0.5), "m", "refuses an implausible length of an approach", _OWN_LIMIT
+        (1e-3, 0.5), "m", "refuses an implausible approach", _OWN_LIMIT
     )
     stiffness_range: tuple[float, float] = _limit(
         (500.0, 1e6), "N/m", "refuses an implausible contact stiffness", _OWN_LIMIT
     )
     mass_range: tuple[float, float] = _limit((0.0, 20.0), "kg", "refuses a payload that the arm cannot carry", _RIG)
     looking_distance_range: tuple[float, float] = _limit(
-        (0.02, 2.0), "m", "refuses an implausible distance of the camera", _RIG
+        (0.02, 2.0), "m", "refuses an implausible camera distance", _RIG
     )
-    max_reach_m: float = _limit(
-        3.0, "m", "refuses a box that no supported arm reaches, such as one in millimetres", _RIG
-    )
+    max_reach_m: float = _limit(3.0, "m", "refuses a box beyond any supported arm, such as one in millimetres", _RIG)
     max_tool_offset_m: float = _limit(0.5, "m", "refuses a skin, camera or payload too far from the flange", _RIG)
     max_camera_tilt_deg: float = _limit(
         60, "degrees", "refuses a camera that cannot see what the tool will touch", _RIG
@@ -71,7 +67,7 @@ class SafetyLimits:
     braking_m_s2: float = _limit(
         2.0,
         "m/s^2",
-        "is the deceleration of every stop except an emergency stop",
+        "is the deceleration of every stop but an emergency stop",
         f"{_UR}::test_an_approach_ends_on_force",
     )
     free_trip_share: float = _limit(
