@@ -67,7 +67,7 @@ class SafetyLimits:
     braking_m_s2: float = _limit(
         2.0,
         "m/s^2",
-        "is the deceleration of every stop but an emergency stop",
+        "is the deceleration of every stop except an emergency stop",
         f"{_UR}::test_an_approach_ends_on_force",
     )
     free_trip_share: float = _limit(
