@@ -1,4 +1,4 @@
-"""The safety limits of the hardware layer, in one table: value, unit, and what the limit protects.
+"""The safety limits of the hardware layer, in one table: value, unit, what the limit protects, and how it was tried.
 
 WARNING: Do not change a limit to get past a refusal. Find the cause first.
 WARNING: These limits replace neither the robot's own safety limits nor the emergency stop. Set both up first.
@@ -12,9 +12,23 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
+# Tests that try several limits each
+_GUARDED, _LIMITS = "tests/hardware/test_guarded.py", "tests/hardware/test_limits.py"
+_TOUCH_OFF, _UR = "tests/hardware/test_touch_off.py", "tests/hardware/test_ur.py"
+_OWN_LIMIT = "tests/hardware/test_collision.py::test_a_rig_s_limit_that_makes_no_sense_is_refused"
+_RIG = f"{_LIMITS}::test_a_rig_just_beyond_a_limit_is_refused"
+_PENDANT = f"{_LIMITS}::test_a_pendant_just_beyond_a_limit_is_refused"
+_COLLISION = "tests/hardware/test_collision.py::test_a_collision_in_free_motion_ends_within_the_force_limit"
+_STATE = f"{_GUARDED}::test_each_thing_that_is_wrong_with_a_state_is_said"
+_ARRIVAL = f"{_LIMITS}::test_a_motion_that_ends_off_its_goal_is_reported"
+_START = f"{_LIMITS}::test_an_arm_that_does_not_begin_a_motion_is_reported_after_the_start_timeout"
+_DURATION = f"{_LIMITS}::test_a_motion_that_takes_too_long_is_stopped"
+_TIMEOUTS = f"{_UR}::test_timeouts_that_protect_nobody_are_refused"
+_STANDSTILL = f"{_LIMITS}::test_a_tool_stands_when_it_is_slow_and_the_state_is_later_than_the_brake"
 
-def _limit(value: Any, unit: str, protects: str) -> Any:
-    return field(default=value, metadata={"unit": unit, "protects": protects})
+
+def _limit(value: Any, unit: str, protects: str, tried: str) -> Any:
+    return field(default=value, metadata={"unit": unit, "protects": protects, "tried": tried})
 
 
 @dataclass(frozen=True)
@@ -22,63 +36,162 @@ class SafetyLimits:
     """Table of the safety limits; a range is a pair of the lowest and the highest value that is accepted."""
 
     # What a rig may ask for
-    speed_range: tuple[float, float] = _limit((1e-4, 1.0), "m/s", "refuses a rig with an absurd speed limit")
-    acceleration_range: tuple[float, float] = _limit((1e-3, 5.0), "m/s^2", "refuses an absurd acceleration limit")
-    force_range: tuple[float, float] = _limit((1.0, 150.0), "N", "refuses an absurd force limit")
-    torque_range: tuple[float, float] = _limit((0.05, 50.0), "Nm", "refuses an absurd torque limit")
-    approach_distance_range: tuple[float, float] = _limit((1e-3, 0.5), "m", "refuses an absurd length of an approach")
-    stiffness_range: tuple[float, float] = _limit((500.0, 1e6), "N/m", "refuses an absurd contact stiffness")
-    mass_range: tuple[float, float] = _limit((0.0, 20.0), "kg", "refuses a payload that the arm cannot carry")
-    looking_distance_range: tuple[float, float] = _limit((0.02, 2.0), "m", "refuses an absurd distance of the camera")
-    max_reach_m: float = _limit(3.0, "m", "refuses a box that no supported arm reaches, such as one in millimetres")
-    max_tool_offset_m: float = _limit(0.5, "m", "refuses a skin, camera or payload too far from the flange")
-    max_camera_tilt_deg: float = _limit(60, "degrees", "refuses a camera that cannot see what the tool will touch")
-    max_tcp_shift_m: float = _limit(5e-3, "m", "refuses a pendant whose TCP disagrees with the rig's")
-    max_tcp_rotation_deg: float = _limit(3.0, "degrees", "refuses a pendant whose TCP disagrees with the rig's")
+    speed_range: tuple[float, float] = _limit((1e-4, 1.0), "m/s", "refuses an implausible speed limit", _OWN_LIMIT)
+    acceleration_range: tuple[float, float] = _limit(
+        (1e-3, 5.0), "m/s^2", "refuses an implausible acceleration limit", _OWN_LIMIT
+    )
+    force_range: tuple[float, float] = _limit((1.0, 150.0), "N", "refuses an implausible force limit", _OWN_LIMIT)
+    torque_range: tuple[float, float] = _limit((0.05, 50.0), "Nm", "refuses an implausible torque limit", _OWN_LIMIT)
+    approach_distance_range: tuple[float, float] = _limit(
+        (1e-3, 0.5), "m", "refuses an implausible approach", _OWN_LIMIT
+    )
+    stiffness_range: tuple[float, float] = _limit(
+        (500.0, 1e6), "N/m", "refuses an implausible contact stiffness", _OWN_LIMIT
+    )
+    mass_range: tuple[float, float] = _limit((0.0, 20.0), "kg", "refuses a payload that the arm cannot carry", _RIG)
+    looking_distance_range: tuple[float, float] = _limit(
+        (0.02, 2.0), "m", "refuses an implausible camera distance", _RIG
+    )
+    max_reach_m: float = _limit(3.0, "m", "refuses a box beyond any supported arm, such as one in millimetres", _RIG)
+    max_tool_offset_m: float = _limit(0.5, "m", "refuses a skin, camera or payload too far from the flange", _RIG)
+    max_camera_tilt_deg: float = _limit(
+        60, "degrees", "refuses a camera that cannot see what the tool will touch", _RIG
+    )
+    max_tcp_shift_m: float = _limit(5e-3, "m", "refuses a pendant whose TCP disagrees with the rig's", _PENDANT)
+    max_tcp_rotation_deg: float = _limit(
+        3.0, "degrees", "refuses a pendant whose TCP disagrees with the rig's", _PENDANT
+    )
 
     # How hard a collision may be. A trip at a third of 30 N is twice the error of a UR's force sensor.
-    reaction_time_s: float = _limit(0.04, "s", "is the assumed time from the force to the brake")
-    braking_m_s2: float = _limit(2.0, "m/s^2", "is the deceleration of every stop except an emergency stop")
-    free_trip_share: float = _limit(1 / 3, "of the force limit", "stops a free motion before the force limit")
-    max_start_load: float = _limit(2.0, "of force and torque limit", "refuses to move an overloaded arm")
-    max_retreat_growth: float = _limit(1.1, "of the load at the start", "stops a retreat that presses harder")
+    reaction_time_s: float = _limit(0.04, "s", "is the assumed time from the trip to the brake", _COLLISION)
+    braking_m_s2: float = _limit(
+        2.0,
+        "m/s^2",
+        "is the deceleration of every stop except an emergency stop",
+        f"{_UR}::test_an_approach_ends_on_force",
+    )
+    free_trip_share: float = _limit(
+        1 / 3, "of the force limit", "stops a free motion before the force limit", _COLLISION
+    )
+    max_start_load: float = _limit(
+        2.0,
+        "of force and torque limit",
+        "refuses to move an overloaded arm",
+        f"{_GUARDED}::test_no_free_motion_begins_with_a_force_that_is_no_number_or_beyond_reason",
+    )
+    max_retreat_growth: float = _limit(
+        1.1,
+        "of the load at the start",
+        "stops a retreat that presses harder",
+        f"{_LIMITS}::test_a_retreat_that_presses_harder_is_stopped",
+    )
 
     # What every state of a motion must be. At 10 N/mm a press gains 5 N within the maximum age of a state.
-    goal_tolerance_m: float = _limit(1e-3, "m", "reports a motion that ended off its goal")
-    goal_tolerance_rad: float = _limit(0.01, "rad", "reports a motion that ended with another orientation")
-    box_margin_m: float = _limit(5e-3, "m", "stops an arm whose tool has left its box")
-    travel_margin_m: float = _limit(3e-3, "m", "stops an arm that goes past its goal")
-    max_speed_ratio: float = _limit(1.5, "of the requested speed", "stops an arm that moves too fast")
-    speed_margin_m_s: float = _limit(0.02, "m/s", "is added to the maximum speed")
-    max_angular_speed_rad_s: float = _limit(10.0, "rad/s", "stops a tool that turns faster than any supported arm")
-    max_state_age_s: float = _limit(0.25, "s", "stops an arm whose states no longer arrive, or that is not watched")
-    stall_timeout_s: float = _limit(3.0, "s", "stops an arm that reports a motion while its pose stands still")
-    start_timeout_s: float = _limit(0.5, "s", "reports an arm that does not begin the requested motion")
-    min_start_progress: float = _limit(0.1, "of the way", "is the progress that counts as a begun motion")
-    min_motion: float = _limit(1e-5, "m or rad", "is the shortest motion that is waited for")
-    stop_timeout_s: float = _limit(1.0, "s", "reports an arm that was told to brake and does not stand")
-    duration_factor: float = _limit(2.0, "of the planned duration", "stops a motion that takes too long")
-    duration_margin_s: float = _limit(2.0, "s", "is added to the maximum duration of a motion")
-    rotation_lever_m: float = _limit(0.25, "m per rad", "converts a rotation to a path, for its maximum duration")
-    min_speed_share: float = _limit(0.05, "of the requested speed", "is assumed for an unknown speed slider")
-    paused_speed_share: float = _limit(0.01, "of the requested speed", "lets a paused motion time out in the end")
+    goal_tolerance_m: float = _limit(1e-3, "m", "reports a motion that ended off its goal", _ARRIVAL)
+    goal_tolerance_rad: float = _limit(0.01, "rad", "reports a motion that ended with another orientation", _ARRIVAL)
+    box_margin_m: float = _limit(5e-3, "m", "stops an arm whose tool has left its box", _STATE)
+    travel_margin_m: float = _limit(3e-3, "m", "stops an arm that goes past its goal", _STATE)
+    max_speed_ratio: float = _limit(1.5, "of the requested speed", "stops an arm that moves too fast", _STATE)
+    speed_margin_m_s: float = _limit(0.02, "m/s", "is added to the maximum speed", _STATE)
+    max_angular_speed_rad_s: float = _limit(
+        10.0, "rad/s", "stops a tool that turns faster than any supported arm", _STATE
+    )
+    max_state_age_s: float = _limit(
+        0.25, "s", "stops an arm whose states no longer arrive, or that is not watched", _STATE
+    )
+    stall_timeout_s: float = _limit(3.0, "s", "stops an arm that reports a motion while its pose stands still", _STATE)
+    start_timeout_s: float = _limit(0.5, "s", "reports an arm that does not begin the requested motion", _START)
+    min_start_progress: float = _limit(
+        0.1, "of the way", "is the progress up to which a motion counts as not begun", _START
+    )
+    min_motion: float = _limit(1e-5, "m or rad", "is the longest motion whose start is not waited for", _START)
+    stop_timeout_s: float = _limit(
+        1.0,
+        "s",
+        "reports an arm that does not stand after a brake command",
+        f"{_LIMITS}::test_an_arm_that_does_not_stand_after_a_brake_is_reported",
+    )
+    duration_factor: float = _limit(2.0, "of the planned duration", "stops a motion that takes too long", _DURATION)
+    duration_margin_s: float = _limit(2.0, "s", "is added to the maximum duration of a motion", _DURATION)
+    rotation_lever_m: float = _limit(
+        0.25, "m per rad", "converts a rotation to a length, for the maximum duration", _DURATION
+    )
+    min_speed_share: float = _limit(
+        0.05, "of the requested speed", "is assumed if the setting of the speed slider is unknown", _DURATION
+    )
+    paused_speed_share: float = _limit(
+        0.01, "of the requested speed", "lets a paused motion time out eventually", _DURATION
+    )
 
     # The connection with a UR controller. Four seconds at 40 mm/s, the slowest watchdog, are 0.16 m.
-    state_timeout_s: float = _limit(0.1, "s", "gives up an arm whose controller is silent")
-    state_timeout_range: tuple[float, float] = _limit((0.02, 5.0), "s", "refuses a timeout too long to protect")
-    watchdog_rate_hz: float = _limit(10.0, "Hz", "ends the controller's program if this computer stalls or dies")
-    watchdog_rate_range: tuple[float, float] = _limit((0.25, 50.0), "Hz", "refuses a watchdog too slow to protect")
-    heartbeat_period_s: float = _limit(0.02, "s", "is the time between two heartbeats that feed the watchdog")
-    command_timeout_s: float = _limit(2.0, "s", "reports a controller that does not take commands")
-    standing_speed: float = _limit(1e-3, "m/s and rad/s", "is the speed below which the tool stands")
-    brake_settling_s: float = _limit(0.05, "s", "ignores states from before a brake that say that the arm stands")
-    worker_exit_timeout_s: int = _limit(2, "s", "ends the client library's process even if the library hangs")
+    state_timeout_s: float = _limit(
+        0.1,
+        "s",
+        "ends the control of an arm whose controller sends no states",
+        f"{_UR}::test_a_controller_that_sends_no_states_is_given_up_also_at_rest",
+    )
+    state_timeout_range: tuple[float, float] = _limit(
+        (0.02, 5.0), "s", "refuses a timeout too long to protect", _TIMEOUTS
+    )
+    watchdog_rate_hz: float = _limit(
+        10.0,
+        "Hz",
+        "ends the controller's program if this computer stalls or dies",
+        f"{_UR}::test_the_arm_stands_when_its_process_is_ended",
+    )
+    watchdog_rate_range: tuple[float, float] = _limit(
+        (0.25, 50.0), "Hz", "refuses a watchdog too slow to protect", _TIMEOUTS
+    )
+    heartbeat_period_s: float = _limit(
+        0.02,
+        "s",
+        "is the time between two heartbeats that feed the watchdog",
+        f"{_LIMITS}::test_heartbeats_are_sent_once_a_period_and_only_while_states_arrive",
+    )
+    command_timeout_s: float = _limit(
+        2.0,
+        "s",
+        "reports a controller that does not accept commands",
+        f"{_LIMITS}::test_a_controller_that_does_not_take_a_command_is_reported",
+    )
+    standing_speed: float = _limit(
+        1e-3, "m/s and rad/s", "is the speed below which the tool counts as standing", _STANDSTILL
+    )
+    brake_settling_s: float = _limit(
+        0.05, "s", "ignores states from before a brake, which may report a standing arm", _STANDSTILL
+    )
+    worker_exit_timeout_s: int = _limit(
+        2,
+        "s",
+        "ends the client library's process even if the library hangs",
+        f"{_LIMITS}::test_the_process_of_a_library_that_hangs_ends",
+    )
 
     # Touch-off against a flat
-    touch_off_force_n: float = _limit(2.0, "N", "stops a corner of the skin at the flat; it gives some N per mm")
-    touch_off_overtravel_m: float = _limit(5e-3, "m", "stops an approach that finds no flat where it should be")
-    touch_off_max_shift_m: float = _limit(5e-3, "m", "refuses a result too far from the rig")
-    touch_off_max_tilt_rad: float = _limit(math.radians(4), "rad", "refuses a result too far from the rig")
+    touch_off_force_n: float = _limit(
+        2.0,
+        "N",
+        "stops a corner of the skin that presses on the flat",
+        f"{_TOUCH_OFF}::test_an_arm_finds_its_skin",
+    )
+    touch_off_overtravel_m: float = _limit(
+        5e-3,
+        "m",
+        "stops an approach that meets no flat at the given height",
+        f"{_TOUCH_OFF}::test_presses_without_an_onset_and_a_missing_flat_are_reported",
+    )
+    touch_off_max_shift_m: float = _limit(
+        5e-3,
+        "m",
+        "refuses a result too far from the rig",
+        f"{_LIMITS}::test_a_touch_off_too_far_from_the_rig_is_refused",
+    )
+    touch_off_max_tilt_rad: float = _limit(
+        math.radians(4),
+        "rad",
+        "refuses a result too far from the rig",
+        f"{_LIMITS}::test_a_touch_off_too_far_from_the_rig_is_refused",
+    )
 
 
 SAFETY = SafetyLimits()

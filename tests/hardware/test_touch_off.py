@@ -11,6 +11,7 @@ from i2t.emulators.in_process import SimulatedArm, SimulatedLab, VirtualClock
 from i2t.errors import DeviceError
 from i2t.geometry import transform
 from i2t.hardware.contract import refuse
+from i2t.hardware.limits import SAFETY
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.touch_off import (
@@ -70,10 +71,12 @@ class Fingered:
 
     def __init__(self, true, height):
         self.true, self.height, self.reading = true, height, np.zeros(15)
+        self.peak = 0.0  # N, the highest force of a corner
 
     def __call__(self, position, turned):
         at = corners(transform(turned, position), self.true)
         force = STIFFNESS * np.maximum(0, self.height - at[:, 2])[:, None] * [0.0, 0.0, 1.0]
+        self.peak = max(self.peak, force.sum())
         return np.concatenate([force.sum(0), np.cross(at - position, force).sum(0)])
 
 
@@ -93,6 +96,7 @@ def test_an_arm_finds_its_skin(z, rx, ry):
     np.testing.assert_allclose(plane.T_tool_skin[:3, 2], true[:3, 2], atol=2e-3)
     assert plane.flatness_error < 0.02e-3
     assert len(messages) == 4
+    assert SAFETY.touch_off_force_n < arm.lab.robot.contact.peak < 1.5 * SAFETY.touch_off_force_n  # stopped 30 ms late
 
 
 def test_presses_without_an_onset_and_a_missing_flat_are_reported():

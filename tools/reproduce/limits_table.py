@@ -8,12 +8,12 @@ from i2t.hardware.limits import SAFETY
 
 
 def safety_limits() -> str:
-    """Table of the safety limits with value, unit and purpose."""
+    """List every safety limit with its value and unit, what it protects, and the test that tries it."""
     rows = []
     for limit in fields(SAFETY):
         value = f"{_number(getattr(SAFETY, limit.name))} {limit.metadata['unit']}"
-        rows.append([f"`{limit.name}`", value, limit.metadata["protects"]])
-    return markdown(["limit", "value", "it"], rows)
+        rows.append([f"`{limit.name}`", value, limit.metadata["protects"], f"`{limit.metadata['tried']}`"])
+    return markdown(["limit", "value", "what it protects", "how it was tried"], rows)
 
 
 def _number(value: Any) -> str:

@@ -49,7 +49,7 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
             f"`{CALIBRATED}` was partly tuned on that skin",
         ],
         [
-            "know a skin from 20 presses, R²",
+            "calibrate a skin from 20 presses, R²",
             f"one eFlesh skin, blocks held out: {cell(press, 2)}, plain GP {cell(plain, 2)} "
             "([calibration](docs/calibration.md))",
             "better than a plain GP ([calibration](docs/calibration.md))",
@@ -79,15 +79,17 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "the paper's recognition, mean of its five objects, chance .40",
             "not yet",
             f"{votes}; the paper's real skin .58, proprioception .46 ([recognition](docs/recognition.md))",
-            "masks lose on tools; depths, the paper's text, are not shown above proprioception by votes",
+            "masks do worse than proprioception on tools; depths, which the paper describes, are not shown to beat "
+            "proprioception by votes",
         ],
         [
             "recognition by the belief, ten touches, chance .20",
             "not yet",
             f"{cell(fused, 2)} on six pads; for objects like these {others}; from readings alone "
             f"{cell(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            f"skins with free sides / soft / of springs, over all touches: readings alone {readings} for {matched} "
-            f"without touches of that skin, {readings_own} with 200; fused {belief_none} for {both} without, "
+            f"skins with free sides / soft / of springs, mean over all touches: readings alone {readings} "
+            f"instead of {matched} without touches of that skin, {readings_own} with 200; fused {belief_none} instead "
+            f"of {both} without, "
             f"{belief_own} with 200",
         ],
     ]
@@ -115,31 +117,31 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             "([shapes](docs/shapes.md#on-a-real-skin))",
             f"stamps: {stamps['imagined touch']}, paper's classifier {of_paper}, a tuned one with pose and force "
             f"{with_pose}",
-            "each digit in one recording, so the field around tells it: kept, it lifts the best baseline to "
-            f"{cell(with_ambient['accuracy'][0], 2)}; samples at rest, less the median, tell "
+            "each digit is one recording, so the background field gives it away: with it, the best baseline reaches "
+            f"{cell(with_ambient['accuracy'][0], 2)}; from samples at rest, less the median, "
             f"{cell(at_rest['accuracy'][0], 2)}",
         ],
         [
             "patches from depth images",
             "frames of YCB-Video and APC ([depth](docs/depth.md))",
             "against the mesh ([depth](docs/depth.md))",
-            "sharp ridges read too deep",
+            "sharp ridges appear too deep",
         ],
         [
             "touch to shape",
-            f"a tip's place, not shape: median {cell(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
+            f"position of a tip, not a shape: median error {cell(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
             f"{rebuilt['test_objects']} unseen objects: {cell(read['ratio'], 2)} of the distance left after 5 touches "
             f"({cell(read['chamfer_mm'][0], 1)} mm), without readings {cell(posed['ratio'], 2)} "
             f"({cell(posed['chamfer_mm'][0], 1)} mm) "
             "([reconstruction](docs/reconstruction.md))",
             f"pad fitted from 300 presses, pose known to 3 mm and 5 degrees: {cell(fitted_read['ratio'][0], 2)}, "
-            f"without readings {cell(fitted_posed['ratio'][0], 2)}; needs like objects",
+            f"without readings {cell(fitted_posed['ratio'][0], 2)}; needs a library of similar objects",
         ],
         [
             "drivers: ReSkin, UR arm, RealSense",
             "**not yet**",
             "emulators of the devices' protocols ([hardware](docs/hardware.md))",
-            "no real device was tried",
+            "no real device has been tried",
         ],
     ]
 
