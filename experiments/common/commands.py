@@ -1,8 +1,8 @@
-"""Commands of the experiments, which read and check their options before slow imports.
+"""Command-line entry points of the experiments, which read and check options before slow imports.
 
 An experiment is a folder with `arguments.py`, a dataclass of its options that imports neither JAX nor NumPy, and
-`run.py`, whose docstring is the command's help and whose `run` does the work. `--help` and refusals of wrong options
-therefore come at once. The experiment's `__main__.py` names both:
+`run.py`, whose docstring is the command's help and whose `run` does the work. `--help` and error messages about options
+therefore appear at once. The experiment's `__main__.py` names both:
 
     main = command(TrainArgs, "experiments.train.run")
 """
@@ -30,7 +30,7 @@ def command(kind: type[Any], module: str) -> Main:
         module: Name of the module whose docstring is the help, and whose `run` takes the options.
 
     Returns:
-        The command's `main` function.
+        The command's `main` function, which takes the command line and returns the exit code.
     """
     program = f"python -m {module.removesuffix('.run').removesuffix('.__main__')}"
 

@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from experiments.common.cells import UNSHOWN, Measured, Table
+from experiments.common.cells import AVERAGE_SUFFIX, Measured, Table
 from tools.reproduce import recognition_tables as recognition
 from tools.reproduce import shape_tables as shapes
 from tools.reproduce import skin_tables as skins
@@ -86,7 +86,7 @@ def shortened(step: str, measured: Measured) -> Measured:
         measured = {name: x for name, x in measured.items() if name in KEPT_OF_STUDIES}
     if "sets" in measured:
         for entry in measured["sets"].values():
-            entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(UNSHOWN)}
+            entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(AVERAGE_SUFFIX)}
             for scores in entry["methods"].values():
                 for name in [name for name in scores if name not in KEPT_SCORES]:
                     del scores[name]
