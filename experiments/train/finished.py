@@ -233,7 +233,7 @@ def _why_no_run(folder: Path, first: Path) -> str:
     if (first / METRICS).exists():
         return ""
     if kind == "TrainArgs" or (folder / CONFIG).exists():
-        return "holds an interrupted run; continue it: the same command with --resume"
+        return "holds a run that was interrupted; continue it: the same command with --resume"
     touches = next(folder.glob("*.h5"), None)
     remedy = f"; train on these touches: python -m experiments.train --dataset {folder}" if touches else ""
     return f"holds other files but no finished run; name a folder that experiments.train wrote{remedy}"
