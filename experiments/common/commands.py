@@ -87,7 +87,7 @@ def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str,
         elif out is not None:
             check_folder(out)
         result = importlib.import_module(module).run(args)
-        say_where(out, getattr(args, "next_command", ""))
+        print_outcome(out, getattr(args, "next_command", ""))
         return result
 
     return exit_code_of_run(work, out if hasattr(args, "resume") else None)
@@ -109,7 +109,7 @@ def refuse_renamed(former_names: Mapping[str, str], words: Sequence[str]) -> Non
             raise ValueError(f"{flag} is called {former_names[flag]} now; pass that option, which --help explains")
 
 
-def say_where(out: Path | None, next_command: str) -> None:
+def print_outcome(out: Path | None, next_command: str) -> None:
     """Print where the results of a finished run are, the names of its pictures, and what to try next.
 
     Args:

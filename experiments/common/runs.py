@@ -92,8 +92,8 @@ def begin(args: Any, experiment: Any) -> None:
             raise ValueError(f"{out} was begun with other settings or data ({path}); pass those, or --overwrite")
     place = out.resolve()
     if path.exists() and args.overwrite:
-        shutil.rmtree(_aside(place), ignore_errors=True)
-        place.rename(_aside(place))
+        shutil.rmtree(_replaced(place), ignore_errors=True)
+        place.rename(_replaced(place))
     _BEGUN[place] = [parent for parent in place.parents if not parent.exists()]
     place.mkdir(parents=True, exist_ok=True)
     write_json(path, config)
@@ -135,16 +135,16 @@ def settle_begun() -> None:
     """
     while _BEGUN:
         out, new_parents = _BEGUN.popitem()
-        aside = _aside(out)
+        replaced = _replaced(out)
         if not _has_results(out):
             shutil.rmtree(out, ignore_errors=True)
-            if aside.exists():
-                aside.rename(out)
+            if replaced.exists():
+                replaced.rename(out)
             with contextlib.suppress(OSError):  # another process has written to one of the parents
                 for folder in new_parents:
                     folder.rmdir()
-        elif aside.exists():
-            shutil.rmtree(aside)
+        elif replaced.exists():
+            shutil.rmtree(replaced)
 
 
 def _has_results(out: Path) -> bool:
@@ -156,7 +156,7 @@ _BEGUN: dict[Path, list[Path]] = {}  # run folders of this process, with the par
 atexit.register(settle_begun)  # for runs that were not started by a command
 
 
-def _aside(out: Path) -> Path:
+def _replaced(out: Path) -> Path:
     """Return the path at which a replaced run is kept until the new run has results."""
     return out.with_name(f".{out.name}.replaced")
 

@@ -81,14 +81,14 @@ def run(args: LiveArgs) -> dict[str, Any]:
     )  # fmt: skip
     recognizer.warm_up()  # compile before connecting the arm, whose watchdog would time out
     live = LiveEpisode(recognizer, key_touches)
-    standing = None if args.real else true_object
-    code = session.collect(begin(collect_args(args, meshes, standing)), live.choose, live.learn)
+    simulated_object = None if args.real else true_object
+    code = session.collect(begin(collect_args(args, meshes, simulated_object)), live.choose, live.learn)
     if live.nothing_safe and not live.infos:
         raise ValueError(live.nothing_safe)
     if code or not live.infos:
         why = live.recognizer.stop_reason(live.state)
         raise ValueError(f"no touch was made, so there is no result{f': {why}' if why else ''}")
-    return conclude(args, live, meshes, fitted, standing)
+    return conclude(args, live, meshes, fitted, simulated_object)
 
 
 def worn_board(args: LiveArgs, expected: Board) -> Board:

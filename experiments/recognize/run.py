@@ -125,15 +125,14 @@ def play(cfg: Recognition, own: Mapping[str, Mesh], run: FinishedRun, seed: int)
     predictors = paper.rule_predictors(run.folder, paper.load_paper_networks(run), trained.predictor, mean)
     world = EpisodeWorld(cfg, run, trained, oracle, predictors, particles)
     groups = object_groups(own, cfg)
-    prepared = iter(
-        prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()])
-    )  # all at once, to compile once
+    # All at once, to compile once.
+    prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))
     for i, (meshes, sets) in enumerate(groups):
         surfaces = {name: next(prepared) for name in meshes}
         for j, (name, objects) in enumerate(sets.items()):
             key = jax.random.fold_in(jax.random.fold_in(key_groups, i), j)
-            own = [surfaces[object_name] for object_name in objects.names]
-            results[name] = play_set(key, name, objects, surfaces=own, world=world)
+            of_set = [surfaces[member] for member in objects.names]
+            results[name] = play_set(key, name, objects, surfaces=of_set, world=world)
     return reporting.to_part(results)
 
 

@@ -62,7 +62,10 @@ def test_a_folder_without_a_finished_run_is_named_for_what_it_is(tmp_path):
         (tmp_path / "nowhere", r"holds no finished run; make one: python -m experiments.train --out \S+nowhere$"),
         (folder_with(tmp_path / "empty"), "make one"),
         (tmp_path / "mesh.stl", "is a file and holds no finished run; name the folder"),
-        (folder_with(tmp_path / "data", touches={}), "but no finished run; name a folder that experiments.train wrote$"),
+        (
+            folder_with(tmp_path / "data", touches={}),
+            "but no finished run; name a folder that experiments.train wrote$",
+        ),
         (tmp_path / "touches", r"train on these touches: python -m experiments.train --dataset \S+touches$"),
         (folder_with(tmp_path / "begun", config={"kind": "TrainArgs"}), "was interrupted; .* --resume"),
         (

@@ -26,7 +26,7 @@ def test_every_long_enough_session_counts_and_the_limit_is_said():
         recorded.choose_sessions(dataset, 10, 40)
     chosen = recorded.choose_sessions(sessions_of(3, 2), 10, None)
     assert chosen.names == ("run 0",)
-    assert "1 sessions of 3 usable touches, and not the 10 that were asked for" in chosen.describe()
+    assert "1 sessions of 3 usable touches; no session has the 10 that were asked for" in chosen.describe()
 
 
 @pytest.mark.parametrize("episodes", [1, 2, 8])
