@@ -57,9 +57,8 @@ class DatasetArgs(RunOptions):
 
     dataset: Path  # recorded touches of objects in the catalogue or of --objects
     out: Path = Path("runs/recognize")  # folder for the results
-    pad_model: Path = Path(
-        "runs/train"
-    )  # pad model of the skin: folder of a run of experiments.train, file, or nominal
+    # Pad model of the skin: folder of a run of experiments.train, file, or nominal.
+    pad_model: Path = Path("runs/train")
     preset: PresetName = "paper"  # number of poses, and minimum number of touches in a session
     objects: tuple[Path, ...] = ()  # objects to distinguish: names in the catalogue or mesh files
     unit: UnitName | None = None  # unit of the mesh files
@@ -100,9 +99,8 @@ class LiveArgs:
     num_surrogates: int = 16  # random objects similar to the known ones, which represent an unknown object
     max_touches: Count = 10
     min_touches: Count = 3  # minimum number before an early stop, because a single touch in air may be overconfident
-    max_error_probability: Probability = (
-        0.05  # stop when the most probable object is wrong with at most this probability
-    )
+    # Stop when the most probable object is wrong with at most this probability.
+    max_error_probability: Probability = 0.05
     num_sites: Count = 24  # candidate sites on each object
     num_particles: Count = 64  # poses of each object
     arm: Annotated[ArmArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=ArmArgs)
@@ -169,9 +167,7 @@ class RecordedArgs(ResumableOptions):
     ignore: tuple[str, ...] = ()  # columns that are not part of the reading
     touch: str | None = None  # column that numbers touches; successive rows of one touch are averaged
     out: Path = Path("runs/recorded")  # folder for the results
-    train_share: Annotated[float, Limits(0.2, 0.9)] = (
-        0.6  # share of each label's rows for training, the first in the file
-    )
+    train_share: Annotated[float, Limits(0.2, 0.9)] = 0.6  # share of rows for training, the first of each label
     max_touches: Count = 10  # touches of an episode, drawn from a label's other rows
     episodes: Count = 10  # episodes of each label in each group
     unknown: Annotated[int, Limits(0)] = 10  # number of labels held out together as unknown; at most a third

@@ -4,8 +4,7 @@
     python -m experiments.recognize live --true-object hammer --arm emulated --skin emulated      with the real drivers
     python -m experiments.recognize live --objects star own.stl --unit mm --arm emulated --skin emulated
     python -m experiments.recognize live --pad-model runs/collected --pad-name "skin A" --arm ur \\
-        --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml     a real skin, with a run on its own
-        touches
+        --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml     a real skin and a run on its touches
 
 Skins differ, so --pad-model must be the folder of a run of `experiments.train`, or a file, for the same skin, by its
 name in data sets and its board. Other pad models are refused before anything moves. A simulated or emulated skin is

@@ -8,12 +8,12 @@ touch votes for the object with the nearest prediction (exp(-|tau - tau~|), tau 
 sampled from the votes so far, and the paper's heuristic draws the next touch on it (`i2t.recognition.paper_rules`).
 Every method chooses the touches of its own episodes by its own scores:
 
-  Imagine2touch            the paper's network, on contact masks (its published code) and on depths (its text) and
-  measured force       the same network with the measured force of each touch as an additional input same rules, GP
-  the same rules with the run's predictor, which also uses the measured force ... at the median force  the same
-  predictor with the median force of the training touches, so with the network's inputs constant reading         the
-  same rules with the mean training reading wherever an object is seen proprioception           the paper's baseline:
-  distance of the contact from each object's model
+  Imagine2touch            the paper's network, on contact masks (its published code) and on depths (its text)
+  and measured force       the same network with the measured force of each touch as an additional input
+  same rules, GP           the same rules with the run's predictor, which also uses the measured force
+  ... at the median force  the same predictor with the median force of the training touches, like the network
+  constant reading         the same rules with the mean training reading wherever an object is seen
+  proprioception           the paper's baseline: distance of the contact from each object's model
 
 All methods have the same objects, placements and errors, so their differences are paired. Each episode has its own pool
 of sites (with --preset paper, five episodes share one). Intervals are over pads and pools, for these objects.

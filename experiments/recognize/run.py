@@ -16,9 +16,8 @@ ten times at random safe sites, drawn anew for each touch. After each touch, the
                   registration of their objects by contacts: from readings, from contact or its absence, from positions,
                   and from their combinations; an oracle is fitted to the same touches without errors of pose or noise;
   the paper       exp(-|tau - tau~|) of the paper's networks at the expected pose, combined by votes, average or
-  product;
-                  the same rules are applied to the run's Gaussian process, to a constant reading, and to the distance
-                  from the contact to the nearest point of each model (proprioception).
+                  product; the same rules are applied to the run's Gaussian process, to a constant reading, and to the
+                  distance from the contact to the nearest point of each model (proprioception).
 
 The paper's two sets (three primitives, two tools) are separate, at sites that the paper's heuristic draws from random
 candidates, so that all methods have the same episodes. All five objects also form one set. docs/recognition.md lists

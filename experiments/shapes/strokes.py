@@ -2,10 +2,9 @@
 
 The features do not depend on the ambient field, and little on the force and speed of a stroke:
 
-  ambient        median of the stroke's own samples in each channel, which is correct if a channel rests half of the
-  time saturation     v = b / (|b| + a) of the change b, whose direction depends on the position of the contact and
-  whose size
-                 depends on the force; a is a share of the root mean square of |b| over the training strokes
+  ambient        median of the stroke's own samples in each channel, valid if a channel rests half of the time
+  saturation     v = b / (|b| + a) of the change b, whose direction depends on the position of the contact and whose
+                 size depends on the force; a is a share of the root mean square of |b| over the training strokes
   time warping   squared distances of samples, summed along the best monotone alignment of two strokes (dynamic time
                  warping; Sakoe and Chiba, IEEE Transactions on Acoustics, Speech and Signal Processing 26, 1978)
   classifier     multinomial logistic regression on features of the kernel exp(-distance / median), by Nyström's method

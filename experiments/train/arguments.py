@@ -35,7 +35,8 @@ class TrainArgs(ResumableOptions):
     method: tuple[str, ...] = ()  # additional methods of your own, such as my_package.module:Method
     paper: PaperOptions = field(default_factory=PaperOptions)  # options of the paper's network
     epochs: Count | None = None  # epochs of the networks, instead of the preset's
-    softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0  # 4: a quarter of the nominal Young's modulus
+    # Softness of the skin; 4 means a quarter of the nominal Young's modulus.
+    softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0
 
     @property
     def next_command(self) -> str:

@@ -3,9 +3,9 @@
 The folder of a run, or each folder `pad-P-seed-S` of a run of several pads or seeds, holds:
 
   training.json     its pad, the method of each predictor in checkpoint/, and the reason if there is no pad model
-  pad_model.npz     pad model of the skin (`i2t.load_pad_model`), fitted to the training touches checkpoint/
-  predictors (`i2t.load_predictor`): `predictor`, the best of all, `on_pressure`, the best on predicted
-                    contact pressure, and one for each network of the paper
+  pad_model.npz     pad model of the skin (`i2t.load_pad_model`), fitted to the training touches
+  checkpoint/       predictors (`i2t.load_predictor`): `predictor`, the best of all, `on_pressure`, the best on
+                    predicted contact pressure, and one for each network of the paper
   data.h5, pad.npz  touches that the run simulated, and their pad (`i2t.load_dataset`, `i2t.load_pad`)
   metrics.json      scores, written last, so that the run is finished if it exists
 

@@ -1,16 +1,16 @@
 """Question: how well does a model that is trained on two objects predict readings on other objects?
 
-    python -m experiments.train                      a simulated data set like the paper's: 1630 touches, one pad and
-    seed python -m experiments.train --preset debug       a few touches, too few for meaningful results python -m
-    experiments.train --seeds 5            means and 95 % intervals over seeds python -m experiments.train --preset
-    study       six pads, one seed: means and 95 % intervals over pads python -m experiments.train --preset study
-    --workers 2        two pads at a time (docs/compiled.md) python -m experiments.train --pad FILE           a pad
-    fitted to a real skin instead of a random pad python -m experiments.train --registered sessions    views rendered at
-    poses estimated in each session python -m experiments.train --registered camera  views corrected by a camera offset
-    estimated on training objects python -m experiments.train --dataset DIR        any recorded or converted set (see
-    python -m i2t.convert) python -m experiments.train --methods gp ridge --method my_package.module:Mine    two methods
-    and one of your own python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another
-    network and loss
+    python -m experiments.train                      simulated touches like the paper's: 1630, one pad, one seed
+    python -m experiments.train --preset debug       a few touches, too few for meaningful results
+    python -m experiments.train --seeds 5            means and 95 % intervals over seeds
+    python -m experiments.train --preset study       six pads, one seed: means and 95 % intervals over pads
+    python -m experiments.train --preset study --workers 2        two pads at a time (docs/compiled.md)
+    python -m experiments.train --pad FILE           a pad fitted to a real skin instead of a random pad
+    python -m experiments.train --registered sessions    views rendered at poses estimated in each session
+    python -m experiments.train --registered camera  views corrected by a camera offset estimated on training objects
+    python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
+    python -m experiments.train --methods gp ridge --method my_package.module:Mine    two methods and one of your own
+    python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network and loss
 
 Methods are trained on hexagon and parallelogram, validated on one tool and tested on six other objects. All methods use
 the same touches: baselines that look up or regress patches (mean, nearest, nearest-measured, ridge, ridge-measured) or
