@@ -91,11 +91,10 @@ def hold_out(recording: LoadedPresses, cfg: Preset, seed: int, usable: np.ndarra
     of_press = np.full(len(usable), -1)
     of_press[rows] = clusters.of_press
     all_clusters, in_turn = clusters._replace(of_press=of_press), len(rows) < cfg.min_shared_presses
-    splits, sentences = (
-        _in_turn(rows, clusters, cfg.min_shared_presses)
-        if in_turn
-        else ([_shares(all_clusters, cfg, seed, usable)], [])
-    )
+    if in_turn:
+        splits, sentences = _in_turn(rows, clusters, cfg.min_shared_presses)
+    else:
+        splits, sentences = [_shares(all_clusters, cfg, seed, usable)], []
     if clusters.number == 1:
         sentences.append(_about_one_place(position_mm, recording.load_kind))
     return HeldOut(tuple(splits), in_turn, all_clusters, (*sentences, *_about_clusters(clusters)))

@@ -112,7 +112,7 @@ def rule_predictors(
     """
     missing = [name for row, name in NETWORKS.items() if row not in paper.networks]
     if missing:
-        print(f"{folder} holds no {' and no '.join(missing)}, so these rows are left out")
+        print(f"{folder} lacks some networks, whose rows are left out: {'; '.join(missing)}")
     if paper.epochs is not None and paper.epochs < paper_epochs:
         print(
             f"the networks of {folder} were trained for at most {paper.epochs} epochs; the default of "
@@ -160,7 +160,7 @@ def play(cfg: Recognition, run: FinishedRun, seed: int) -> Part:
     pad, predictor, paper = load_pad(run.simulated_pad), load_predictor(run.on_pressure), load_paper_networks(run)
     if paper.mean is None or paper.std is None:
         raise ValueError(
-            f"{run.folder} holds no {' and no '.join(IMAGINE2TOUCH.values())}; train them: "
+            f"{run.folder} lacks the networks {' and '.join(map(repr, IMAGINE2TOUCH.values()))}; train them: "
             f"python -m experiments.train --out {run.folder}"
         )
     predictors = rule_predictors(run.folder, paper, predictor, paper.mean)

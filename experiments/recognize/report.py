@@ -298,7 +298,7 @@ def print_tables(summary: dict[str, Any]) -> None:
         print(text_table(head, rows))
         print_objects(entry, touches)
         for pair, values in entry["paired"].items():
-            pads = f"; {values['pads_needed']} pads for +- 3 points" if values["pads_needed"] else ""
+            pads = f"; {values['pads_needed']} pads would resolve 3 points" if values["pads_needed"] else ""
             last, mean = (cell(values[score], signed=True) for score in ("last", "mean"))
             print(f"  {pair}: after {touches} {last}, mean {mean}{pads}")
 
