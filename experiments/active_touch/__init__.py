@@ -1,1 +1,1 @@
-"""Speed of touching policies in telling objects apart."""
+"""Number of touches that policies need to recognise objects."""

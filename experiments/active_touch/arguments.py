@@ -1,4 +1,4 @@
-"""The options and presets of `python -m experiments.active_touch`, without JAX."""
+"""Options and presets of `python -m experiments.active_touch`. This module has no slow imports."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,20 +7,18 @@ from typing import Literal
 from experiments.common.options import RunOptions
 from i2t.errors import did_you_mean
 
-PRISMS = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
-
 
 @dataclass(frozen=True)
 class ActiveTouchSizes:
     """Sizes of the experiment."""
 
     sites: int = 36
-    other_pads: int = 4  # on which predictions are compared with touches, too
+    other_pads: int = 4  # more pads on which predictions are compared with touches
     test_pads: int = 6
-    placements: int = 24  # in which each object is tabulated
-    particles: int = 48  # poses in which the belief thinks of each object
-    touches: int = 16  # of an episode
-    episodes: int = 240  # over all pads
+    placements: int = 24  # tabulated placements of each object
+    particles: int = 48  # poses of each object in the belief
+    touches: int = 16  # touches of an episode
+    episodes: int = 240  # episodes over all pads
 
 
 PRESETS: dict[str, ActiveTouchSizes] = {
@@ -33,14 +31,15 @@ PRESETS: dict[str, ActiveTouchSizes] = {
 
 @dataclass(frozen=True)
 class ActiveTouchArgs(RunOptions):
-    """Compare policies of touching on pads held out."""
+    """Compare policies that choose touches, on held-out pads."""
 
-    out: Path = Path("runs/active_touch")  # folder for what is made
+    out: Path = Path("runs/active_touch")  # folder for the results
     preset: Literal["paper", "debug"] = "paper"
-    objects: tuple[str, ...] = PRISMS  # names of the catalogue, at least two
+    # At least two names in the catalogue.
+    objects: tuple[str, ...] = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 
     def check(self) -> None:
-        """Refuse objects that the catalogue has not, or too few."""
+        """Refuse objects that the catalogue does not have, or too few (ValueError)."""
         from i2t.objects.catalogue import NAMES
         from i2t.objects.named import CATALOGUE_HINT
 

@@ -1,12 +1,12 @@
-"""Question: which policy of touching tells objects apart soonest?
+"""Question: which policy recognises objects with the fewest touches?
 
     python -m experiments.active_touch --out runs/active_touch      six prisms of one height, 16 touches
-    python -m experiments.active_touch --preset debug               everything once, too small to mean anything
+    python -m experiments.active_touch --preset debug               every step once, too small for meaningful results
 
-An object stands where it is believed to, up to 1 mm and 1 degree, and is touched at 16 of 36 sites that are safe on
-every object (`i2t.recognition.environment`, touches tabulated). Three policies choose sites by one posterior, which
-knows each pad as a calibrated one is known: random, the paper's heuristic, and expected information. Intervals are over
-pads. Everything is simulated. Results: metrics.json, config.json, accuracy.png. Some minutes on two cores.
+An object is within 1 mm and 1 degree of its expected pose, and is touched at 16 of 36 sites that are safe on every
+object (`i2t.recognition.environment`, with tabulated touches). Three policies choose sites by the same posterior, which
+treats each pad as calibrated: random, the paper's heuristic, and expected information. Intervals are over pads.
+Everything is simulated. Results: metrics.json, config.json, accuracy.png. It takes a few minutes on two cores.
 """
 
 from typing import Any
@@ -25,18 +25,16 @@ from i2t.recognition.environment_beliefs import with_beliefs
 from i2t.recognition.rollout import POLICIES, rollout
 from i2t.recognition.touch_table import make_environment, tabulate
 
-TABLE_TOUCHES = (1, 2, 3, 4, 5, 8, 12, 16)  # touches of the table
-
 
 def run(args: ActiveTouchArgs) -> dict[str, Any]:
-    """Make the environment and play every policy; write metrics.json, config.json and a figure."""
+    """Run every policy in one environment; write metrics.json, config.json and a figure."""
     sizes = PRESETS[args.preset]
     begin(args, sizes)
     key_lab, _, key_test = jax.random.split(jax.random.key(args.seed), 3)
     environment, params = make_lab(key_lab, args, sizes)
     curves: dict[str, Estimate] = {}
-    drawn = np.random.default_rng(args.seed)
-    truth, pad = (drawn.permutation(np.arange(sizes.episodes) % n) for n in (len(args.objects), sizes.test_pads))
+    rng = np.random.default_rng(args.seed)
+    truth, pad = (rng.permutation(np.arange(sizes.episodes) % n) for n in (len(args.objects), sizes.test_pads))
     for name, policy in POLICIES.items():
         print(name, flush=True)
         _, posterior = rollout(jax.random.clone(key_test), environment, params, policy, truth, pad)
@@ -46,7 +44,7 @@ def run(args: ActiveTouchArgs) -> dict[str, Any]:
         "objects": list(args.objects),
         "episodes": sizes.episodes,
         "test_pads": sizes.test_pads,
-        "accuracy": {name: np.stack(each, axis=1).tolist() for name, each in curves.items()},
+        "accuracy": {name: np.stack(curve, axis=1).tolist() for name, curve in curves.items()},
         "seed": args.seed,
     }
     write_json(args.out / "metrics.json", report)
@@ -58,7 +56,7 @@ def run(args: ActiveTouchArgs) -> dict[str, Any]:
 def make_lab(
     key: jax.Array, args: ActiveTouchArgs, sizes: ActiveTouchSizes
 ) -> tuple[TouchEnvironment, EnvironmentParams]:
-    """Sites and pads drawn, touches of the test's pads tabulated, beliefs of calibrated pads."""
+    """Draw sites and pads, tabulate the touches of the test pads, and add beliefs of calibrated pads."""
     _, key_touch, key_belief = jax.random.split(key, 3)
     environment, params = make_environment(
         args.objects, config=EnvironmentConfig(touches=sizes.touches, law=None), sites=sizes.sites,
@@ -70,8 +68,8 @@ def make_lab(
 
 
 def table(curves: dict[str, Estimate]) -> str:
-    """Accuracy after some touches, with 95 % intervals over pads."""
+    """Format the accuracy after some touches, with 95 % intervals over pads."""
     touches = len(next(iter(curves.values())).mean)
-    shown = [n for n in TABLE_TOUCHES if n <= touches]
-    rows = [[name, *(cell([part[n - 1] for part in each], 2) for n in shown)] for name, each in curves.items()]
+    shown = [n for n in (1, 2, 3, 4, 5, 8, 12, 16) if n <= touches]
+    rows = [[name, *(cell([part[n - 1] for part in curve], 2) for n in shown)] for name, curve in curves.items()]
     return markdown(["policy", *map(str, shown)], rows)

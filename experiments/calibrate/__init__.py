@@ -1,1 +1,1 @@
-"""Number of presses of a skin that predict all others."""
+"""The number of presses that suffice to calibrate a skin."""

@@ -1,4 +1,4 @@
-"""Learning curves: every method on the same draws of presses, scored on what is held out."""
+"""Learning curves of all methods on the same draws of presses, scored on held-out presses."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -13,14 +13,13 @@ from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.recordings.presses import LoadedPresses
 from i2t.runtime.progress import progress
 
-Curves: TypeAlias = dict[str, dict[int, list[float]]]  # method -> number of presses -> a value for each draw
+Curves: TypeAlias = dict[str, dict[int, list[float]]]  # by method and number of presses, a value for each draw
 ErrorCurves: TypeAlias = dict[str, dict[int, list[np.ndarray]]]
-INTERVAL = ("mean", "low", "high")
-LEAST_SPREAD_SHARE = 1e-9  # of the sum of squares
+INTERVAL_KEYS = ("mean", "low", "high")
 
 
 class Scores(NamedTuple):
-    """Scores of each test: R2, squared errors (uT^2) of the presses, and the share of readings in the 90 % range."""
+    """Scores by test: R2, squared errors (uT^2) of the presses, and the share of readings in the 90 % range."""
 
     r2: dict[str, Curves]
     errors: dict[str, ErrorCurves]
@@ -30,24 +29,24 @@ class Scores(NamedTuple):
 def learning_curves(
     recording: LoadedPresses, splits: Sequence[PressSplit], *, counts: Sequence[int], draws: int, seed: int
 ) -> Scores:
-    """Scores of every method at every number of presses, a value for each draw.
+    """Score every method for every number of training presses and every draw.
 
     Args:
         recording: The presses.
-        splits: What methods may learn from and are tested on; of several, the tests of one name are one test.
-        counts: Presses to learn from, at most: those that no split has are left out.
-        draws: Of these presses.
-        seed: Of the draws.
+        splits: Training and test presses. Tests of the same name in several splits count as one test.
+        counts: Numbers of training presses. Numbers greater than every split's pool are left out.
+        draws: Number of random choices of the training presses.
+        seed: Seed of these choices.
 
     Returns:
-        The scores.
+        The scores by test.
     """
     names = list(dict.fromkeys(name for split in splits for name in split.tests))
     scores = Scores({name: {} for name in names}, {name: {} for name in names}, {name: {} for name in names})
     counts = [n for n in counts if n <= max(len(split.pool) for split in splits)]
     desc, unit = ("draws", "draw") if len(splits) == 1 else ("left out", "part")
     steps = [(draw, split) for draw in range(draws) for split in splits]
-    tested: dict[tuple[str, int, int], list[_Tested]] = {}
+    tested: dict[tuple[str, int, int], list[_TestResult]] = {}
     for draw, split in progress(steps, desc=desc, unit=unit):
         order = np.random.default_rng((seed, draw)).permutation(split.pool)
         for count in counts:
@@ -64,37 +63,37 @@ def learning_curves(
     return scores
 
 
-class _Tested(NamedTuple):
-    """Rows of a test as they were predicted from others."""
+class _TestResult(NamedTuple):
+    """Errors of the predictions of a test's rows."""
 
     rows: np.ndarray  # (n,)
     error: dict[str, np.ndarray]  # (n,) uT^2 of each method
-    inside: np.ndarray  # (n, c) readings in the 90 % range of `i2t.calibrate`
+    inside: np.ndarray  # (n, c) whether a reading is in the 90 % range of `i2t.calibrate`
 
 
-def _tested(recording: LoadedPresses, rows: np.ndarray, tests: dict[str, np.ndarray]) -> dict[str, _Tested]:
-    """Each test's rows as all methods predict them from some rows."""
+def _tested(recording: LoadedPresses, rows: np.ndarray, tests: dict[str, np.ndarray]) -> dict[str, _TestResult]:
+    """Predict each test's rows with all methods trained on some rows."""
     predicted, inside = predict_all(recording, rows, np.concatenate(list(tests.values())))
     results, start = {}, 0
     for name, own in tests.items():
         part = slice(start, start + len(own))
         start += len(own)
         error = {method: ((recording.readings[own] - values[part]) ** 2).sum(1) for method, values in predicted.items()}
-        results[name] = _Tested(own, error, inside[part])
+        results[name] = _TestResult(own, error, inside[part])
     return results
 
 
 def predict_all(
     recording: LoadedPresses, rows: np.ndarray, test: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Readings at the test by every method, and which of them (n, c) lie in the 90 % range of `i2t.calibrate`."""
+    """Predict the test readings with every method, and mark those (n, c) in the 90 % range of `i2t.calibrate`."""
     predicted = {name: method(recording, rows, test) for name, method in BASELINES.items()}
     predicted[CALIBRATED], std = calibrated(recording, rows, test)
     return predicted, np.abs(recording.readings[test] - predicted[CALIBRATED]) < STDS_WITHIN_90 * std
 
 
 def explained(readings: np.ndarray, error: np.ndarray) -> float:
-    """R2 over all channels from readings (n, c) and squared errors (n,)."""
+    """Compute R2 over all channels from readings (n, c) and squared errors (n,)."""
     return float(1 - error.sum() / ((readings - readings.mean(0)) ** 2).sum())
 
 
@@ -104,15 +103,17 @@ def append(curves: dict, method: str, count: int, value: float | np.ndarray) -> 
 
 
 def summarise(curves: Curves) -> dict[str, Any]:
-    """Mean over draws with its 95 % interval (Student's t)."""
+    """Average over draws with a 95 % interval (Student's t)."""
     return {
-        name: {count: dict(zip(INTERVAL, student_interval(values), strict=True)) for count, values in by_count.items()}
+        name: {
+            count: dict(zip(INTERVAL_KEYS, student_interval(values), strict=True)) for count, values in by_count.items()
+        }
         for name, by_count in curves.items()
     }
 
 
 def gains(curves: Curves) -> Curves:
-    """By how much R2 of `i2t.calibrate` is above that of each other method, draw by draw."""
+    """Compute the lead in R2 of `i2t.calibrate` over each other method in each draw."""
     base = curves[CALIBRATED]
     return {
         f"{CALIBRATED} - {name}": {n: list(np.subtract(base[n], values)) for n, values in by_count.items()}
@@ -122,9 +123,9 @@ def gains(curves: Curves) -> Curves:
 
 
 def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) -> dict[str, Any]:
-    """R2 of `i2t.calibrate`, and by how much it is above each other method, with 95 % intervals over whole blocks, or
-    places, of the held-out presses (cluster bootstrap of the mean over draws): what other positions on the skin would
-    have given. Fewer than three blocks have no interval.
+    """Compute R2 of `i2t.calibrate` and its lead over each other method, with 95 % intervals over whole blocks or
+    places of the held-out presses (cluster bootstrap of the mean over draws). These intervals account for the choice of
+    positions on the skin. Fewer than three blocks have no interval.
     """
     names, of = np.unique(block, return_inverse=True)
     inside = (of == np.arange(len(names))[:, None]).astype(float)  # sums over each block
@@ -134,15 +135,16 @@ def over_blocks(readings: np.ndarray, errors: ErrorCurves, block: np.ndarray) ->
 
     def share(error: np.ndarray, rows: np.ndarray) -> float:
         spread = second[rows].sum() - (first[rows].sum(0) ** 2).sum() / presses[rows].sum()
-        # A resample may hold one press several times, whose spread is that of rounding.
-        return float(error[rows].sum() / spread) if spread > LEAST_SPREAD_SHARE * second[rows].sum() else np.nan
+        # If a resample holds copies of one press, its spread is a rounding error.
+        return float(error[rows].sum() / spread) if spread > 1e-9 * second[rows].sum() else np.nan
 
     def r2(error: np.ndarray, rows: np.ndarray) -> float:
         return 1 - share(error, rows)
 
     def interval(statistic: Callable[[np.ndarray], float], most: float = 1.0) -> dict[str, float]:
-        every = np.arange(len(names))
-        return dict(zip(INTERVAL, (statistic(every), *grouped_interval(statistic, every, most=most)), strict=True))
+        blocks = np.arange(len(names))
+        values = (statistic(blocks), *grouped_interval(statistic, blocks, most=most))
+        return dict(zip(INTERVAL_KEYS, values, strict=True))
 
     return {
         "blocks": len(names),

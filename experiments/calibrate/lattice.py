@@ -1,9 +1,9 @@
-"""Generated skins of the kind of eFlesh: four cylinder magnets in a soft lattice over the chips.
+"""Random skins like eFlesh, with four cylindrical magnets in a soft lattice above the chips.
 
-No mechanics is solved. A press moves every magnet by smooth functions of its position and travel, down and away from
-the tip, and turns it towards the tip; how far, over which length, and how it grows with travel differs from skin to
-skin, and so do the magnets. The fields are those of `i2t.skin.magnets`. All sizes are assumptions, wide enough to hold
-a skin of 30 mm with magnets of a few mm. Metres, microtesla.
+No mechanics is solved. A press moves every magnet down and away from the tip and turns it towards the tip, by smooth
+functions of position and travel. Amounts, length scales, growth with travel and the magnets differ between skins. The
+fields are those of `i2t.skin.magnets`. All ranges are assumptions, wide enough for a skin of 30 mm with magnets of a
+few millimetres. Metres, microtesla.
 """
 
 from typing import NamedTuple
@@ -18,26 +18,21 @@ from i2t.skin import boards, magnets
 from i2t.skin.magnets import Magnets
 from i2t.skin.pad import smooth_random
 
-SOFTNESS_CELLS = 8  # along each edge of the map by which a skin's softness varies
-DEEP_PRESS_M = 2e-3  # at which a magnet right under the tip moves by about as much
-LATTICE_BATCH = 25
-_CORNERS = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
-
 
 class _Lattice(NamedTuple):
     """Layout and motion of a skin's magnets."""
 
     rest: Array  # (4, 2) m
-    above: Array  # () m, of the magnets over the chips
+    above: Array  # () m, height of the magnets above the chips
     signs: Array  # (4,)
     strengths: Array  # (4,)
-    length: Array  # () m, over which a press is felt
-    down: Array  # () share of the travel by which a magnet sinks
-    away: Array  # () share by which it moves aside
-    tilt: Array  # () rad per travel and length
-    power: Array  # () of the travel
-    offset: Array  # () m
-    softness: Array  # (cells, cells)
+    length: Array  # () m, length scale of a press's effect
+    down: Array  # () downward motion of a magnet relative to the travel
+    away: Array  # () lateral motion relative to the travel
+    tilt: Array  # () rad, rotation per travel relative to the length scale
+    power: Array  # () exponent of the travel
+    offset: Array  # () m, added to the travel
+    softness: Array  # (cells, cells) relative variation over the skin
 
 
 def sample_skin(
@@ -47,16 +42,16 @@ def sample_skin(
     *,
     half_edge: float,
 ) -> Float[Array, "n c"]:
-    """Readings of one random skin at n presses.
+    """Compute the readings of one random skin at n presses.
 
     Args:
         key: Random key.
-        position: Positions of the tip (m), in a square about the skin's centre.
-        travel: Travels of the presses (m).
-        half_edge: Half of the square's edge (m).
+        position: Positions of the tip, m, in a square about the skin's centre.
+        travel: Travels of the presses, m.
+        half_edge: Half of the square's edge, m.
 
     Returns:
-        Readings in units of their root mean square.
+        Readings relative to their root mean square, `(n, c)`.
     """
     lattice = _sample_lattice(key)
     chips = jnp.asarray(boards.eflesh_board(depth=0.0).chips)
@@ -73,7 +68,7 @@ def sample_skin(
         moved = magnets.move(still, translation, rotation)
         return (magnets.field(chips, moved, 24) - magnets.field(chips, still, 24)).ravel()
 
-    readings = map_batches(lambda one: press(*one), (position, travel), batch_size=LATTICE_BATCH)
+    readings = map_batches(lambda at_travel: press(*at_travel), (position, travel), batch_size=25)
     return readings / jnp.sqrt(jnp.mean(readings**2))
 
 
@@ -83,13 +78,14 @@ def _sample_lattice(key: Key[Array, ""]) -> _Lattice:
     def between(low: float, high: float, shape: tuple[int, ...] = ()) -> Array:
         return jax.random.uniform(next(keys), shape, minval=low, maxval=high)
 
-    rest = between(4e-3, 10e-3) * _CORNERS + 0.5e-3 * jax.random.normal(next(keys), (4, 2))
+    corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    rest = between(4e-3, 10e-3) * corners + 0.5e-3 * jax.random.normal(next(keys), (4, 2))
     above = between(4e-3, 9e-3)
     signs, strengths = jnp.sign(jax.random.normal(next(keys), (4,))), between(0.9, 1.1, (4,))
     length, down, away, tilt = between(7e-3, 14e-3), between(0.3, 0.8), between(0.0, 0.5), between(0.0, 60.0)
     power, offset = between(1.0, 2.0), between(0.0, 3e-3)
-    # A map over 20 mm, stretched to the skin.
-    softness = 0.2 * smooth_random(next(keys), between(2e-3, 6e-3), SOFTNESS_CELLS)[..., 0]
+    # The map covers 20 mm and is stretched to the skin.
+    softness = 0.2 * smooth_random(next(keys), between(2e-3, 6e-3), 8)[..., 0]
     return _Lattice(
         rest=rest, above=above, signs=signs, strengths=strengths, length=length, down=down, away=away, tilt=tilt,
         power=power, offset=offset, softness=softness,
@@ -97,9 +93,10 @@ def _sample_lattice(key: Key[Array, ""]) -> _Lattice:
 
 
 def _magnet_motion(lattice: _Lattice, at: Array, travel: Array, half_edge: float) -> tuple[Array, Array]:
-    """Translation (4, 3) m and rotation (4, 3) rad of the magnets under a press."""
-    grown = DEEP_PRESS_M * ((travel + lattice.offset) / (DEEP_PRESS_M + lattice.offset)) ** lattice.power
-    cell = (at / half_edge + 1) / 2 * (SOFTNESS_CELLS - 1)
+    """Compute translation (4, 3) m and rotation (4, 3) rad of the magnets under a press."""
+    deep = 2e-3  # m, travel at which a magnet right under the tip moves by about as much
+    grown = deep * ((travel + lattice.offset) / (deep + lattice.offset)) ** lattice.power
+    cell = (at / half_edge + 1) / 2 * (len(lattice.softness) - 1)
     grown = grown * (
         1 + jax.scipy.ndimage.map_coordinates(lattice.softness, [cell[1], cell[0]], order=1, mode="nearest")
     )

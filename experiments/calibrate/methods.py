@@ -1,4 +1,4 @@
-"""The compared methods: each predicts readings at rows of a recording from other rows."""
+"""The compared methods, which predict some presses of a recording from other presses."""
 
 from collections.abc import Callable
 from typing import TypeAlias
@@ -16,33 +16,33 @@ MEAN, NEIGHBOURS, PLAIN = "mean of the presses", "k nearest presses", "plain Gau
 CALIBRATED = "i2t.calibrate"
 
 Predict: TypeAlias = Callable[[LoadedPresses, np.ndarray, np.ndarray], np.ndarray]
-"""From known rows and test rows of a recording to readings (n, c) uT."""
+"""Function from a recording, training rows and test rows to predicted readings (n, c) uT."""
 
 
 def mean(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """The mean of the rows, wherever and however hard is pressed."""
+    """Predict the mean reading of the training rows."""
     return np.tile(recording.readings[rows].mean(0), (len(test), 1))
 
 
 def neighbours(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """k nearest presses in position and load, k by cross-validation."""
+    """Average the k nearest presses in position and load, with k chosen by cross-validation."""
     x, at = recording.features(rows), recording.features(test)
-    counts, each = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), np.arange(len(rows))
-    return predict_with_best_option(nearest_neighbours, counts, x, recording.readings[rows], each, at=at)
+    counts, groups = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0), np.arange(len(rows))
+    return predict_with_best_option(nearest_neighbours, counts, x, recording.readings[rows], groups, at=at)
 
 
 def plain(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> np.ndarray:
-    """A Gaussian process over position and load, its scales fitted to the rows."""
-    known = recording.position[rows], recording.load[rows], recording.readings[rows]
+    """Fit a Gaussian process over position and load."""
+    train = recording.position[rows], recording.load[rows], recording.readings[rows]
     at = recording.position[test], recording.load[test]
     with limit_blas_threads(len(rows)):
-        return plain_gp.predict_plain(plain_gp.fit_scales(*known), known, at)
+        return plain_gp.predict_plain(plain_gp.fit_scales(*train), train, at)
 
 
 def calibrated(recording: LoadedPresses, rows: np.ndarray, test: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Predictions of `i2t.calibrate` and their standard deviations."""
-    known = recording.position[rows], recording.load[rows], recording.readings[rows]
-    calibration = calibrate(*known, load_kind=recording.load_kind, board=recording.unnamed_board)
+    """Predict with `i2t.calibrate`; returns means and standard deviations."""
+    train = recording.position[rows], recording.load[rows], recording.readings[rows]
+    calibration = calibrate(*train, load_kind=recording.load_kind, board=recording.unnamed_board)
     return calibration.predict(recording.position[test], recording.load[test])
 
 

@@ -1,4 +1,4 @@
-"""A pad file from recorded presses of one tip: `i2t.load_pad` reads it, simulations and recognition take it."""
+"""Fit of a pad to recorded presses of one tip. `i2t.load_pad` reads the file, and simulations use it."""
 
 from typing import Any
 
@@ -17,8 +17,7 @@ from i2t.skin_models.magnetic_layer import parse_tip
 from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
 from i2t.types import Board
 
-MAX_PAD_PRESSES = 300  # at random: a map is known by then, and every press costs
-UNITS = {  # of the layer's parameters as they are shown, and by how much to multiply
+PARAMETER_UNITS = {  # printed unit of each parameter of the layer, and factor from SI units
     "thickness": ("mm", 1e3),
     "gap": ("mm", 1e3),
     "young": ("kPa", 1e-3),
@@ -31,12 +30,12 @@ UNITS = {  # of the layer's parameters as they are shown, and by how much to mul
     "board_rotation": ("deg", float(np.degrees(1.0))),
     "noise_std": ("uT", 1.0),
 }
-AXES = ("x", "y", "z")
-MIN_PAD_PRESSES = 5  # fewer tell almost nothing of a map
 
 
-def run(args: CalibrateArgs) -> dict[str, Any]:
-    """Fit a pad to sound presses of a data set, at random, by force where it was measured, and save it."""
+def run(args: CalibrateArgs, *, max_presses: int = 300, min_presses: int = 5) -> dict[str, Any]:
+    """Fit a pad to random presses of a data set, by force if it was measured, and save it. More than `max_presses` add
+    little to the map and cost time; fewer than `min_presses` do not determine it (ValueError).
+    """
     assert args.dataset is not None
     assert args.save_pad is not None
     if args.save_pad.exists() and not args.overwrite:
@@ -46,9 +45,9 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     load = args.load if args.load != "auto" else "force" if np.isfinite(touches.force).any() else "travel"
     recording = loaded_presses(dataset, load)
     new = np.flatnonzero(~repeated_rows(recording.readings))
-    rows = np.random.default_rng(args.seed).permutation(new)[:MAX_PAD_PRESSES]
-    if len(rows) < MIN_PAD_PRESSES:
-        raise ValueError(f"{len(rows)} presses are too few to fit a pad to; give at least {MIN_PAD_PRESSES}")
+    rows = np.random.default_rng(args.seed).permutation(new)[:max_presses]
+    if len(rows) < min_presses:
+        raise ValueError(f"{len(rows)} presses are too few to fit a pad to; give at least {min_presses}")
     tip = args.tip or tip_of(dataset) or dataset.objects[int(touches.object[0])]
     readings, board = recording.readings[rows], Board(*(jnp.float32(part) for part in dataset.board))
     position, load_of_press = jnp.float32(recording.position[rows]), jnp.float32(recording.load[rows])
@@ -78,29 +77,30 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         print(f"  {name:<28} {value:.4g} [{low:.4g}, {high:.4g}]")
     if not r2_places >= MIN_PAD_R2:
         print(
-            "warning: this pad explains its own skin poorly; it may be no even layer over this board, and "
-            "experiments.train --pad refuses it"
+            "warning: this pad explains its own skin poorly, perhaps because the skin is not an even layer over this "
+            "board; experiments.train --pad refuses it"
         )
     print(f"it is in {args.save_pad}")
     return {**about, "tip": tip}
 
 
 def _ranges(posterior: LayerPosterior) -> dict[str, tuple[float, ...]]:
-    """Value and 95 % range of each parameter but gains and strengths, by its name and unit."""
+    """List value and 95 % range of each parameter except gains and strengths, by its name and unit."""
     rows = {}
-    for name, (unit, factor) in UNITS.items():
+    for name, (unit, factor) in PARAMETER_UNITS.items():
         ends = factor * np.stack([np.ravel(getattr(part, name)) for part in posterior[:3]], axis=1)
-        for axis, row in zip(AXES if len(ends) > 1 else ("",), ends, strict=False):
+        for axis, row in zip("xyz" if len(ends) > 1 else ("",), ends, strict=False):
             rows[" ".join(word for word in (name, axis, f"({unit})" if unit else "") if word)] = tuple(map(float, row))
     return rows
 
 
 def tip_of(dataset: Dataset) -> str | None:
-    """The round tip that a data set says pressed, as --tip would; None where it says none."""
+    """Read the round tip of a data set, in the form of --tip; None if the tip is not round or not recorded."""
     name = dataset.objects[int(dataset.touches.object[0])]
     radius = dataset.meta.get("tip_radius_m")
+    tip = name if radius is None else f"sphere:{1e3 * float(radius):g}"
     try:
-        parse_tip(said := name if radius is None else f"sphere:{1e3 * float(radius):g}")
+        parse_tip(tip)
     except ValueError:
         return None
-    return said
+    return tip

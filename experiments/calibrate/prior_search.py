@@ -1,10 +1,9 @@
-"""The prior over kernels of `i2t.skin_models.tip_gp.prior`, made from simulated skins of all kinds.
+"""Search for the prior over kernels of `i2t.skin_models.tip_gp.prior` on simulated skins of all kinds.
 
-Candidates are drawn from wide ranges and about two sets of hyperparameters that were known before. Each is tried on
-every skin: conditioned on 10, 30 and 100 presses it predicts others. Candidates of a second generation are drawn about
-the best of each skin. The shares of the population, for loads by travel and by force, are those that make what was
-found most likely (the nonparametric maximum likelihood estimate of a mixing distribution; Laird, JASA 73, 1978), its
-iterations stopped early, so that they stay wide.
+Candidates are drawn from wide ranges and around two earlier sets of hyperparameters. Each candidate is conditioned on
+10, 30 and 100 presses of every skin, and predicts other presses. Candidates of a second generation are drawn around the
+best of each skin. The prior weights, for loads by travel and by force, are nonparametric maximum likelihood estimates
+of a mixing distribution (Laird, JASA 73, 1978), with few iterations, so that the prior stays wide.
 """
 
 import time
@@ -22,14 +21,9 @@ from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels, ge
 from i2t.skin_models.tip_gp.leave_one_out import Observed, condition_all, grouped, ungrouped
 from i2t.skin_models.tip_gp.prior import PRIOR_FILE, KernelPrior, save_prior
 
-POPULATION_SEED = 101  # skins of other seeds are never seen by the search
-SEARCH_PRESS_COUNTS = (10, 30, 100)
-ANCHOR_SHARE = 0.15  # of the prior of each kind of load, of the candidates about what was known before
-SHARPNESS = 12.0  # by which the logarithm of an error counts as a likelihood
-PRIOR_EM_STEPS = 12
-BEST_OF_TASK = 6
-START_JITTER = 0.35  # standard deviation of the logarithm of each hyperparameter, about the best
-# (low, high, logarithmic) of a wide draw
+POPULATION_SEED = 101  # skins of other seeds are reserved for tests
+SEARCH_PRESS_COUNTS = (10, 30, 100)  # numbers of presses on which candidates are conditioned
+# Low, high, and whether a first-generation draw is logarithmic.
 RANGES: dict[str, tuple[float, float, bool]] = {
     "load_power": (0.4, 2.6, False), "load_offset": (0.02, 2.0, True), "map_length": (1.5e-3, 25e-3, True),
     "bend_share": (0.005, 0.95, True), "bend_length": (1e-3, 12e-3, True), "bend_load_width": (0.3, 8.0, True),
@@ -37,7 +31,7 @@ RANGES: dict[str, tuple[float, float, bool]] = {
     "constant_variance": (1e-3, 0.5, True), "noise_variance": (5e-4, 0.3, True),
     "gain_noise_variance": (1e-4, 0.1, True), "chip_reach": (3e-3, 20e-3, True), "far_amplitude": (0.01, 0.7, True),
 }  # fmt: skip
-# What the two sets of `tip_gp.structured` are at a typical load of 2.3 mm and of 0.65 N, and a guess by geometry.
+# The two sets of `tip_gp.structured` at a typical load of 2.3 mm and of 0.65 N, with guesses from the geometry.
 ANCHORS: dict[str, SkinKernels] = {
     "travel": SkinKernels(*(np.array([v]) for v in (
         1.8, 1.2, 16.5e-3, 0.0145, 2e-3, 3.0, 0.024, 16.5e-3, 1.6e-3, 3.6e-3, 1e-4, 10e-3, UNIFORM_FAR_AMPLITUDE,
@@ -51,14 +45,19 @@ ANCHORS: dict[str, SkinKernels] = {
 
 @dataclass(frozen=True)
 class PriorSearch:
-    """Sizes of the search."""
+    """Settings of the search."""
 
-    skins: int = 8  # of each kind
-    test_presses: int = 100  # of each skin
-    wide: int = 300  # candidates of the first generation
-    anchored: int = 24  # about each known set
+    skins: int = 8  # skins of each kind
+    test_presses: int = 100  # test presses of each skin
+    wide: int = 300  # candidates of the first generation from wide ranges
+    anchored: int = 24  # candidates of the first generation around each earlier set
     second: int = 300  # candidates of the second generation
-    kept: int = 256
+    kept: int = 256  # kernels in the prior
+    anchor_weight: float = 0.15  # prior weight of the candidates around the earlier set of a load
+    sharpness: float = 12.0  # exponent that turns an inverse error into a likelihood
+    em_steps: int = 12  # iterations of expectation maximisation
+    best_per_task: int = 6  # candidates of each skin around which the second generation is drawn
+    jitter: float = 0.35  # standard deviation of the logarithm of each hyperparameter around a candidate
 
 
 PRESETS: dict[str, PriorSearch] = {
@@ -69,19 +68,23 @@ PRESETS: dict[str, PriorSearch] = {
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
-    """Search, and write prior.npz."""
+    """Search for the prior, and write prior.npz."""
     started, cfg, out = time.perf_counter(), choose_preset(PRESETS, args.preset), args.out
     begin(args, cfg)
     rng = np.random.default_rng(POPULATION_SEED)
     tasks = population_tasks(cfg)
-    first = join(draw_wide(rng, cfg.wide), *(near(rng, kernels, cfg.anchored) for kernels in ANCHORS.values()))
+    first = join(
+        draw_wide(rng, cfg.wide), *(near(rng, kernels, cfg.anchored, cfg.jitter) for kernels in ANCHORS.values())
+    )
     error = errors_of(first, tasks, cfg)
-    second = near(rng, take(first, _best(error)), cfg.second)
-    every, error = join(first, second), np.concatenate([error, errors_of(second, tasks, cfg)], axis=2)
-    first_anchored = cfg.wide + np.arange(cfg.anchored)
-    anchored = {"travel": first_anchored, "force": cfg.anchored + first_anchored}
+    second = near(rng, take(first, _best(error, cfg.best_per_task)), cfg.second, cfg.jitter)
+    candidates, error = join(first, second), np.concatenate([error, errors_of(second, tasks, cfg)], axis=2)
+    anchored = {
+        "travel": cfg.wide + np.arange(cfg.anchored),
+        "force": cfg.wide + cfg.anchored + np.arange(cfg.anchored),
+    }
     by_force = np.array([by for _, by in tasks])
-    share = np.stack([_shares(error, by_force == (kind == "force"), anchored[kind]) for kind in ("travel", "force")])
+    share = np.stack([_weights(error, by_force == (kind == "force"), anchored[kind], cfg) for kind in ANCHORS])
     keep = np.argsort(-share.sum(0), kind="stable")[: cfg.kept]
     with np.errstate(divide="ignore"):
         log_share = np.log(share[:, keep] / share[:, keep].sum(1, keepdims=True))
@@ -89,7 +92,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
         "source": "simulated", "seed": POPULATION_SEED, "kinds": list(SKIN_KINDS), "skins_of_each": cfg.skins,
         "candidates": int(share.shape[1]), "command": "python -m experiments.calibrate --prior",
     }  # fmt: skip
-    save_prior(out / PRIOR_FILE, KernelPrior(take(every, keep), log_share), about)
+    save_prior(out / PRIOR_FILE, KernelPrior(take(candidates, keep), log_share), about)
     best = error.mean(0).min(1)
     metrics = about | {
         "kept": len(keep),
@@ -102,7 +105,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
 
 
 def population_tasks(cfg: PriorSearch) -> list[tuple[PressedSkinOfKind, bool]]:
-    """Every skin with whether its load is the force; half of each kind is."""
+    """Simulate all skins, each with whether its load is the force, which holds for half of the skins of each kind."""
     n = max(SEARCH_PRESS_COUNTS) + cfg.test_presses
     return [
         (skin, kind == "displaced" or i % 2 == 1)
@@ -112,7 +115,7 @@ def population_tasks(cfg: PriorSearch) -> list[tuple[PressedSkinOfKind, bool]]:
 
 
 def draw_wide(rng: np.random.Generator, count: int) -> SkinKernels:
-    """Candidates from wide ranges."""
+    """Draw candidates from wide ranges."""
     drawn = {
         name: np.exp(rng.uniform(np.log(low), np.log(high), count)) if log else rng.uniform(low, high, count)
         for name, (low, high, log) in RANGES.items()
@@ -122,12 +125,12 @@ def draw_wide(rng: np.random.Generator, count: int) -> SkinKernels:
     return SkinKernels(**drawn)
 
 
-def near(rng: np.random.Generator, kernels: SkinKernels, count: int) -> SkinKernels:
-    """Candidates about given kernels, the first of them as they are."""
+def near(rng: np.random.Generator, kernels: SkinKernels, count: int, jitter: float) -> SkinKernels:
+    """Draw candidates around given kernels, the first of them unchanged."""
     of = np.arange(count) % len(kernels.load_power)
     moved = {}
     for name, values in take(kernels, of)._asdict().items():
-        factor = np.exp(START_JITTER * rng.normal(size=count) * (np.arange(count) >= len(kernels.load_power)))
+        factor = np.exp(jitter * rng.normal(size=count) * (np.arange(count) >= len(kernels.load_power)))
         moved[name] = np.where(values == UNIFORM_FAR_AMPLITUDE, values, values * factor)
     moved["bend_share"] = np.minimum(moved["bend_share"], 0.98)
     fallen = moved["far_amplitude"] != UNIFORM_FAR_AMPLITUDE
@@ -136,51 +139,51 @@ def near(rng: np.random.Generator, kernels: SkinKernels, count: int) -> SkinKern
 
 
 def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]], cfg: PriorSearch) -> np.ndarray:
-    """(tasks, counts, kernels): squared error of held-out presses over their variance."""
-    found = np.empty((len(tasks), len(SEARCH_PRESS_COUNTS), len(kernels.load_power)))
-    knows_chips = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
+    """Compute the relative squared error of the test presses, (tasks, counts, kernels)."""
+    errors = np.empty((len(tasks), len(SEARCH_PRESS_COUNTS), len(kernels.load_power)))
+    uses_chips = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     for t, (skin, by_force) in enumerate(progress(tasks, desc="skins", unit="skin")):
         load = skin.force if by_force else skin.travel
         test = slice(len(load) - cfg.test_presses, None)
         for i, n in enumerate(SEARCH_PRESS_COUNTS):
             typical = np.sqrt(np.mean(load[:n] ** 2))
             for chips in (True, False):
-                rows = np.flatnonzero(knows_chips == chips)
+                rows = np.flatnonzero(uses_chips == chips)
                 at = [
                     geometry(skin.position[part], load[part] / typical, skin.chip_positions if chips else None)
                     for part in (slice(n), test)
                 ]
-                found[t, i, rows] = _errors(take(kernels, rows), skin.readings[:n], skin.readings[test], *at)
-    return found
+                errors[t, i, rows] = _errors(take(kernels, rows), skin.readings[:n], skin.readings[test], *at)
+    return errors
 
 
-def _errors(kernels: SkinKernels, known: np.ndarray, truth: np.ndarray, at, other) -> np.ndarray:
-    observed = Observed(known, np.zeros((len(known), 1)))
+def _errors(kernels: SkinKernels, readings: np.ndarray, truth: np.ndarray, at, other) -> np.ndarray:
+    observed = Observed(readings, np.zeros((len(readings), 1)))
     total = np.sum((truth - truth.mean(0)) ** 2)
-    found = []
-    for i, given in enumerate(condition_all(kernels, at, observed)):
+    errors = []
+    for i, conditioned in enumerate(condition_all(kernels, at, observed)):
         cross = signal_covariances(take(kernels, slice(i, i + 1)), other, at)[0]
-        mean = ungrouped(cross @ grouped(given.weights, len(cross)))
-        found.append(np.sum((truth - mean) ** 2) / total)
-    return np.array(found)
+        mean = ungrouped(cross @ grouped(conditioned.weights, len(cross)))
+        errors.append(np.sum((truth - mean) ** 2) / total)
+    return np.array(errors)
 
 
-def _best(error: np.ndarray) -> np.ndarray:
-    """The best kernels of each task, over all counts."""
-    order = np.argsort(np.log(error).mean(1), axis=1)[:, :BEST_OF_TASK]
+def _best(error: np.ndarray, count: int) -> np.ndarray:
+    """Select the best kernels of each task over all numbers of presses."""
+    order = np.argsort(np.log(error).mean(1), axis=1)[:, :count]
     return np.unique(order)
 
 
-def _shares(error: np.ndarray, own: np.ndarray, anchored: np.ndarray) -> np.ndarray:
-    """Shares of the population among the tasks of one kind of load; a tenth is that of all tasks."""
-    log_likelihood = -SHARPNESS * np.log(np.maximum(error, 1e-4)).sum(1)
+def _weights(error: np.ndarray, own: np.ndarray, anchored: np.ndarray, cfg: PriorSearch) -> np.ndarray:
+    """Estimate the prior weights for one kind of load, whose tasks have nine tenths of the weight."""
+    log_likelihood = -cfg.sharpness * np.log(np.maximum(error, 1e-4)).sum(1)
     likelihood = np.exp(log_likelihood - log_likelihood.max(1, keepdims=True))
     count = np.where(own, 0.9 / max(own.sum(), 1), 0.1 / len(own))
     share = np.full(error.shape[2], 1 / error.shape[2])
-    for _ in range(PRIOR_EM_STEPS):
+    for _ in range(cfg.em_steps):
         member = likelihood * share[None]
         share = (count[:, None] * member / member.sum(1, keepdims=True)).sum(0)
         share = share / share.sum()
-    known = np.zeros_like(share)
-    known[anchored] = 1 / len(anchored)
-    return (1 - ANCHOR_SHARE) * share + ANCHOR_SHARE * known
+    anchor = np.zeros_like(share)
+    anchor[anchored] = 1 / len(anchored)
+    return (1 - cfg.anchor_weight) * share + cfg.anchor_weight * anchor

@@ -1,6 +1,6 @@
-"""Do the ranges of a fitted pad hold the truth? Pads with known parameters are simulated, pressed, and fitted.
+"""Coverage of the parameter ranges of fitted pads. Pads with known parameters are simulated, pressed and fitted.
 
-Board, tip and first contact are off by what the prior of the fit expects of a careful mount.
+Board, tip and first contact have errors drawn from the prior of the fit.
 """
 
 import time
@@ -27,22 +27,20 @@ from i2t.skin_models.magnetic_layer import DESIGN_PARAMETERS, LayerParameters, R
 from i2t.skin_models.magnetization import MagnetizationModel, TipReadings
 from i2t.types import Pad
 
-PADS_SEED = 505  # other pads than those of any other experiment
+PADS_SEED = 505  # unlike the seeds of other experiments
 TIP = RoundTip("sphere", 4e-3)
-LOADS = {"force": (0.1, 1.2), "travel": (0.15e-3, 0.6e-3)}  # N and m, of the presses
-HALF_EDGE_M = 7e-3  # of the square that is pressed
-NOISE_UT = 1.0
-MOUNT_ERRORS = ("contact_offset", "tip_offset", "tip_scale", "board_offset", "board_rotation")
-UNUSED = {"force": "contact_offset", "travel": "young"}  # the parameter that such presses do not depend on
+LOADS = {"force": (0.1, 1.2), "travel": (0.15e-3, 0.6e-3)}  # ranges of the presses, N and m
 
 
 @dataclass(frozen=True)
 class RecoveryPreset:
-    """Sizes of the experiment."""
+    """Settings of the experiment."""
 
     pads: int = 10
     places: int = 40
     presses_of_place: int = 2
+    half_edge: float = 7e-3  # m, half of the edge of the square that is pressed
+    noise: float = 1.0  # uT, standard deviation
     grid: Grid = GRID
 
 
@@ -54,14 +52,14 @@ PRESETS: dict[str, RecoveryPreset] = {
 
 
 class KnownLayer(NamedTuple):
-    """A simulated skin, and the parameters that its fit is to find."""
+    """A simulated skin with the true values of the fitted parameters."""
 
     pad: Pad
     layer: LayerParameters
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
-    """Fit each pad to presses by force and to presses by travel; count how often the ranges hold the truth."""
+    """Fit each pad to presses by force and to presses by travel, and count how often the ranges hold the truth."""
     started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
     begin(args, cfg)
     cases = [(number, load) for load in LOADS for number in range(cfg.pads)]
@@ -81,12 +79,13 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
 
 
 def known_layer(key: Key[Array, ""]) -> KnownLayer:
-    """A random pad on a board that is mounted, and under a tip that is known, as well as the prior expects."""
+    """Draw a random pad, with errors of its mount and tip from the prior."""
     key_pad, key_mount = jax.random.split(key)
     board = reskin_board()
     pad, prior = sample_pad(key_pad, board=board), layer_prior(board.num_readings)
+    errors = ("contact_offset", "tip_offset", "tip_scale", "board_offset", "board_rotation")
     drawn = {}
-    for name, own in zip(MOUNT_ERRORS, jax.random.split(key_mount, len(MOUNT_ERRORS)), strict=True):
+    for name, own in zip(errors, jax.random.split(key_mount, len(errors)), strict=True):
         median, std = getattr(prior.median, name), getattr(prior.std, name)
         change = std * jax.random.normal(own, jnp.shape(median))
         drawn[name] = median * jnp.exp(change) if name == "tip_scale" else median + change
@@ -104,33 +103,35 @@ def known_layer(key: Key[Array, ""]) -> KnownLayer:
 
 @partial(jax.jit, static_argnames=("by_force", "grid"))
 def _read(
-    known: KnownLayer, position: Float[Array, "n 2"], load: Float[Array, " n"], *, by_force: bool, grid: Grid
+    skin: KnownLayer, position: Float[Array, "n 2"], load: Float[Array, " n"], *, by_force: bool, grid: Grid
 ) -> Float[Array, "n c"]:
-    tip = replace(TIP, radius=TIP.radius * known.layer.tip_scale)
+    """Simulate the readings (uT) of presses."""
+    tip = replace(TIP, radius=TIP.radius * skin.layer.tip_scale)
 
-    def one(each: tuple[Array, Array]) -> Array:
-        height = tip.height(each[0] + known.layer.tip_offset, grid)
+    def read_press(at_load: tuple[Array, Array]) -> Array:
+        height = tip.height(at_load[0] + skin.layer.tip_offset, grid)
         if by_force:
-            return press_force(known.pad, height, each[1], grid=grid).reading
-        return press(known.pad, height, each[1] - known.layer.contact_offset, grid=grid).reading
+            return press_force(skin.pad, height, at_load[1], grid=grid).reading
+        return press(skin.pad, height, at_load[1] - skin.layer.contact_offset, grid=grid).reading
 
-    return jax.lax.map(one, (position, load))
+    return jax.lax.map(read_press, (position, load))
 
 
 def _fit(number: int, load: str, cfg: RecoveryPreset) -> dict[str, Any]:
-    """One pad: which of its parameters its ranges hold, and R2 of presses and of places left out."""
-    known, rng = known_layer(jax.random.fold_in(jax.random.key(PADS_SEED), number)), np.random.default_rng(number)
-    places = rng.uniform(-HALF_EDGE_M, HALF_EDGE_M, (cfg.places, 2))
+    """Fit one pad, and report which ranges hold the truth, with R2 of presses and of places left out."""
+    skin, rng = known_layer(jax.random.fold_in(jax.random.key(PADS_SEED), number)), np.random.default_rng(number)
+    places = rng.uniform(-cfg.half_edge, cfg.half_edge, (cfg.places, 2))
     order = rng.permutation(cfg.places * cfg.presses_of_place)
     position = jnp.float32(np.tile(places, (cfg.presses_of_place, 1))[order])
     amount = jnp.float32(rng.uniform(*LOADS[load], len(order)))
-    clean = np.asarray(_read(known, position, amount, by_force=load == "force", grid=cfg.grid))
-    readings = clean + NOISE_UT * rng.normal(size=clean.shape)
+    clean = np.asarray(_read(skin, position, amount, by_force=load == "force", grid=cfg.grid))
+    readings = clean + cfg.noise * rng.normal(size=clean.shape)
     data = TipReadings(position, amount, jnp.float32(readings), reskin_board())
     fitted = MagnetizationModel(TIP, load == "force", cfg.grid).fit(None, data)
-    names = [name for name in (*DESIGN_PARAMETERS, "gains") if name != UNUSED[load]]
+    unused = "contact_offset" if load == "force" else "young"  # presses of this kind do not depend on it
+    names = [name for name in (*DESIGN_PARAMETERS, "gains") if name != unused]
     return {
-        "inside": {name: _inside(fitted.posterior, known.layer, name) for name in names},
+        "inside": {name: _inside(fitted.posterior, skin.layer, name) for name in names},
         "converged": bool(fitted.posterior.converged),
         "r2": explained(readings, (fitted.leave_one_out**2).sum(1)),
         "r2_places": explained(readings, (fitted.leave_one_place_out**2).sum(1)),
@@ -143,12 +144,12 @@ def _inside(posterior: LayerPosterior, truth: LayerParameters, name: str) -> lis
 
 
 def _summary(fits: list[dict[str, Any]]) -> dict[str, Any]:
-    """Share of values inside their ranges, by parameter and of all, and mean R2."""
+    """Count the values inside their ranges by parameter, and collect R2."""
     inside = {name: np.concatenate([fit["inside"][name] for fit in fits]) for name in fits[0]["inside"]}
-    every = np.concatenate(list(inside.values()))
+    all_values = np.concatenate(list(inside.values()))
     return {
         "inside": {name: [int(part.sum()), len(part)] for name, part in inside.items()},
-        "inside_all": [int(every.sum()), len(every)],
+        "inside_all": [int(all_values.sum()), len(all_values)],
         "converged": sum(fit["converged"] for fit in fits),
         "r2": [fit["r2"] for fit in fits],
         "r2_places": [fit["r2_places"] for fit in fits],

@@ -1,4 +1,4 @@
-"""Methods compared on simulated skins of several kinds, none of them seen by the prior of `i2t.calibrate`."""
+"""Comparison of methods on simulated skins of several kinds, which the prior of `i2t.calibrate` was not fitted to."""
 
 import time
 from dataclasses import dataclass
@@ -17,11 +17,11 @@ from i2t.recordings.presses import LoadedPresses, LoadName
 from i2t.runtime.progress import progress
 from i2t.skin.boards import eflesh_board, reskin_board
 
-SKINS_SEED = 202  # the prior's are others
+SKINS_SEED = 202  # unlike the seed of the prior's skins
 
 
 class Case(NamedTuple):
-    """A kind of skin, and what is known of how hard it is pressed."""
+    """A kind of skin, and the load that is measured."""
 
     kind: str
     load: str
@@ -32,20 +32,17 @@ class Case(NamedTuple):
         return f"{self.kind}, {self.load}"
 
 
-CASES = (
-    Case("bonded", "travel"), Case("bonded", "force"), Case("loose", "force"), Case("weak", "force"),
-    Case("lattice", "travel"), Case("displaced", "force"),
-)  # fmt: skip
-
-
 @dataclass(frozen=True)
 class SimulatedPreset:
-    """Sizes of the comparison."""
+    """Settings of the comparison."""
 
-    skins: int = 10  # of each kind
-    counts: tuple[int, ...] = (5, 10, 20, 50, 100)
-    test_presses: int = 100  # of each skin
-    cases: tuple[Case, ...] = CASES
+    skins: int = 10  # skins of each kind
+    counts: tuple[int, ...] = (5, 10, 20, 50, 100)  # numbers of training presses
+    test_presses: int = 100  # test presses of each skin
+    cases: tuple[Case, ...] = (
+        Case("bonded", "travel"), Case("bonded", "force"), Case("loose", "force"), Case("weak", "force"),
+        Case("lattice", "travel"), Case("displaced", "force"),
+    )  # fmt: skip
 
 
 PRESETS: dict[str, SimulatedPreset] = {
@@ -56,7 +53,7 @@ PRESETS: dict[str, SimulatedPreset] = {
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
-    """R2 of every method on every kind of skin, a value for each skin."""
+    """Score every method on every kind of skin."""
     started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
     begin(args, cfg)
     metrics = {
@@ -72,7 +69,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
 
 
 def _score(case: Case, cfg: SimulatedPreset) -> dict[str, Any]:
-    """R2 over skins of a kind, the gain of `i2t.calibrate`, and the share of readings in its 90 % range."""
+    """Compute R2 over skins of a kind, the lead of `i2t.calibrate`, and the share of readings in its 90 % range."""
     r2: Curves = {}
     coverage: Curves = {}
     most = max(cfg.counts)
@@ -89,7 +86,7 @@ def _score(case: Case, cfg: SimulatedPreset) -> dict[str, Any]:
 
 
 def _recording(skin: PressedSkinOfKind, load: str) -> LoadedPresses:
-    """A skin's presses, on the board whose chips lie where the skin's do."""
+    """Convert a skin's presses, with the board on which the skin was simulated."""
     kind: LoadName = "force" if load == "force" else "travel"
     board = eflesh_board() if skin.kind == "lattice" else reskin_board()
     return LoadedPresses(
@@ -100,5 +97,5 @@ def _recording(skin: PressedSkinOfKind, load: str) -> LoadedPresses:
 def _report(metrics: dict[str, Any]) -> None:
     """Print the tables."""
     for name, case in metrics["cases"].items():
-        print(f"\n{name} (simulated), mean R2 of {metrics['skins_of_each_kind']} skins [95 %]")
+        print(f"\n{name} (simulated), mean R2 of {metrics['skins_of_each_kind']} skins [95 % interval]")
         print(count_table(case["r2"] | case["differences"] | {"readings in its 90 % range": case["inside_90"]}))

@@ -1,4 +1,4 @@
-"""Heads: what is predicted of presses from a skin's readings, tested on rows held out, and a file of each to use."""
+"""Heads that predict properties of presses from a skin's readings, tested on held-out rows and saved."""
 
 import time
 from pathlib import Path
@@ -15,7 +15,7 @@ from i2t.recordings.read import SkinRecording, read_recordings
 
 
 def run(args: CalibrateArgs) -> dict[str, Any]:
-    """Test a head of each target on rows held out, then fit it to all rows and write it."""
+    """Test a head of each target on held-out rows, then fit it to all rows and save it."""
     assert args.dataset is not None
     started, preset = time.perf_counter(), FIDELITY_PRESETS[args.preset]
     recording = one_recording(args.dataset)
@@ -42,11 +42,9 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
 
 
 def one_recording(path: Path) -> SkinRecording:
-    """The recording of one skin that a path holds."""
-    found = read_recordings(path)
-    if len(found) > 1:
-        raise ValueError(
-            f"{path} holds {len(found)} recordings ({', '.join(one.name for one in found[:3])} ...); a head is of one: "
-            "name one of them"
-        )
-    return found[0]
+    """Read the only recording of a path (ValueError: there are several)."""
+    recordings = read_recordings(path)
+    if len(recordings) > 1:
+        names = ", ".join(recording.name for recording in recordings[:3])
+        raise ValueError(f"{path} holds {len(recordings)} recordings ({names} ...), but a head needs one; name it")
+    return recordings[0]

@@ -9,7 +9,7 @@ from experiments.common.tables import cell, markdown
 Measured = dict[str, Any]
 Table = Callable[[Measured], str]
 Cell = Callable[[Any], str]  # makes a cell from the metrics of its row
-UNSHOWN = ", average"  # ending of the name of a rule that tables omit
+AVERAGE_SUFFIX = ", average"  # tables omit rules whose names end with this
 
 
 def percent(rate: Mapping[str, Any], decimals: int = 1) -> str:
@@ -26,8 +26,8 @@ def at(accuracy: Mapping[str, Sequence[Any]], touch: int) -> dict[str, Any]:
 
 
 def shown(name: str, *hidden: str) -> bool:
-    """Test whether a row is shown. Rows of average rules, and those with a hidden word in their name, are not."""
-    return not name.endswith(UNSHOWN) and not any(word in name for word in hidden)
+    """Test whether tables show a row: not if it belongs to an average rule or has a hidden word in its name."""
+    return not name.endswith(AVERAGE_SUFFIX) and not any(word in name for word in hidden)
 
 
 def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False, hidden: Sequence[str] = ()) -> Table:

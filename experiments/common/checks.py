@@ -52,12 +52,12 @@ def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2
     for path in paths:
         require_object(str(path), unit, flag="--objects", catalogue=catalogue)
     if len(paths) < minimum:
-        raise ValueError("--objects needs at least two objects to tell apart")
+        raise ValueError("--objects needs at least two objects to distinguish")
     seen: dict[str, Path] = {}
     for path in paths:
         if path.stem in seen:
             raise ValueError(
-                f"--objects: {seen[path.stem]} and {path} are both called {path.stem}, and objects are told apart by "
+                f"--objects: {seen[path.stem]} and {path} are both called {path.stem}, and objects are identified by "
                 "name; rename one of them"
             )
         seen[path.stem] = path

@@ -1,8 +1,8 @@
-"""Commands of the experiments, which read and check their options before slow imports.
+"""Command-line entry points of the experiments, which read and check options before slow imports.
 
 An experiment is a folder with `arguments.py`, a dataclass of its options that imports neither JAX nor NumPy, and
-`run.py`, whose docstring is the command's help and whose `run` does the work. `--help` and refusals of wrong options
-therefore come at once. The experiment's `__main__.py` names both:
+`run.py`, whose docstring is the command's help and whose `run` does the work. `--help` and error messages about options
+therefore appear at once. The experiment's `__main__.py` names both:
 
     main = command(TrainArgs, "experiments.train.run")
 """
@@ -30,7 +30,7 @@ def command(kind: type[Any], module: str) -> Main:
         module: Name of the module whose docstring is the help, and whose `run` takes the options.
 
     Returns:
-        The command's `main` function.
+        The command's `main` function, which takes the command line and returns the exit code.
     """
     program = f"python -m {module.removesuffix('.run').removesuffix('.__main__')}"
 
@@ -87,7 +87,7 @@ def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str,
         elif out is not None:
             check_folder(out)
         result = importlib.import_module(module).run(args)
-        say_where(out, getattr(args, "next_command", ""))
+        print_outcome(out, getattr(args, "next_command", ""))
         return result
 
     return exit_code_of_run(work, out if hasattr(args, "resume") else None)
@@ -109,7 +109,7 @@ def refuse_renamed(former_names: Mapping[str, str], words: Sequence[str]) -> Non
             raise ValueError(f"{flag} is called {former_names[flag]} now; pass that option, which --help explains")
 
 
-def say_where(out: Path | None, next_command: str) -> None:
+def print_outcome(out: Path | None, next_command: str) -> None:
     """Print where the results of a finished run are, the names of its pictures, and what to try next.
 
     Args:

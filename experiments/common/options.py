@@ -5,14 +5,14 @@ from typing import Literal
 
 from i2t.cli.options import Count, Seed
 
-UnitName = Literal["m", "cm", "mm", "inch"]  # of the coordinates in mesh files
+UnitName = Literal["m", "cm", "mm", "inch"]  # unit of the coordinates in mesh files
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
     """Options of an experiment that runs in one piece."""
 
-    seed: Seed = 0  # of everything random
+    seed: Seed = 0  # seed of all random choices
     overwrite: bool = False  # replace a finished or unfinished run in --out
 
 
@@ -20,5 +20,5 @@ class RunOptions:
 class ResumableOptions(RunOptions):
     """Options of an experiment that runs in parts, such as pads and seeds."""
 
-    resume: bool = False  # go on with an unfinished run in --out
-    workers: Count = 1  # processes that make pads and seeds side by side; 1 is this one
+    resume: bool = False  # continue an unfinished run in --out
+    workers: Count = 1  # number of processes that share the pads and seeds; 1 means no extra process

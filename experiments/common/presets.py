@@ -1,6 +1,6 @@
 """Presets, which have the same names in all experiments.
 
-  debug    everything once, too small for meaningful results; mostly compilation, so faster the second time
+  debug    every step once, too small for meaningful results; mostly compilation, so faster the second time
   short    the main result in a fraction of the time
   paper    the results in the README and the docs; the default
   study    several pads and seeds, for intervals

@@ -1,9 +1,9 @@
-"""Tables of labelled readings of any tactile sensor: one row a touch, in the order in which they were made.
+"""Tables of labelled readings of any tactile sensor, with one row per touch in chronological order.
 
-One column holds the label, others may be left out, and the remaining columns are the reading. Where a column numbers
-the touches, the rows of a touch become their mean, because samples of one contact share its errors. Tables are split
-within groups, in the order of the file or at random. Successive touches share errors, which a random split puts on both
-sides, so its scores are better than those of a later session would be (Roberts et al., Ecography 40, 2017).
+One column holds the label, others may be ignored, and the remaining columns are the reading. If a column numbers the
+touches, the rows of a touch are averaged, because samples of one contact share its errors. Tables are split within
+groups, in file order or at random. Successive touches share errors, and a random split puts such touches on both sides,
+so its scores are better than those of a later session would be (Roberts et al., Ecography 40, 2017).
 """
 
 import warnings
@@ -23,13 +23,6 @@ from i2t.recordings.tables import open_text_table, valid_rows
 from i2t.skin.boards import AXES_OF_CHIP, silent_chips
 
 SPLITS = IN_ORDER, AT_RANDOM = "in file order", "at random"
-MAX_VALUE = 1e30  # of a reading: classifiers count in single precision
-CLOSE = 0.25  # distance of successive rows of one touch, relative to that of a label's rows far apart in time
-MIN_CLOSE_SHARE = 0.1  # share of close successive rows, above that by chance, from which a warning is given
-MIN_RISES = 12  # rises of a column that never falls, from which it is taken for a counter
-MIN_JUMP = 0.5  # relative distance between rows of different touches; a drift has no such jumps
-MAX_ZERO_SHARE = 0.1  # share of zeros in other rows, above which a row of zeros is a reading
-OUTLIERS = 0.01  # share of touches that any label may give, so that none rules a label out
 
 
 class ReadingTable(NamedTuple):
@@ -37,12 +30,12 @@ class ReadingTable(NamedTuple):
 
     reading: Float[np.ndarray, "n d"]
     label: Int[np.ndarray, " n"]  # index of `labels`
-    labels: tuple[str, ...]  # numbers by size, else by the alphabet
+    labels: tuple[str, ...]  # in numerical order if all are numbers, otherwise in alphabetical order
     group: Int[np.ndarray, " n"]  # index of `groups`
     groups: tuple[str, ...]  # in the order of the files
-    columns: tuple[str, ...]  # of the reading
-    samples: int = 0  # rows of the files, where several rows are one touch; 0 where each row is a touch
-    notes: tuple[str, ...] = ()  # sentences on what was changed in the files or left out
+    columns: tuple[str, ...]  # names of the reading's components
+    samples: int = 0  # number of rows in the files if rows were averaged per touch; 0 if each row is a touch
+    notes: tuple[str, ...] = ()  # sentences about rows that were changed or left out
 
 
 class _Part(NamedTuple):
@@ -50,7 +43,7 @@ class _Part(NamedTuple):
 
     labels: list[str]
     groups: list[str]
-    touches: list[str]  # the touch of which a row is a sample; empty texts where each row is a touch
+    touches: list[str]  # name of the touch that a row samples; empty texts if each row is a touch
     columns: tuple[str, ...]
     reading: np.ndarray
     notes: list[str]
@@ -67,19 +60,19 @@ def read_reading_table(
     """Read tables of readings.
 
     Args:
-        paths: CSV files, plain or gzip-ed, of the same columns. Several files are as many groups at least.
-        label: Column of the label: any text.
-        group: Column of the group, if the rows of a file are of several.
-        ignore: Columns that are no part of the reading.
-        touch: Column that numbers or names the touches: rows that follow each other with the same label, group and
-            value in it are samples of one touch.
+        paths: CSV files, plain or compressed with gzip, with the same columns. Each file is at least one group.
+        label: Column of the label, which may be any text.
+        group: Column of the group, if a file has rows of several groups.
+        ignore: Columns that are not part of the reading.
+        touch: Column that numbers or names the touches. Successive rows with the same label, group and value in this
+            column are samples of one touch.
 
     Returns:
-        All touches, in the order of the files. A touch of several samples has their mean reading.
+        All touches, in the order of the files. The samples of a touch are averaged.
 
     Raises:
         DataError: A file cannot be read, lacks a column, or holds a value that is not a number or an empty label.
-        ValueError: One column is named for two purposes, or one file is given twice.
+        ValueError: A column is named for two purposes, or a file is given twice.
     """
     files = [path.resolve() for path in paths]
     if repeated := [path for i, path in enumerate(paths) if files[i] in files[:i]]:
@@ -92,13 +85,13 @@ def read_reading_table(
         if part.columns != parts[0].columns:
             other = sorted(set(part.columns) ^ set(parts[0].columns)) or ["in another order"]
             raise DataError(
-                f"{path}: its reading has not the columns of {paths[0]} ({', '.join(other[:3])}); give tables of one "
-                "sensor, or leave these columns out of both"
+                f"{path}: its readings and those of {paths[0]} have different columns ({', '.join(other[:3])}); give "
+                "tables of one sensor, or leave these columns out of both"
             )
     texts = [text for part in parts for text in part.labels]
     labels = _in_order(texts)
     if len(labels) < 2:
-        raise DataError(f"{paths[0]}: column {label} holds {labels[0]} only; give at least two labels to tell apart")
+        raise DataError(f"{paths[0]}: column {label} holds {labels[0]} only; give at least two labels")
     names = [path.name.removesuffix(".gz").removesuffix(".csv") for path in paths]
     names = names if len(set(names)) == len(paths) else [str(path) for path in paths]
     grouped = [
@@ -111,8 +104,8 @@ def read_reading_table(
     label_of = np.array([labels.index(text) for text in texts])
     if repeats := len(reading) - len(np.unique(np.column_stack([reading, label_of]), axis=0)):
         warnings.warn(
-            f"{paths[0]}: {repeats} of {len(reading)} rows repeat another exactly; if they are copies, remove them: a "
-            "method that was taught one knows the other",
+            f"{paths[0]}: {repeats} of {len(reading)} rows repeat another exactly; if they are copies, remove them, "
+            "because a method may be tested on a row that it was trained on",
             stacklevel=2,
         )
     table = ReadingTable(
@@ -130,7 +123,7 @@ def read_reading_table(
 
 
 def _merge_samples(table: ReadingTable, touches: Sequence[tuple[int, str]]) -> ReadingTable:
-    """The means of successive rows with the same label, group and touch (number of the file, and name)."""
+    """Average successive rows with the same label, group and touch (number of the file, and name)."""
     names = np.unique(touches, axis=0, return_inverse=True)[1].reshape(-1)
     keys = np.column_stack([table.label, table.group, names])
     starts = first_samples((keys[1:] == keys[:-1]).all(1))
@@ -138,18 +131,22 @@ def _merge_samples(table: ReadingTable, touches: Sequence[tuple[int, str]]) -> R
     return table._replace(reading=means, label=table.label[starts], group=table.group[starts], samples=len(keys))
 
 
-def close_followers(table: ReadingTable) -> float:
-    """Share of rows that may be samples of the same touch as the row before.
+def close_followers(
+    table: ReadingTable, *, close: float = 0.25, min_share: float = 0.1, min_jump: float = 0.5
+) -> float:
+    """Estimate the share of rows that may be samples of the same touch as the previous row.
 
-    Such a row is much closer to the row before of its label and group than rows of that label are to each other
-    otherwise.
+    Distances are relative to the typical distance between rows of one label and group that are far apart in time.
 
     Args:
-        table: The readings, in the order in which they were made.
+        table: The readings, in chronological order.
+        close: Distance below which successive rows of a label and group may sample one touch.
+        min_share: Minimum share of such rows, in excess of twice the share by chance, for a result above 0.
+        min_jump: Minimum median distance between rows of different touches. A steady drift has smaller steps.
 
     Returns:
-        The share; 0 where it is at most a tenth, where rows far apart in time are as close, and where readings drift
-        without jumps.
+        The share, or 0 if it is below the minimum, if rows far apart in time are as close, or if readings drift without
+        jumps.
     """
     spread = table.reading.std(0)
     scaled = (table.reading - table.reading.mean(0)) / np.where(spread > 0, spread, 1)
@@ -157,7 +154,7 @@ def close_followers(table: ReadingTable) -> float:
     for rows in rows_of_labels(table):
         if len(rows) < 4:
             continue
-        half = len(rows) // 2  # as far apart in time as all of them can be
+        half = len(rows) // 2  # the longest time apart that is possible for all rows
         apart = np.linalg.norm(scaled[rows[half:]] - scaled[rows[: len(rows) - half]], axis=1)
         if typical := float(np.median(apart)):
             following.append(np.linalg.norm(np.diff(scaled[rows], axis=0), axis=1) / typical)
@@ -165,24 +162,25 @@ def close_followers(table: ReadingTable) -> float:
     if not following:
         return 0.0
     near, far = np.concatenate(following), np.concatenate(others)
-    share, jumps = float(np.mean(near < CLOSE)), near[near >= CLOSE]
-    drifts = len(jumps) > 0 and np.median(jumps) < MIN_JUMP
-    return 0.0 if drifts or share < MIN_CLOSE_SHARE + 2 * np.mean(far < CLOSE) else share
+    share, jumps = float(np.mean(near < close)), near[near >= close]
+    drifts = len(jumps) > 0 and np.median(jumps) < min_jump
+    return 0.0 if drifts or share < min_share + 2 * np.mean(far < close) else share
 
 
-def refuse_counters(table: ReadingTable, path: Path, *, may_number_touches: bool = True) -> None:
+def refuse_counters(table: ReadingTable, path: Path, *, may_number_touches: bool = True, min_rises: int = 12) -> None:
     """Refuse a reading with a column that never falls within any label, because it counts rows, touches or time.
 
     Args:
         table: The readings, in the order of the files.
         path: The file, or the first of several, for messages.
         may_number_touches: Whether the command has an option `--touch` for such a column.
+        min_rises: Minimum number of rises of such a column.
 
     Raises:
         DataError: There is such a column.
     """
     steps = np.concatenate([np.diff(table.reading[rows], axis=0) for rows in rows_of_labels(table)])
-    counts = (steps >= 0).all(0) & ((steps > 0).sum(0) >= MIN_RISES)
+    counts = (steps >= 0).all(0) & ((steps > 0).sum(0) >= min_rises)
     if counts.any():
         name = table.columns[int(counts.argmax())]
         other = f", or, if it numbers touches of several rows each, pass --touch {name}" if may_number_touches else ""
@@ -200,14 +198,15 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
         raise DataError(f"{path}: there is no column {missing[0]} ({describe_header(header)}); {remedy}")
     kept = [i for i, name in enumerate(header) if name not in special]
     if twice := next((name for name in header if header.count(name) > 1 and name not in ignore), ""):
-        raise DataError(f"{path}: column {twice} stands twice in the first line; rename one")
+        raise DataError(f"{path}: the first line has two columns called {twice}; rename one")
     if not kept:
         raise DataError(f"{path}: no column is left for the reading; leave out fewer")
     log, columns = ReadingLog(skip_bad=False), tuple(header[i] for i in kept)
     remedy = "correct or remove the row, or leave the column out (--ignore)"
-    sound, reading = valid_rows(path, header, rows, columns, np.ones_like, log, bound=MAX_VALUE, remedy=remedy)
+    # Classifiers compute in single precision, hence the bound.
+    sound, reading = valid_rows(path, header, rows, columns, np.ones_like, log, bound=1e30, remedy=remedy)
     if not sound:
-        raise DataError(f"{path}: holds no row below the names of its columns; give one a touch")
+        raise DataError(f"{path}: holds no row below the names of its columns; give one row per touch")
     names = (label, group, touch)
     texts = [
         ["" if name is None else _name(path, line, name, cells[header.index(name)]) for name in names]
@@ -221,15 +220,16 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
 
 
 def _silent(columns: Sequence[str], reading: np.ndarray) -> np.ndarray:
-    """Mask (n, chips) of chips that sent zeros only; all columns are one chip where their names tell of none. Where
-    other rows hold many zeros, as those of arrays of switches do, a row of zeros is a reading.
+    """Mark the chips that sent only zeros, as a mask (n, chips). All columns count as one chip if their names are not
+    those of chips. A row of zeros is a valid reading if over a tenth of the other values are zero, as in arrays of
+    switches.
     """
     fields = [i for i, name in enumerate(columns) if FIELD_STEM.match(name.lower())]
     if fields and len(fields) % AXES_OF_CHIP == 0:
         return silent_chips(reading[:, fields], differences=True)
     zeros = (reading == 0).all(1, keepdims=True)
     others = reading[~zeros[:, 0]]
-    plain = reading.shape[1] >= AXES_OF_CHIP and (not others.size or np.mean(others == 0) <= MAX_ZERO_SHARE)
+    plain = reading.shape[1] >= AXES_OF_CHIP and (not others.size or np.mean(others == 0) <= 0.1)
     return zeros & plain
 
 
@@ -240,7 +240,7 @@ def _name(path: Path, line: int, column: str, text: str) -> str:
 
 
 def _in_order(texts: Sequence[str]) -> tuple[str, ...]:
-    """Different texts: numbers by size where all are numbers, else by the alphabet."""
+    """List the different texts in numerical order if all are numbers, otherwise in alphabetical order."""
     different = sorted(set(texts))
     numbers = [parse_number(text) for text in different]
     are_numbers = all(number is not None and np.isfinite(number) for number in numbers)
@@ -251,15 +251,16 @@ def _in_order(texts: Sequence[str]) -> tuple[str, ...]:
 
 
 def training_rows(table: ReadingTable, share: float, seed: int) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Which rows are for training, by split: the first of each label in each group (`IN_ORDER`), or as many at random.
+    """Select the training rows of each split: the first rows of each label in each group (`IN_ORDER`), or as many rows
+    at random (`AT_RANDOM`).
 
     Args:
-        table: Of n rows.
-        share: Of a label's rows that are for training; at least one is on either side where there are two.
-        seed: Of the draw.
+        table: The table of n rows.
+        share: Share of a label's rows that are for training. Either side has at least one of two or more rows.
+        seed: Seed of the random split.
 
     Returns:
-        Whether a row is for training.
+        Masks (n,) of the training rows by the split's name.
     """
     rng = np.random.default_rng(seed)
     train = {IN_ORDER: np.zeros(len(table.label), bool), AT_RANDOM: np.zeros(len(table.label), bool)}
@@ -271,40 +272,41 @@ def training_rows(table: ReadingTable, share: float, seed: int) -> dict[str, Boo
 
 
 def rows_of_labels(table: ReadingTable) -> list[Int[np.ndarray, " k"]]:
-    """Rows of each label in each group.
+    """List the rows of each label in each group.
 
     Args:
-        table: Of n rows.
+        table: The table of n rows.
 
     Returns:
-        Row numbers in the order of the file, for each pair that occurs.
+        Row numbers in file order, for each pair of label and group that occurs.
     """
     pair = table.group * len(table.labels) + table.label
     return [np.flatnonzero(pair == value) for value in np.unique(pair)]
 
 
-def with_outliers(p: Float[np.ndarray, "n labels"]) -> Float[np.ndarray, "n labels"]:
-    """Probabilities of which the share `OUTLIERS` is the same for all labels.
+def with_outliers(p: Float[np.ndarray, "n labels"], share: float = 0.01) -> Float[np.ndarray, "n labels"]:
+    """Mix probabilities with a uniform distribution, so that no touch rules a label out.
 
     Args:
-        p: Of a classifier.
+        p: Probabilities of the labels by a classifier.
+        share: Weight of the uniform distribution.
 
     Returns:
-        The mixture.
+        The mixed probabilities, `(n, labels)`.
     """
-    return (1 - OUTLIERS) * p + OUTLIERS / p.shape[1]
+    return (1 - share) * p + share / p.shape[1]
 
 
 def require_rows(table: ReadingTable, minimum: int, path: Path) -> None:
     """Refuse a table with too few rows of a label in a group, or with a group of one label.
 
     Args:
-        table: Any.
-        minimum: Minimum number of rows of a label in a group.
-        path: Of the file, or the first one, for messages.
+        table: The table.
+        minimum: Minimum number of rows.
+        path: The file, or the first of several, for messages.
 
     Raises:
-        DataError: There are fewer.
+        DataError: There are too few rows, or a group has one label only.
     """
     for rows in rows_of_labels(table):
         if len(rows) < minimum:
@@ -319,13 +321,13 @@ def require_rows(table: ReadingTable, minimum: int, path: Path) -> None:
 
 
 def count_for_training(rows: int, share: float) -> int:
-    """Rows for training, of so many: at least one, and one fewer than all.
+    """Compute the number of training rows of a label: at least one, and at least one fewer than all if there are two.
 
     Args:
-        rows: How many there are.
-        share: That is wanted.
+        rows: Number of rows of the label.
+        share: Wanted share of training rows.
 
     Returns:
-        How many.
+        The number of training rows.
     """
     return min(max(round(share * rows), 1), max(rows - 1, 1))

@@ -20,19 +20,15 @@ from i2t.cli.options import require_writable
 from i2t.files.writing import replacing
 
 CONFIG, METRICS = "config.json", "metrics.json"
-FORMER_SETTINGS = {"half": "half_edge", "looked_from": "tool_offset_at_capture", "worn_pad": "pad_file"}
-LOG = ".log"  # extension of a worker's log (`experiments.common.tasks`)
-PACKAGES = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")  # packages whose versions config.json lists
 # Nested dict of arrays: results of an experiment for one pad and seed. Its keys are names of methods and conditions,
 # which `i2t.files.serialization` cannot store, because it stores NamedTuples of known types.
 Part = dict[str, Any]
-BETWEEN = "/"  # separator of a part's levels in its file
 
 
 def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> int:
-    """Run an experiment's work and return its exit code. A user's mistake is explained in one sentence, and Ctrl-C
-    tells where a `resumable` run left its finished parts. A run without results is removed and does not replace an
-    earlier one.
+    """Run an experiment's work and return its exit code. A user's mistake is explained in one sentence. After Ctrl-C, a
+    message names the folder of the finished parts if the run is `resumable`. A run without results is removed and does
+    not replace an earlier one.
     """
     try:
         return exit_code_of(work, lambda: _interrupted(resumable))
@@ -42,7 +38,7 @@ def exit_code_of_run(work: Callable[[], Any], resumable: Path | None = None) -> 
 
 def _interrupted(resumable: Path | None) -> str:
     """Explain the state of a run after Ctrl-C."""
-    if not any(_made_something(out) for out in _BEGUN):
+    if not any(_has_results(out) for out in _BEGUN):
         return "interrupted; nothing was made"
     if resumable is None:
         return "interrupted; the run is incomplete: pass --overwrite to start again"
@@ -53,13 +49,13 @@ def settings(args: Any) -> dict[str, Any]:
     """Collect the options of a run from a dataclass, digests of the files that they name, and package versions. Options
     that do not affect results, such as the output folder and the workers, are left out.
     """
-    no_settings = ("out", "resume", "overwrite", "workers")
-    kept = {name: value for name, value in asdict(args).items() if name not in no_settings}
+    packages = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
+    kept = {k: v for k, v in asdict(args).items() if k not in ("out", "resume", "overwrite", "workers")}
     named = [item for value in kept.values() for item in (value if isinstance(value, tuple) else (value,))]
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
         "files": {str(path): _digest(path) for path in named if isinstance(path, Path) and path.is_file()},
-        "versions": {"python": sys.version.split()[0], **{name: version(name) for name in PACKAGES}},
+        "versions": {"python": sys.version.split()[0], **{name: version(name) for name in packages}},
     }
 
 
@@ -96,8 +92,8 @@ def begin(args: Any, experiment: Any) -> None:
             raise ValueError(f"{out} was begun with other settings or data ({path}); pass those, or --overwrite")
     place = out.resolve()
     if path.exists() and args.overwrite:
-        shutil.rmtree(_aside(place), ignore_errors=True)
-        place.rename(_aside(place))
+        shutil.rmtree(_replaced(place), ignore_errors=True)
+        place.rename(_replaced(place))
     _BEGUN[place] = [parent for parent in place.parents if not parent.exists()]
     place.mkdir(parents=True, exist_ok=True)
     write_json(path, config)
@@ -105,7 +101,8 @@ def begin(args: Any, experiment: Any) -> None:
 
 def _with_new_names(values: dict[str, Any]) -> dict[str, Any]:
     """Replace names of settings of earlier versions."""
-    return {FORMER_SETTINGS.get(name, name): value for name, value in values.items()}
+    former = {"half": "half_edge", "looked_from": "tool_offset_at_capture", "worn_pad": "pad_file"}
+    return {former.get(name, name): value for name, value in values.items()}
 
 
 def check_out(args: Any, out: Path) -> None:
@@ -143,29 +140,29 @@ def settle_begun() -> None:
     the runs that they were to replace. Delete replaced runs if there are results.
     """
     while _BEGUN:
-        out, made_above = _BEGUN.popitem()
-        aside = _aside(out)
-        if not _made_something(out):
+        out, new_parents = _BEGUN.popitem()
+        replaced = _replaced(out)
+        if not _has_results(out):
             shutil.rmtree(out, ignore_errors=True)
-            if aside.exists():
-                aside.rename(out)
-            with contextlib.suppress(OSError):  # another process has put something into one of them
-                for folder in made_above:
+            if replaced.exists():
+                replaced.rename(out)
+            with contextlib.suppress(OSError):  # another process has written to one of the parents
+                for folder in new_parents:
                     folder.rmdir()
-        elif aside.exists():
-            shutil.rmtree(aside)
+        elif replaced.exists():
+            shutil.rmtree(replaced)
 
 
-def _made_something(out: Path) -> bool:
+def _has_results(out: Path) -> bool:
     """Test whether a run folder holds more than its config.json and the workers' logs."""
-    return any(path.is_file() and path != out / CONFIG and path.suffix != LOG for path in out.rglob("*"))
+    return any(path.is_file() and path != out / CONFIG and path.suffix != ".log" for path in out.rglob("*"))
 
 
 _BEGUN: dict[Path, list[Path]] = {}  # run folders of this process, with the parent folders created for each
 atexit.register(settle_begun)  # for runs that were not started by a command
 
 
-def _aside(out: Path) -> Path:
+def _replaced(out: Path) -> Path:
     """Return the path at which a replaced run is kept until the new run has results."""
     return out.with_name(f".{out.name}.replaced")
 
@@ -235,7 +232,7 @@ def load_part(path: Path) -> Part:
     part: Part = {}
     with np.load(path) as file:
         for key, array in file.items():
-            *above, name = key.split(BETWEEN)
+            *above, name = key.split("/")
             level = part
             for key in above:
                 level = level.setdefault(key, {})
@@ -244,11 +241,11 @@ def load_part(path: Path) -> Part:
 
 
 def _flat(part: Part, prefix: str = "") -> dict[str, Any]:
-    """Flatten nested dicts to arrays by their joined names."""
+    """Flatten nested dicts to arrays by their names, joined by "/"."""
     arrays: dict[str, Any] = {}
     for name, value in part.items():
         if isinstance(value, dict):
-            arrays |= _flat(value, f"{prefix}{name}{BETWEEN}")
+            arrays |= _flat(value, f"{prefix}{name}/")
         else:
             arrays[prefix + name] = value
     return arrays

@@ -1,4 +1,4 @@
-"""Independent parts of a study, such as its pads and seeds, computed by this process or by several.
+"""Independent parts of a study, such as its pads and seeds, computed by one process or several.
 
 A task writes one file atomically, and is finished when that file exists. A run that was stopped therefore resumes with
 the missing files, whichever process wrote the others. With `--workers N`, processes of this machine share the tasks and
@@ -49,7 +49,7 @@ def run_tasks(tasks: Sequence[Task], workers: int = 1, *, bar: str | None = None
         for task in progress(missing, desc=bar or "", disable=bar is None):
             task.work()
     else:
-        _make(missing, min(workers, len(missing)))
+        _run_in_workers(missing, min(workers, len(missing)))
 
 
 def make_parts(makers: Mapping[Path, Callable[[], Part]], workers: int = 1, *, bar: str | None = None) -> list[Part]:
@@ -64,18 +64,18 @@ def make_parts(makers: Mapping[Path, Callable[[], Part]], workers: int = 1, *, b
     Returns:
         The parts, as `load_part` reads them.
     """
-    tasks = [Task(path.stem, path, partial(_keep_part, make, path)) for path, make in makers.items()]
+    tasks = [Task(path.stem, path, partial(_compute_part, make, path)) for path, make in makers.items()]
     run_tasks(tasks, workers, bar=bar)
     return [load_part(path) for path in makers]
 
 
-def _keep_part(make: Callable[[], Part], path: Path) -> None:
+def _compute_part(make: Callable[[], Part], path: Path) -> None:
     save_part(path, make())
 
 
-def _make(tasks: Sequence[Task], workers: int) -> None:
+def _run_in_workers(tasks: Sequence[Task], workers: int) -> None:
     """Run all tasks in separate processes."""
-    import multiprocessing  # imported late, because a single process does not need it
+    import multiprocessing  # a single process does not need this slow import
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from concurrent.futures.process import BrokenProcessPool
 
@@ -102,9 +102,7 @@ def _make(tasks: Sequence[Task], workers: int) -> None:
 
 def _begin_worker(places: Any, workers: int, folder: str) -> None:
     """Set up a worker with its share of the cores. It ends with the process that started it."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C reaches all processes of a terminal; the parent ends the workers
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent ends the workers after Ctrl-C
     threading.Thread(target=_end_with_parent, daemon=True).start()
     os.chdir(folder)
     if hasattr(os, "sched_setaffinity"):

@@ -1,4 +1,4 @@
-"""Sizes of the recognition experiments; what was fixed before testing."""
+"""Settings of the recognition experiments, all of which were fixed before testing."""
 
 from dataclasses import dataclass, field
 
@@ -10,19 +10,19 @@ from i2t.skin.contact import FINE_GRID
 
 @dataclass(frozen=True)
 class Recognition:
-    """Objects, numbers of episodes, and the world in which they are simulated."""
+    """Objects, numbers of episodes, and settings of the simulation."""
 
     primitives: tuple[str, ...] = ("square", "star", "cylinder")
     tools: tuple[str, ...] = ("screwdriver", "hammer")
     validation: tuple[str, ...] = ("pentagon", "octagon", "flower", "marker", "pliers")
-    touches: int = 10
-    episodes: int = 80  # of each object, in the set of all
+    touches: int = 10  # of each episode
+    episodes: int = 80  # of each object, in the set of all objects
     paper_episodes: int = 200  # of each object, in each of the paper's sets
     own_episodes: int = 40  # of each object of --objects
     validation_episodes: int = 40  # of each validation object, for temperatures and conformal sets
-    num_sites: int = 24  # of each object, in a pool that a recogniser or a study chooses among
-    pool_sites: int = 100  # of each object, in each pool from which the paper's heuristic draws
-    pool_episodes: int = 5  # that share such a pool
+    num_sites: int = 24  # sites of each object in the pool of a recogniser or a study
+    pool_sites: int = 100  # sites of each object in each pool of the paper's heuristic
+    pool_episodes: int = 5  # episodes that share such a pool
     num_particles: int = 128  # poses of each object
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE_GRID))
@@ -30,7 +30,7 @@ class Recognition:
 
     @property
     def objects(self) -> tuple[str, ...]:
-        """All objects of the test."""
+        """Names of all test objects."""
         return self.primitives + self.tools
 
 
@@ -39,7 +39,7 @@ PRESETS: dict[str, Recognition] = {
         episodes=4, paper_episodes=5, own_episodes=4, validation_episodes=4, num_particles=32, pool_episodes=1
     ),
     "paper": Recognition(),
-    "debug": Recognition(  # as many episodes in each set, so that they compile once
+    "debug": Recognition(  # the same number of episodes in each set, so that they compile once
         primitives=("square", "cylinder"),
         tools=("screwdriver", "hammer"),
         validation=("flower", "spanner"),

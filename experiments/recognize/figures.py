@@ -1,7 +1,7 @@
-"""The figure of recognition: accuracy against touches.
+"""Figure of accuracy against the number of touches.
 
-Methods keep their colour, from the colour-blind safe set of Okabe and Ito (2008), their marker and their line
-through all figures that name them in the same order; every figure made from simulated touches says so in its title.
+Methods in the same order have the same colours (the colour-blind safe set of Okabe and Ito, 2008), markers and lines in
+all figures. The titles of figures of simulated touches state that.
 """
 
 from collections.abc import Mapping
@@ -14,16 +14,13 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from i2t.intervals import Estimate
 from i2t.viz.style import COLOURS, titled
 
-METHOD_MARKERS = "osD^vPX"
-LINES = ("-", "--", "-.", ":")
-
 
 def accuracy(methods: Mapping[str, Estimate], title: str, simulated: bool) -> Figure:
-    """Accuracy (t,) after touches 1 to t of each method, shaded over its interval."""
+    """Plot the accuracy (t,) of each method after touches 1 to t, with shaded intervals."""
     figure = Figure(figsize=(8.4, 4), layout="constrained")
     axes = figure.subplots()
     axes.set_title(titled(title, simulated), fontsize=11)
-    styles = zip(cycle(COLOURS), cycle(METHOD_MARKERS), cycle(LINES), strict=False)
+    styles = zip(cycle(COLOURS), cycle("osD^vPX"), cycle(("-", "--", "-.", ":")), strict=False)
     for (name, (mean, low, high)), (colour, marker, line) in zip(methods.items(), styles, strict=False):
         x = np.arange(1, len(mean) + 1)
         axes.fill_between(x, low, high, color=colour, alpha=0.18, lw=0)

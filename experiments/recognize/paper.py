@@ -1,24 +1,24 @@
-"""Question: which object is it, by the paper's own method?
+"""Question: how often does the paper's own method recognise an object?
 
     python -m experiments.recognize --method paper                              on runs/train of experiments.train
     python -m experiments.recognize --preset paper --method paper --pad-model runs/study     every pad of a study
 
-The paper's network predicts what each possible object would feel like where a touch ended, at the believed pose; each
-touch votes for the object whose prediction is nearest (exp(-|tau - tau~|), tau in standard deviations); a hypothesis is
+The paper's network predicts the reading of each possible object at the end of a touch, for the expected pose. Each
+touch votes for the object with the nearest prediction (exp(-|tau - tau~|), tau in standard deviations). A hypothesis is
 sampled from the votes so far, and the paper's heuristic draws the next touch on it (`i2t.recognition.paper_rules`).
-Every method drives its own episodes by its own scores:
+Every method chooses the touches of its own episodes by its own scores:
 
   Imagine2touch            the paper's network, on contact masks (its published code) and on depths (its text)
-  and measured force       the same network with the measured force of each touch as a further input
-  same rules, GP           the same with the predictor that the run kept, which is given that force, too
-  ... at the median force  and without it: given the median of the training touches, it knows what the network knows
-  constant reading         the same with the mean of the training readings wherever an object is seen
+  and measured force       the same network with the measured force of each touch as an additional input
+  same rules, GP           the same rules with the run's predictor, which also uses the measured force
+  ... at the median force  the same predictor with the median force of the training touches, like the network
+  constant reading         the same rules with the mean training reading wherever an object is seen
   proprioception           the paper's baseline: distance of the contact from each object's model
 
-Methods meet the same objects in the same places with the same errors, so their differences are paired. Each episode
-has a pool of sites of its own (by --preset paper each five). Intervals are over pads and pools, for these objects.
-Everything is simulated; a touch costs about 1/30 s on two cores, and six pads with 100 episodes of each object a few
-hours.
+All methods have the same objects, placements and errors, so their differences are paired. Each episode has its own pool
+of sites (with --preset paper, five episodes share one). Intervals are over pads and pools, for these objects.
+Everything is simulated. A touch takes about 1/30 s on two cores, and six pads with 100 episodes of each object take a
+few hours.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,11 +34,11 @@ from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
 from experiments.recognize.plans import draw_pools, meshes_by_name
 from experiments.recognize.report import (
-    CONSTANT,
+    CONSTANT_READING,
+    FORCE_NETWORKS,
     IMAGINE2TOUCH,
     MEDIAN_FORCE,
     RULES_GP,
-    WITH_FORCE,
     EpisodeResults,
     Results,
 )
@@ -65,77 +65,75 @@ from i2t.runtime.progress import progress
 from i2t.skin.files import load_pad
 from i2t.types import Pad, Surface
 
-PAPER_EPOCHS = 120  # for which experiments.train trains the paper's network
-
-
-NETWORKS = IMAGINE2TOUCH | {name: name for name in WITH_FORCE.values()}  # by rows, as IMAGINE2TOUCH is
+NETWORKS = IMAGINE2TOUCH | {name: name for name in FORCE_NETWORKS.values()}  # methods by their rows in tables
 
 
 class PaperNetworks(NamedTuple):
-    """The paper's networks of a finished run, those with a measured force included, and what their training readings
-    were like.
-    """
+    """The paper's networks of a finished run, with and without a measured force, and statistics of its readings."""
 
-    networks: dict[str, Predictor]  # by the rows' names; empty where the run trained none
-    mean: np.ndarray | None = None  # (c,) uT, of the training readings
+    networks: dict[str, Predictor]  # by row; empty if the run trained none
+    mean: np.ndarray | None = None  # (c,) uT
     std: np.ndarray | None = None  # (c,) uT
-    epochs: int | None = None  # for which they were trained at most; the least of them
+    epochs: int | None = None  # maximum epochs of training, the least over the networks
 
 
 def load_paper_networks(run: FinishedRun) -> PaperNetworks:
-    """The paper's networks of a finished run of `experiments.train`.
+    """Load the paper's networks of a finished run of `experiments.train`.
 
     Args:
-        run: Whose folder is read.
+        run: The finished run.
 
     Returns:
-        The networks.
+        The networks that the run trained.
     """
-    found: dict[str, Predictor] = {}
+    networks: dict[str, Predictor] = {}
     epochs = []
     for row, name in NETWORKS.items():
-        place = run.checkpoint(name)
-        if place is None:
+        folder = run.checkpoint(name)
+        if folder is None:
             continue
-        predictor = load_predictor(place)
+        predictor = load_predictor(folder)
         model: Any = predictor.model
         if model.cfg.pixels != PATCH_PIXELS or isinstance(model.cfg, ModelConfig) == (row in IMAGINE2TOUCH):
-            continue  # a network of another camera, or more than the paper's under its name
-        found[row], norm = predictor, model.normalisation
+            continue  # a network of another camera, or with other inputs than its name states
+        networks[row], norm = predictor, model.normalisation
         epochs.append((predictor.metadata or {})["epochs"])
-    if not found:
+    if not networks:
         return PaperNetworks({})
-    return PaperNetworks(found, np.asarray(norm.reading.mean), np.asarray(norm.reading.std), min(epochs))
+    return PaperNetworks(networks, np.asarray(norm.reading.mean), np.asarray(norm.reading.std), min(epochs))
 
 
-def rule_predictors(folder: Path, found: PaperNetworks, kept: Predictor, mean: np.ndarray) -> dict[str, Predictor]:
-    """Predictors to which the paper's rules are applied, by the names of their rows: the paper's networks, the one that
-    the run kept, and the mean reading (c,). Says which rows are left out, or are not what the paper's were.
+def rule_predictors(
+    folder: Path, paper: PaperNetworks, kept: Predictor, mean: np.ndarray, *, paper_epochs: int = 120
+) -> dict[str, Predictor]:
+    """Collect the predictors for the paper's rules, by row: the paper's networks, the run's predictor, and the mean
+    reading (c,). Prints which rows are left out, and whether networks were trained for fewer than `paper_epochs`, the
+    default of `experiments.train`.
     """
-    missing = [name for row, name in NETWORKS.items() if row not in found.networks]
+    missing = [name for row, name in NETWORKS.items() if row not in paper.networks]
     if missing:
-        print(f"{folder} holds no {' and no '.join(missing)}, so these rows are left out")
-    if found.epochs is not None and found.epochs < PAPER_EPOCHS:
+        print(f"{folder} lacks some networks, whose rows are left out: {'; '.join(missing)}")
+    if paper.epochs is not None and paper.epochs < paper_epochs:
         print(
-            f"the networks of {folder} were trained for at most {found.epochs} epochs; the defaults of "
-            f"experiments.train are {PAPER_EPOCHS}"
+            f"the networks of {folder} were trained for at most {paper.epochs} epochs; the default of "
+            f"experiments.train is {paper_epochs}"
         )
     method = (kept.metadata or {}).get("method", "kept predictor")
     row = RULES_GP if isinstance(kept.model, GPModel) else f"same rules, {method}"
-    given = {row: kept, row + MEDIAN_FORCE: at_median_force(kept), CONSTANT: constant_predictor(mean)}
-    return {**found.networks, **given}
+    others = {row: kept, row + MEDIAN_FORCE: at_median_force(kept), CONSTANT_READING: constant_predictor(mean)}
+    return {**paper.networks, **others}
 
 
 def report(out: Path, runs: Iterable[FinishedRun], parts: Sequence[Results]) -> dict[str, Any]:
-    """Tables over the pads, and the paper's last column.
+    """Write and print the tables over the pads, and the paper's last column.
 
     Args:
-        out: Folder for everything that is made.
+        out: Folder for the results.
         runs: The finished runs.
-        parts: What was believed with the pad of each.
+        parts: Episodes with the pad of each run.
 
     Returns:
-        What is written to metrics.json.
+        The content of metrics.json.
     """
     epochs = [load_paper_networks(run).epochs for run in runs]
     about = {"method": "the paper's loop", "epochs": epochs, **reporting.mean_over_objects(parts)}
@@ -146,35 +144,35 @@ def report(out: Path, runs: Iterable[FinishedRun], parts: Sequence[Results]) -> 
 
 
 def play(cfg: Recognition, run: FinishedRun, seed: int) -> Part:
-    """The paper's sets with the pad of one run.
+    """Simulate the episodes of the paper's sets with the pad of one run.
 
     Args:
         cfg: Objects, numbers and errors.
-        run: With the paper's networks, and a pad.
-        seed: Of everything that is drawn.
+        run: The finished run, which holds the paper's networks and a simulated pad.
+        seed: Seed of all random choices.
 
     Returns:
-        What each method believed, by set.
+        The beliefs of each method, by set.
 
     Raises:
         ValueError: The run holds no network of the paper, or did not simulate its touches.
     """
-    pad, predictor, found = load_pad(run.simulated_pad), load_predictor(run.on_pressure), load_paper_networks(run)
-    if found.mean is None or found.std is None:
+    pad, predictor, paper = load_pad(run.simulated_pad), load_predictor(run.on_pressure), load_paper_networks(run)
+    if paper.mean is None or paper.std is None:
         raise ValueError(
-            f"{run.folder} holds no {' and no '.join(IMAGINE2TOUCH.values())}; train them: "
+            f"{run.folder} lacks the networks {' and '.join(map(repr, IMAGINE2TOUCH.values()))}; train them: "
             f"python -m experiments.train --out {run.folder}"
         )
-    predictors = rule_predictors(run.folder, found, predictor, found.mean)
+    predictors = rule_predictors(run.folder, paper, predictor, paper.mean)
     results: Results = {}
     names = {"primitives": cfg.primitives, "tools": cfg.tools}
-    surfaces = iter(prepare_surfaces(list(meshes_by_name(cfg.objects).values())))  # compiled for once
+    surfaces = iter(prepare_surfaces(list(meshes_by_name(cfg.objects).values())))  # all at once, to compile once
     for i, (name, objects) in enumerate(names.items()):
-        some = [next(surfaces) for _ in objects]
+        own = [next(surfaces) for _ in objects]
         key = jax.random.fold_in(jax.random.key(seed), i)
-        scorers = reading_scorers(predictors, some, found.std) | {PROPRIOCEPTION: partial(contact_distances, some)}
+        scorers = reading_scorers(predictors, own, paper.std) | {PROPRIOCEPTION: partial(contact_distances, own)}
         label = f"pad {run.pad_name}, {run.folder.name}"
-        results[name] = play_set(key, name, objects, surfaces=some, scorers=scorers, pad=pad, cfg=cfg, label=label)
+        results[name] = play_set(key, name, objects, surfaces=own, scorers=scorers, pad=pad, cfg=cfg, label=label)
     return reporting.to_part(results)
 
 
@@ -189,7 +187,7 @@ def play_set(
     cfg: Recognition,
     label: str,
 ) -> EpisodeResults:
-    """Episodes of every method with one set of objects: the same objects, places, errors and pools."""
+    """Simulate the episodes of every method with one set of objects, with the same placements, errors and pools."""
     key_sites, key_world, key_choice = jax.random.split(key, 3)
     truth = np.arange(cfg.paper_episodes * len(objects)) % len(objects)
     pools, pool = draw_pools(key_sites, objects, surfaces, len(truth), cfg)
@@ -197,13 +195,13 @@ def play_set(
     environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], pools.joined(), config)
     episodes = begin_episodes(key_world, environment, params, truth)
     shared: dict[TouchNumber, TouchOutcome] = {}
-    believed: dict[str, np.ndarray] = {}
+    beliefs: dict[str, np.ndarray] = {}
     with progress(total=len(scorers) * truth.size * cfg.touches, desc=f"{name}: the paper's loop", unit="touch") as bar:
         for method, score in scorers.items():
-            made = run_loop(
+            played = run_loop(
                 jax.random.clone(key_choice), score, episodes, pools, pool,
                 shared=shared, progress=bar.update,
             )  # fmt: skip
-            believed |= {f"{method}, {rule}": p for rule, p in beliefs_by_rule(made.distance).items()}
+            beliefs |= {f"{method}, {rule}": p for rule, p in beliefs_by_rule(played.distance).items()}
     labels = np.array([f"{label}, {name}, pool {number}" for number in pool])
-    return EpisodeResults(tuple(objects), truth, believed, None, label.split(",")[0], labels)
+    return EpisodeResults(tuple(objects), truth, beliefs, None, label.split(",")[0], labels)

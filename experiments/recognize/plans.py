@@ -1,4 +1,4 @@
-"""Plans of episodes: objects to tell apart, sets of them, and where they are touched."""
+"""Plans of episodes: sets of objects to distinguish, and the sites of touches."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,36 +16,36 @@ from i2t.types import Surface
 
 
 class ObjectSet(NamedTuple):
-    """A set of objects to tell apart."""
+    """A set of objects to distinguish."""
 
     names: Sequence[str]
-    episodes: int  # of each
-    heuristic: bool  # whether the paper's chooses the sites
-    share: int = 1  # episodes that touch the same sites, each of which is then imagined once for all of them
+    episodes: int  # of each object
+    heuristic: bool  # whether the paper's heuristic chooses the sites
+    share: int = 1  # episodes with the same sites, for which predictions are computed once
 
 
 def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
-    """Meshes of the catalogue and of files.
+    """Load meshes of the catalogue and of files.
 
     Args:
-        paths: Names of the catalogue or of mesh files, two at least; none where the option was left out.
-        unit: Of the files' lengths.
+        paths: At least two names in the catalogue or mesh files, or nothing if the option was omitted.
+        unit: Unit of length in the files.
 
     Returns:
-        The meshes by the objects' names: the catalogue's, or the files' stems.
+        The meshes by name: the catalogue's name, or the file's stem.
 
     Raises:
-        ValueError: Neither a name nor a file, a file without a unit, two objects of one name, or a single object.
+        ValueError: An object does not exist, a file has no unit, two objects share a name, or there is only one object.
     """
     require_objects(paths, unit)
     return {path.stem: read_object(str(path), unit).mesh for path in paths}
 
 
 def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
-    """Meshes of the catalogue.
+    """Load meshes of the catalogue.
 
     Args:
-        names: Of its objects.
+        names: Names of the objects.
 
     Returns:
         The meshes by name.
@@ -54,7 +54,7 @@ def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
 
 
 def object_groups(own: Mapping[str, Mesh], cfg: Recognition) -> list[tuple[Mapping[str, Mesh], dict[str, ObjectSet]]]:
-    """Groups of meshes by name, each with the sets that are played among them: the user's own, or the preset's."""
+    """Group the user's own objects, or the preset's, into meshes by name and the sets that share them."""
     if own:
         return [(own, {"your objects": ObjectSet(list(own), cfg.own_episodes, False, cfg.pool_episodes)})]
     return [
@@ -76,7 +76,7 @@ def object_groups(own: Mapping[str, Mesh], cfg: Recognition) -> list[tuple[Mappi
 def plan_touches(
     key: jax.Array, objects: ObjectSet, surfaces: Sequence[Surface], episodes: int, cfg: Recognition
 ) -> TouchPlan:
-    """Plan the sites of episodes: the heuristic's, of random candidates, or random ones."""
+    """Plan the sites of episodes by the paper's heuristic on random candidates, or at random."""
     if not objects.heuristic:
         return plan_random_touches(
             key, surfaces, objects.names, episodes, cfg.touches, limits=cfg.site_limits, share=objects.share
@@ -89,7 +89,7 @@ def plan_touches(
 def draw_pools(
     key: jax.Array, names: Sequence[str], surfaces: Sequence[Surface], episodes: int, cfg: Recognition
 ) -> tuple[SitePools, np.ndarray]:
-    """Pools of random sites for a few episodes each, and the number (e,) of each episode's pool."""
+    """Draw pools of random sites, each for a few episodes. Returns them with the number (e,) of each episode's pool."""
     pool = np.arange(episodes) // cfg.pool_episodes
     count = int(pool[-1]) + 1
     pools = sample_pools(key, surfaces, names, pools=count, per_object=cfg.pool_sites, limits=cfg.site_limits)

@@ -1,4 +1,4 @@
-"""Output of `experiments.recognize`: episodes on disk, scores over pads with intervals, tables, figures."""
+"""Output of `experiments.recognize`: saved episodes, scores over pads with intervals, tables and figures."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from experiments.common.cells import AVERAGE_SUFFIX
 from experiments.common.intervals import clusters_needed
 from experiments.common.runs import Part, write_json
 from experiments.common.tables import cell, text_table
@@ -27,28 +28,26 @@ from i2t.types import Board
 IMAGINE2TOUCH = {
     "Imagine2touch (paper's network, mask)": "paper's network, mask",
     "Imagine2touch (paper's network, depth)": "paper's network, depth",
-}  # networks of experiments.train, by the rows that they make
-WITH_FORCE = {row: name.replace("network", "network and measured force") for row, name in IMAGINE2TOUCH.items()}
-RULES_GP, CONSTANT = "same rules, Gaussian process", "same rules, constant reading"
-MEDIAN_FORCE = " at the median force"  # of the training touches, in place of each touch's: ends the row's name
+}  # networks of experiments.train, by their rows in tables
+FORCE_NETWORKS = {row: name.replace("network", "network and measured force") for row, name in IMAGINE2TOUCH.items()}
+RULES_GP, CONSTANT_READING = "same rules, Gaussian process", "same rules, constant reading"
+MEDIAN_FORCE = " at the median force"  # suffix of a row with the median force of the training touches
 PAPER_SETS = ("primitives", "tools")
-PUBLISHED_I2T = {"primitives": 0.50, "tools": 0.70, "mean": 0.58}  # the paper's accuracies, by votes
+PUBLISHED_I2T = {"primitives": 0.50, "tools": 0.70, "mean": 0.58}  # accuracies in the paper, by votes
 PUBLISHED_PROPRIOCEPTION = {"primitives": 0.23, "tools": 0.80, "mean": 0.46}
-REQUESTED_ERRORS = (0.01, 0.05, 0.10)  # of the stopping rule
-NUM_BINS = 10  # of a calibration error
-WANTED_HALF_WIDTH = 0.03  # of the interval of a difference after the last touch, for which pads are counted
-# What the measured force is worth to the network and to the GP, and what the GP is worth with it and without.
-FAIR = (
-    *((WITH_FORCE[row], row) for row in IMAGINE2TOUCH),
+REQUESTED_ERRORS = (0.01, 0.05, 0.10)  # error probabilities of the stopping rule
+# Pairs of rows that differ only by the measured force, or only by the model.
+SAME_INPUT_PAIRS = (
+    *((FORCE_NETWORKS[row], row) for row in IMAGINE2TOUCH),
     (RULES_GP, RULES_GP + MEDIAN_FORCE),
     *((RULES_GP + MEDIAN_FORCE, row) for row in IMAGINE2TOUCH),
-    *((RULES_GP, row) for row in WITH_FORCE.values()),
+    *((RULES_GP, row) for row in FORCE_NETWORKS.values()),
 )
-COMPARED = (
-    *((f"{row}, votes", f"{PROPRIOCEPTION}, votes") for row in (*IMAGINE2TOUCH, RULES_GP, CONSTANT)),
+COMPARED_PAIRS = (
+    *((f"{row}, votes", f"{PROPRIOCEPTION}, votes") for row in (*IMAGINE2TOUCH, RULES_GP, CONSTANT_READING)),
     *((f"{row}, product", f"{PROPRIOCEPTION}, product") for row in (*IMAGINE2TOUCH, RULES_GP)),
-    *((f"{row}, votes", f"{CONSTANT}, votes") for row in (*IMAGINE2TOUCH, RULES_GP)),
-    *((f"{one}, {rule}", f"{other}, {rule}") for rule in ("votes", "product") for one, other in FAIR),
+    *((f"{row}, votes", f"{CONSTANT_READING}, votes") for row in (*IMAGINE2TOUCH, RULES_GP)),
+    *((f"{a}, {rule}", f"{b}, {rule}") for rule in ("votes", "product") for a, b in SAME_INPUT_PAIRS),
     ("fused", "readings"),
     ("fused", "readings and position"),
     ("fused", "readings and presence"),
@@ -58,19 +57,17 @@ COMPARED = (
     ("fused, oracle", "fused"),
     ("readings and presence, oracle", "readings and presence"),
 )
-UNPRINTED = ", average"  # a rule between the other two; its scores are in metrics.json
-SHOWN_BY_OBJECT = ("fused", "readings", "presence", "votes", "product")  # ends of methods' names
 
 
 class EpisodeResults(NamedTuple):
-    """Episodes with one set of objects and what each method believed after each touch."""
+    """Episodes with one set of objects, and the beliefs of each method after each touch."""
 
     names: tuple[str, ...]
     truth: np.ndarray  # (e,)
     beliefs: dict[str, np.ndarray]  # (e, t, objects) by method
-    episodes: Episodes | None  # None where every method had its own
-    pad: str = ""  # that touched
-    pool: np.ndarray = np.zeros(0, str)  # (e,) names of the pools of sites: episodes of one are alike
+    episodes: Episodes | None  # None if every method had its own
+    pad: str = ""  # name of the pad
+    pool: np.ndarray = np.zeros(0, str)  # (e,) name of each episode's pool of sites, whose episodes are not independent
 
 
 Results = dict[str, EpisodeResults]  # of one pad and seed, by set of objects
@@ -79,8 +76,8 @@ Results = dict[str, EpisodeResults]  # of one pad and seed, by set of objects
 
 
 def to_part(results: Results) -> Part:
-    """All sets of a seed as nested dicts of arrays."""
-    part: Part = {"about": json.dumps({name: each.names for name, each in results.items()})}
+    """Convert all sets of a seed to nested dicts of arrays."""
+    part: Part = {"about": json.dumps({name: episodes.names for name, episodes in results.items()})}
     for name, (_, truth, beliefs, episodes, pad, pool) in results.items():
         kept = {method: p.astype(np.float32) for method, p in beliefs.items()}
         part[name] = {"truth": truth, "beliefs": kept, "pad": pad, "pool": pool}
@@ -90,20 +87,20 @@ def to_part(results: Results) -> Part:
 
 
 def from_part(part: Part) -> Results:
-    """What `to_part` was given."""
+    """Invert `to_part`."""
     results = {}
     for name, names in json.loads(str(part["about"])).items():
-        found, episodes = part[name], None
-        if "observations" in found:
-            observations = TouchObservation(**found["observations"])
-            episodes = Episodes(found["truth"], found["site"], observations, found["T_w_t"])
+        saved, episodes = part[name], None
+        if "observations" in saved:
+            observations = TouchObservation(**saved["observations"])
+            episodes = Episodes(saved["truth"], saved["site"], observations, saved["T_w_t"])
         results[name] = EpisodeResults(
-            tuple(names), found["truth"], found["beliefs"], episodes, str(found["pad"]), found["pool"]
+            tuple(names), saved["truth"], saved["beliefs"], episodes, str(saved["pad"]), saved["pool"]
         )
     return results
 
 
-# --- what episodes have in common ---
+# --- episodes over all pads and seeds ---
 
 
 class PooledEpisodes(NamedTuple):
@@ -116,26 +113,26 @@ class PooledEpisodes(NamedTuple):
     pool: np.ndarray  # (e,) names
 
     def clusters(self, *more: np.ndarray) -> list[np.ndarray]:
-        """Clusters of the episodes: by pad, by pool of sites, and by more labels (e,), such as the object that was
-        there. Without that one intervals are for these very objects.
+        """Cluster the episodes by pad, by pool of sites, and by more labels (e,), such as the true object. Without the
+        latter, intervals are for these objects only.
         """
         return [np.unique(label, return_inverse=True)[1] for label in (self.pad, self.pool, *more)]
 
 
 def pool_set(parts: Sequence[Results], name: str) -> PooledEpisodes:
-    """The episodes of a set, over all pads and seeds."""
+    """Join the episodes of a set over all pads and seeds."""
     sets = [part[name] for part in parts]
-    truth, pool = (np.concatenate([getattr(each, field) for each in sets]) for field in ("truth", "pool"))
+    truth, pool = (np.concatenate([getattr(part, field) for part in sets]) for field in ("truth", "pool"))
     beliefs = {
-        method: np.concatenate([each.beliefs[method] for each in sets]).astype(np.float64) for method in sets[0].beliefs
+        method: np.concatenate([part.beliefs[method] for part in sets]).astype(np.float64) for method in sets[0].beliefs
     }
-    pad = np.repeat([each.pad for each in sets], [len(each.truth) for each in sets])
+    pad = np.repeat([part.pad for part in sets], [len(part.truth) for part in sets])
     return PooledEpisodes(sets[0].names, truth, beliefs, pad, pool)
 
 
 def pads_of(parts: Sequence[Results], pools: str = "pools of sites") -> dict[str, Any]:
-    """The pads over which intervals are, the number of runs, and what the pools are called."""
-    pads = sorted({each.pad for part in parts for each in part.values()})
+    """Describe the pads, the number of runs, and the clusters of intervals."""
+    pads = sorted({results.pad for part in parts for results in part.values()})
     several = f"over pads and {pools}, for these objects"
     few = f"over {pools}, for {'this pad' if len(pads) == 1 else 'these pads'} and these objects"
     intervals = f"95 %, {several if len(pads) >= MIN_CLUSTERS else few}"
@@ -146,25 +143,26 @@ def pads_of(parts: Sequence[Results], pools: str = "pools of sites") -> dict[str
 
 
 def calibrate(parts: Sequence[Results]) -> tuple[list[Results], dict[str, TemperatureScaling]]:
-    """Beliefs after temperature scaling, and the temperature of each method.
+    """Scale beliefs by temperatures. Returns the beliefs and the temperature of each method.
 
-    Temperatures are fitted to the validation objects of all pads; without validation objects all have that of the
-    fused belief (`TEMPERATURE_SCALING`). The paper's rules stay as they are.
+    Temperatures are fitted to the validation objects of all pads. Without validation objects, all methods have that of
+    the fused belief (`TEMPERATURE_SCALING`). The paper's rules are not scaled.
     """
     methods = [method for method in next(iter(parts[0].values())).beliefs if method.split(", ")[0] in EVIDENCE]
     temperatures = dict.fromkeys(methods, TEMPERATURE_SCALING)
     if "validation" in parts[0]:
-        known = pool_set(parts, "validation")
-        temperatures = {m: calibrated.fit_temperature(known.beliefs[m], known.truth) for m in methods}
-    return [{name: _scaled(each, temperatures) for name, each in part.items()} for part in parts], temperatures
+        validation = pool_set(parts, "validation")
+        temperatures = {m: calibrated.fit_temperature(validation.beliefs[m], validation.truth) for m in methods}
+    scaled = [{name: _scaled(results, temperatures) for name, results in part.items()} for part in parts]
+    return scaled, temperatures
 
 
 def _scaled(results: EpisodeResults, temperatures: Mapping[str, TemperatureScaling]) -> EpisodeResults:
-    found = {
+    scaled = {
         method: calibrated.calibrated_beliefs(results.beliefs[method], temperature)
         for method, temperature in temperatures.items()
     }
-    return results._replace(beliefs=results.beliefs | found)
+    return results._replace(beliefs=results.beliefs | scaled)
 
 
 # --- scores ---
@@ -173,9 +171,7 @@ def _scaled(results: EpisodeResults, temperatures: Mapping[str, TemperatureScali
 def summarise(
     parts: Sequence[Results], out: Path, source: str, pools: str = "pools of sites", **about: Any
 ) -> dict[str, Any]:
-    """Scores of every set over all pads, and what else there is to say about them, written to metrics.json with figures
-    next to it.
-    """
+    """Score every set over all pads, and write metrics.json, including `about`, and figures."""
     sets = {name: pool_set(parts, name) for name in parts[0]}
     scores = {name: score_set(episodes) for name, episodes in sets.items()}
     for name, entry in scores.items():
@@ -191,7 +187,7 @@ def summarise(
 
 
 def score_set(episodes: PooledEpisodes) -> dict[str, Any]:
-    """Scores of every method on one set of objects."""
+    """Score every method on one set of objects."""
     return {
         "objects": list(episodes.names),
         "episodes": len(episodes.truth),
@@ -202,14 +198,14 @@ def score_set(episodes: PooledEpisodes) -> dict[str, Any]:
 
 
 def score_method(episodes: PooledEpisodes, method: str) -> dict[str, Any]:
-    """All scores of a method on a set; those of deciding when sure only where beliefs are probabilities."""
+    """Score a method on a set. Early stopping is scored only for methods whose beliefs are probabilities."""
     p, truth, clusters = episodes.beliefs[method], episodes.truth, episodes.clusters()
     confidence, hit = metrics.confidence(p), metrics.hits(p, truth)
-    errors = [metrics.calibration_error(confidence[:, t], hit[:, t], NUM_BINS) for t in range(p.shape[1])]
+    errors = [metrics.calibration_error(confidence[:, t], hit[:, t], 10) for t in range(p.shape[1])]
     scores = {
         "accuracy": to_json(metrics.accuracy(p, truth, clusters=clusters)),
         "mean": to_json(metrics.mean_accuracy(p, truth, clusters=clusters)),
-        # The same for other objects, of which these are a sample: wide, as there are few.
+        # For other objects, of which these are a sample. The interval is wide, because there are few objects.
         "last_other_objects": to_json(rate_interval(hit[:, -1], episodes.clusters(truth))),
         "by_object": score_objects(episodes.names, hit, truth, clusters),
         "calibration_error": [error.error for error in errors],
@@ -226,51 +222,53 @@ def score_method(episodes: PooledEpisodes, method: str) -> dict[str, Any]:
 def score_objects(
     names: Sequence[str], hit: np.ndarray, truth: np.ndarray, clusters: Sequence[np.ndarray]
 ) -> dict[str, Any]:
-    """Rates at which each object is recognised when it is there, after the last touch and in the mean over touches."""
-    found = {}
+    """Compute the recognition rate of each object after the last touch and averaged over touches."""
+    rates = {}
     for i, name in enumerate(names):
         rows = truth == i
         both = rate_interval(np.stack([hit[rows, -1], hit[rows].mean(1)], 1), rows_of(clusters, rows))
-        found[name] = {"last": to_json(estimate_at(both, 0)), "mean": to_json(estimate_at(both, 1))}
-    return found
+        rates[name] = {"last": to_json(estimate_at(both, 0)), "mean": to_json(estimate_at(both, 1))}
+    return rates
 
 
-def compare_methods(episodes: PooledEpisodes) -> dict[str, Any]:
-    """Differences between methods on the same episodes; none of a single one."""
-    found: dict[str, Any] = {}
-    for one, other in COMPARED:
-        if {one, other} <= set(episodes.beliefs) and len(episodes.truth) > 1:
-            hits = [metrics.hits(episodes.beliefs[method], episodes.truth) for method in (one, other)]
+def compare_methods(episodes: PooledEpisodes, wanted_half_width: float = 0.03) -> dict[str, Any]:
+    """Compute differences between methods on the same episodes, and the number of pads that would narrow the interval
+    after the last touch to the wanted half width.
+    """
+    differences: dict[str, Any] = {}
+    for pair in COMPARED_PAIRS:
+        if set(pair) <= set(episodes.beliefs) and len(episodes.truth) > 1:
+            hits = [metrics.hits(episodes.beliefs[method], episodes.truth) for method in pair]
             difference = metrics.compare_paired(*hits, clusters=episodes.clusters())
             half = float(difference.last.high - difference.last.mean)
-            needed = clusters_needed(half, len(np.unique(episodes.pad)), WANTED_HALF_WIDTH)
-            found[f"{one} - {other}"] = to_json(difference) | {"pads_needed": needed}
-    return found
+            needed = clusters_needed(half, len(np.unique(episodes.pad)), wanted_half_width)
+            differences[" - ".join(pair)] = to_json(difference) | {"pads_needed": needed}
+    return differences
 
 
 def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
-    """Accuracy after the last touch over all objects of the paper's sets, each decided among those of its set: the
-    paper's last column; and paired differences of it. Sets of one pad are independent but for the pad. Nothing where
-    other objects were played.
+    """Compute the accuracy after the last touch over all objects of the paper's sets, each distinguished from the
+    others of its set, which is the paper's last column, and paired differences. Sets of one pad share the pad only. The
+    result is empty for other objects.
     """
     if not set(PAPER_SETS) <= set(parts[0]):
         return {}
     sets = [pool_set(parts, name) for name in PAPER_SETS]
-    weight = np.concatenate([np.full(len(each.truth), len(each.names) / len(each.truth)) for each in sets])
-    clusters = [np.concatenate([each.pad for each in sets]), np.concatenate([each.pool for each in sets])]
+    weight = np.concatenate([np.full(len(part.truth), len(part.names) / len(part.truth)) for part in sets])
+    clusters = [np.concatenate([part.pad for part in sets]), np.concatenate([part.pool for part in sets])]
     hits = {
-        method: np.concatenate([metrics.hits(each.beliefs[method], each.truth)[:, -1] for each in sets])
+        method: np.concatenate([metrics.hits(part.beliefs[method], part.truth)[:, -1] for part in sets])
         for method in sets[0].beliefs
     }
-    pairs = {f"{one} - {other}": hits[one] - hits[other] for one, other in COMPARED if {one, other} <= set(hits)}
+    pairs = {f"{a} - {b}": hits[a] - hits[b] for a, b in COMPARED_PAIRS if {a, b} <= set(hits)}
 
     def mean(values: np.ndarray) -> dict[str, Any]:
         # Linearised about the mean, so that its variance is at least that of independent episodes.
-        about = np.average(values, weights=weight)
-        found = cluster_interval((values - about) * weight / weight.mean(), clusters)
-        return to_json(Estimate(*(part + about for part in found)))
+        centre = np.average(values, weights=weight)
+        deviation = cluster_interval((values - centre) * weight / weight.mean(), clusters)
+        return to_json(Estimate(*(part + centre for part in deviation)))
 
-    means, differences = ({name: mean(values) for name, values in some.items()} for some in (hits, pairs))
+    means, differences = ({name: mean(values) for name, values in table.items()} for table in (hits, pairs))
     return {"mean of the sets": means, "differences of these means": differences}
 
 
@@ -278,7 +276,7 @@ def mean_over_objects(parts: Sequence[Results]) -> dict[str, Any]:
 
 
 def print_tables(summary: dict[str, Any]) -> None:
-    """Accuracy of every method on every set, by object, and differences between methods."""
+    """Print the accuracy of every method on every set and object, and differences between methods."""
     for name, entry in summary["sets"].items():
         touches = len(next(iter(entry["methods"].values()))["log_loss"])
         columns = sorted({1, min(3, touches), min(5, touches), touches})
@@ -290,7 +288,7 @@ def print_tables(summary: dict[str, Any]) -> None:
         )
         rows = []
         for method, values in entry["methods"].items():
-            if method.endswith(UNPRINTED):
+            if method.endswith(AVERAGE_SUFFIX):  # a rule between votes and product
                 continue
             published, accuracy = published_accuracy(name, method), values["accuracy"]
             cells = [cell({part: limits[t - 1] for part, limits in accuracy.items()}) for t in columns]
@@ -300,13 +298,13 @@ def print_tables(summary: dict[str, Any]) -> None:
         print(text_table(head, rows))
         print_objects(entry, touches)
         for pair, values in entry["paired"].items():
-            pads = f"; {values['pads_needed']} pads for +- 3 points" if values["pads_needed"] else ""
+            pads = f"; {values['pads_needed']} pads would resolve 3 points" if values["pads_needed"] else ""
             last, mean = (cell(values[score], signed=True) for score in ("last", "mean"))
             print(f"  {pair}: after {touches} {last}, mean {mean}{pads}")
 
 
 def published_accuracy(name: str, method: str) -> float | None:
-    """The paper's accuracy after ten touches, of the rows that are its methods."""
+    """Look up the paper's accuracy after ten touches, if the row is one of its methods."""
     source, _, rule = method.rpartition(", ")
     if rule != "votes":
         return None
@@ -320,34 +318,34 @@ def print_objects(entry: dict[str, Any], touches: int) -> None:
     rows = (
         [method, *(cell(values["by_object"][name]["last"]) for name in entry["objects"])]
         for method, values in entry["methods"].items()
-        if method.endswith(SHOWN_BY_OBJECT)
+        if method.endswith(("fused", "readings", "presence", "votes", "product"))
     )
-    print(text_table([f"after {touches}, by the object that was there", *entry["objects"]], rows, "  "))
+    print(text_table([f"after {touches}, by true object", *entry["objects"]], rows, "  "))
 
 
 def print_mean_over_objects(summary: dict[str, Any]) -> None:
-    """The paper's last column, if its sets were played."""
+    """Print the paper's last column, if the paper's sets were used."""
     if "mean of the sets" not in summary:
         return
     rows = (
         [method, cell(estimate), _paper(published_accuracy("mean", method))]
         for method, estimate in summary["mean of the sets"].items()
-        if not method.endswith(UNPRINTED)
+        if not method.endswith(AVERAGE_SUFFIX)
     )
-    print(f"\nall objects of {' and '.join(PAPER_SETS)}, each decided among those of its set:")
+    print(f"\nall objects of {' and '.join(PAPER_SETS)}, each distinguished from the others of its set:")
     print(text_table(["method", "after the last touch", ""], rows))
     for pair, estimate in summary["differences of these means"].items():
         print(f"  {pair}: {cell(estimate, signed=True)}")
 
 
 def print_stopping(summary: dict[str, Any]) -> None:
-    """Print how the fused belief stops when it is sure."""
+    """Print the scores of early stopping with the fused belief."""
     entry = summary["sets"].get("all", next(iter(summary["sets"].values())))
     for stop in entry["methods"]["fused"]["stopping"]:
         print(
-            f"stop at an error of {stop['requested_error']:.0%}: error {cell(stop['error'])}, predicted "
-            f"{stop['predicted_error']:.3f}, after {stop['touches']['mean']:.1f} touches; of the "
-            f"{stop['stopped']['mean']:.0%} that stopped early error {cell(stop['stopped_error'])}, predicted "
+            f"stopping at an error of {stop['requested_error']:.0%}: error {cell(stop['error'])}, predicted "
+            f"{stop['predicted_error']:.3f}, after {stop['touches']['mean']:.1f} touches; among the "
+            f"{stop['stopped']['mean']:.0%} that stopped early, error {cell(stop['stopped_error'])}, predicted "
             f"{stop['stopped_predicted_error']:.3f}"
         )
 
@@ -367,16 +365,17 @@ def report_hardest_episode(
     p = results.beliefs["fused"].astype(np.float64)
     first = p[np.arange(len(p)), 0, results.truth]
     right = p[:, -1].argmax(-1) == results.truth
-    one = int(np.argmin(np.where(right, first, 1 + first)))
+    episode = int(np.argmin(np.where(right, first, 1 + first)))
     record = viz.EpisodeRecord(
-        meshes, results.names, results.episodes.T_w_t[one], np.asarray(results.episodes.observations.reading)[one],
-        board, p[one], int(results.truth[one]), holds_simulated(source),
+        meshes, results.names, results.episodes.T_w_t[episode],
+        np.asarray(results.episodes.observations.reading)[episode], board, p[episode], int(results.truth[episode]),
+        holds_simulated(source),
     )  # fmt: skip
     viz.write_episode_report(record, out)
 
 
 def write_figures(name: str, episodes: PooledEpisodes, out: Path, simulated: bool) -> None:
-    """Accuracy and confusion of a set."""
+    """Draw accuracy and confusion of a set."""
     shown = {
         method: metrics.accuracy(p, episodes.truth, clusters=episodes.clusters())
         for method, p in episodes.beliefs.items()

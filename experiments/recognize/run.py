@@ -1,28 +1,28 @@
-"""Question: which object is it, by touch, and how sure can one be?
+"""Question: how often are objects recognised by touch, and are the probabilities calibrated?
 
-    python -m experiments.recognize                       on runs/train of python -m experiments.train: a few episodes,
-                                                          few poses of each object, wide intervals
-    python -m experiments.recognize --preset paper        as many as the documents say, in hours
+    python -m experiments.recognize                       a few episodes with the pad of runs/train, few poses of each
+                                                          object, and wide intervals
+    python -m experiments.recognize --preset paper        the numbers of episodes in the docs, in hours
     python -m experiments.recognize --method paper        the paper's own method and loop (experiments.recognize.paper)
-    python -m experiments.recognize --preset debug        a handful of episodes, too few to mean anything
-    python -m experiments.recognize --pad-model runs/study      every pad and seed of a study, intervals over pads
-    python -m experiments.recognize --objects a.stl b.stl --unit mm      meshes of your own, simulated episodes
+    python -m experiments.recognize --preset debug        a handful of episodes, too few for meaningful results
+    python -m experiments.recognize --pad-model runs/study      every pad and seed of a study, with intervals over pads
+    python -m experiments.recognize --objects a.stl b.stl --unit mm      simulated episodes with your own meshes
     python -m experiments.recognize --dataset DIR         recorded touches (experiments.recognize.recorded)
 
-The objects were not trained on. Each episode puts one of them down with the errors of the world, touches it ten times
-at random safe sites of random candidates, drawn anew for each touch, and asks after each touch which one it is:
+No model was trained on the objects. Each episode places one of them with the errors of the simulation, and touches it
+ten times at random safe sites, drawn anew for each touch. After each touch, the methods estimate the object:
 
-  the belief      `i2t.recognition.belief` with the run's pad model, fitted to the training touches, whose objects were
-                  registered by their contacts: from readings, from meeting something or nothing, from positions, and
-                  from their sums; next to it an oracle fitted to the same touches without any error of pose or noise;
-  the paper       exp(-|tau - tau~|) of the paper's networks at the believed pose: votes, their average, product; and by
-                  the same rules the Gaussian process that the run kept, a constant reading, and the distance from the
-                  contact to the nearest point of each model (proprioception).
+  the belief      `i2t.recognition.belief` with the run's pad model, which was fitted to the training touches after
+                  registration of their objects by contacts: from readings, from contact or its absence, from positions,
+                  and from their combinations; an oracle is fitted to the same touches without errors of pose or noise;
+  the paper       exp(-|tau - tau~|) of the paper's networks at the expected pose, combined by votes, average or
+                  product; the same rules are applied to the run's Gaussian process, to a constant reading, and to the
+                  distance from the contact to the nearest point of each model (proprioception).
 
-The paper's two sets (three primitives, two tools) are played apart, at sites that the paper's heuristic draws on random
-candidates, so that every method judges the same episodes; all five are played as one set. What was fixed before testing
-is in docs/recognition.md. Everything is simulated. Results go to --out: metrics.json
-(95 % intervals over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
+The paper's two sets (three primitives, two tools) are separate, at sites that the paper's heuristic draws from random
+candidates, so that all methods have the same episodes. All five objects also form one set. docs/recognition.md lists
+the settings that were fixed before testing. Everything is simulated. Results go to --out: metrics.json (95 % intervals
+over pads and pools of sites), config.json, episodes of each pad and seed (npz) and figures.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -56,8 +56,6 @@ from i2t.skin_models.pad_fit import fit_oracle_pad_model
 from i2t.skin_models.pad_model import PadModel, load_pad_model
 from i2t.types import Surface
 
-ORACLE_EVIDENCE = ("readings and presence", "fused")
-
 
 class EpisodeWorld(NamedTuple):
     """Data that the sets of one pad and seed share."""
@@ -66,12 +64,12 @@ class EpisodeWorld(NamedTuple):
     run: FinishedRun
     trained: TrainedRun
     oracle: PadModel
-    predictors: dict[str, Predictor]  # to which the paper's rules are applied
+    predictors: dict[str, Predictor]  # for the paper's rules, by row
     particles: Particles
 
 
 def run(args: SimulateArgs) -> dict[str, Any]:
-    """Every pad and seed of the run, then the tables over them."""
+    """Simulate the episodes of every pad and seed, and report the scores."""
     cfg, own = configure(args), load_meshes(args.objects, args.unit)
     runs = finished_runs(args.pad_model, args.pads)
     begin(args, cfg)
@@ -84,7 +82,7 @@ def run(args: SimulateArgs) -> dict[str, Any]:
 
 
 def configure(args: SimulateArgs) -> Recognition:
-    """The preset with the numbers of episodes that the command line asks for."""
+    """Apply the command line to the preset."""
     n = args.episodes
     of_paper = args.paper_episodes if args.paper_episodes is not None or n is None else 2 * n
     return choose_preset(
@@ -96,15 +94,15 @@ def configure(args: SimulateArgs) -> Recognition:
 def report(
     out: Path, runs: Iterable[FinishedRun], parts: list[reporting.Results], own: Mapping[str, Mesh]
 ) -> dict[str, Any]:
-    """Scores, figures, tables, and the report of one episode."""
-    known = load_pad_model(next(iter(runs)).pad_model)
-    source = known.origin.source
+    """Write and print the scores, figures, and the report of one episode."""
+    fitted = load_pad_model(next(iter(runs)).pad_model)
+    source = fitted.origin.source
     parts, temperatures = reporting.calibrate(parts)
     about = {"temperatures": to_json(temperatures), **reporting.mean_over_objects(parts)}
     result = reporting.summarise(parts, out, source, **about)
     name = next(name for name in ("all", "your objects") if name in parts[0])
     meshes = own or meshes_by_name(parts[0][name].names)
-    reporting.report_hardest_episode(parts[0][name], list(meshes.values()), out / "story", source, known.board)
+    reporting.report_hardest_episode(parts[0][name], list(meshes.values()), out / "story", source, fitted.board)
     reporting.print_tables(result)
     reporting.print_mean_over_objects(result)
     reporting.print_stopping(result)
@@ -112,7 +110,7 @@ def report(
 
 
 def play(cfg: Recognition, own: Mapping[str, Mesh], run: FinishedRun, seed: int) -> Part:
-    """All sets of one pad and seed."""
+    """Simulate the episodes of all sets with one pad and seed."""
     _, key_groups = jax.random.split(jax.random.key(seed))
     trained = load_trained_run(run)
     oracle = fit_oracle_pad_model(trained.dataset, trained.rows, trained.pad_model, cfg.limits)
@@ -120,42 +118,45 @@ def play(cfg: Recognition, own: Mapping[str, Mesh], run: FinishedRun, seed: int)
         f"pad model of {run.folder}: R2 {trained.pad_model.r2:.3f} on held-out touches, {oracle.r2:.3f} without "
         "errors of pose"
     )
-    done: reporting.Results = {}
+    results: reporting.Results = {}
     particles = pose_particles(cfg.errors, cfg.num_particles, seed)
     mean = trained.dataset.touches.reading[trained.rows].mean(0)
     predictors = paper.rule_predictors(run.folder, paper.load_paper_networks(run), trained.predictor, mean)
     world = EpisodeWorld(cfg, run, trained, oracle, predictors, particles)
     groups = object_groups(own, cfg)
-    prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))  # compiled for once
+    # All at once, to compile once.
+    prepared = iter(prepare_surfaces([mesh for meshes, _ in groups for mesh in meshes.values()]))
     for i, (meshes, sets) in enumerate(groups):
         surfaces = {name: next(prepared) for name in meshes}
         for j, (name, objects) in enumerate(sets.items()):
             key = jax.random.fold_in(jax.random.fold_in(key_groups, i), j)
-            done[name] = play_set(key, name, objects, surfaces=[surfaces[one] for one in objects.names], world=world)
-    return reporting.to_part(done)
+            of_set = [surfaces[member] for member in objects.names]
+            results[name] = play_set(key, name, objects, surfaces=of_set, world=world)
+    return reporting.to_part(results)
 
 
 def play_set(
     key: jax.Array, name: str, objects: ObjectSet, *, surfaces: Sequence[Surface], world: EpisodeWorld
 ) -> reporting.EpisodeResults:
-    """Simulated episodes with one set of objects, and what every method believes after each touch."""
+    """Simulate episodes with one set of objects, and compute the beliefs of every method."""
     cfg, trained = world.cfg, world.trained
     key_play, key_site = jax.random.split(key)
     truth = np.arange(len(surfaces) * objects.episodes) % len(surfaces)
     plan = plan_touches(key_site, objects, surfaces, len(truth), cfg)
+    oracle_evidence = ("readings and presence", "fused")
     models = {
         "": BeliefModel(trained.pad_model.reading_model, trained.pad_model.likelihood),
-        ", oracle": BeliefModel(world.oracle.reading_model, world.oracle.likelihood, ORACLE_EVIDENCE),
+        ", oracle": BeliefModel(world.oracle.reading_model, world.oracle.likelihood, oracle_evidence),
     }
     config = EnvironmentConfig(cfg.errors, cfg.limits, cfg.touches)
     episodes = run_episodes(
         key_play, surfaces, truth, plan.chosen, sites=plan.sites, pad=trained.pad, config=config, label=name
     )
-    believed = believe(
+    beliefs = believe(
         surfaces, plan.sites, episodes, world.particles, models, overtravel=cfg.limits.overtravel, label=name
     )
-    believed |= paper_rules(world.predictors, trained.pad_model.reading_std, surfaces, episodes)
+    beliefs |= paper_rules(world.predictors, trained.pad_model.reading_std, surfaces, episodes)
     pools = np.array([f"{world.run.folder.name}, {name}, pool {number}" for number in plan.pool])
     return reporting.EpisodeResults(
-        tuple(objects.names), truth, believed, episodes, f"pad {world.run.pad_name}", pools
+        tuple(objects.names), truth, beliefs, episodes, f"pad {world.run.pad_name}", pools
     )  # fmt: skip

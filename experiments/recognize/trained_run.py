@@ -1,4 +1,4 @@
-"""What simulated episodes need of a finished run of `experiments.train` (`experiments.train.finished`)."""
+"""The parts of a finished run of `experiments.train` that simulated episodes use."""
 
 from typing import NamedTuple
 
@@ -14,33 +14,33 @@ from i2t.types import Pad
 
 
 class TrainedRun(NamedTuple):
-    """A finished run that simulated its touches."""
+    """A finished run with simulated touches."""
 
     dataset: Dataset
-    rows: np.ndarray  # (n,) bool, of the touches of the objects that it trained on
-    predictor: Predictor  # the best on predicted contact pressure, also where another was kept
+    rows: np.ndarray  # (n,) mask of the touches of training objects
+    predictor: Predictor  # the best on predicted contact pressure, even if another was selected
     pad: Pad
     pad_model: PadModel
 
     @property
     def trained_objects(self) -> tuple[str, ...]:
-        """Names of the catalogue's objects that it trained on."""
+        """Names of the training objects."""
         return tuple(self.dataset.objects[i] for i in np.unique(self.dataset.touches.object[self.rows]))
 
 
 def load_trained_run(run: FinishedRun) -> TrainedRun:
-    """Read a run that simulated its touches.
+    """Read a run with simulated touches.
 
     Args:
-        run: Whose folder is read.
+        run: The finished run.
 
     Returns:
         Its touches, predictor, pad and pad model.
 
     Raises:
-        ValueError: It trained on recorded touches, or has no pad model.
+        ValueError: The run used recorded touches, or has no pad model.
     """
-    pad, known = load_pad(run.simulated_pad), load_pad_model(run.pad_model)
+    pad, fitted = load_pad(run.simulated_pad), load_pad_model(run.pad_model)
     dataset = data.load_dataset(run.touches)
-    rows = np.isin(dataset.touches.object, [dataset.objects.index(name) for name in known.origin.objects])
-    return TrainedRun(dataset, rows, load_predictor(run.on_pressure), pad, known.model)
+    rows = np.isin(dataset.touches.object, [dataset.objects.index(name) for name in fitted.origin.objects])
+    return TrainedRun(dataset, rows, load_predictor(run.on_pressure), pad, fitted.model)

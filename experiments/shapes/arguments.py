@@ -1,4 +1,4 @@
-"""The options of `python -m experiments.shapes`, without JAX."""
+"""Options of `python -m experiments.shapes`. This module has no slow imports."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,23 +12,23 @@ from i2t.errors import require_extra
 
 @dataclass(frozen=True)
 class ShapesArgs(ResumableOptions):
-    """Tell stamps apart by touch, on new positions, travels, rotations and skins."""
+    """Classify stamps by touch, at new positions, travels and rotations and on new skins."""
 
-    out: Path = Path("runs/shapes")  # folder for everything that is made
+    out: Path = Path("runs/shapes")  # folder for the results
     preset: Literal["paper", "debug"] = "paper"
-    dataset: Path | None = None  # recorded presses in place of simulated ones; its objects are the shapes
-    readings: Path | None = None  # or a table of readings with labels: CSV, plain or gzip-ed, a row a touch
-    label: str | None = None  # its column of labels
-    ignore: tuple[str, ...] = ()  # its columns that are no part of the reading, such as row numbers
-    samples: int = 1  # of a touch over time, all values of the first one first
+    dataset: Path | None = None  # recorded presses instead of simulated ones; its objects are the shapes
+    readings: Path | None = None  # table of labelled readings instead (.csv or .csv.gz), with one row per touch
+    label: str | None = None  # with --readings: column of the label
+    ignore: tuple[str, ...] = ()  # with --readings: columns that are not part of the reading, such as row numbers
+    samples: int = 1  # with --readings: samples of a touch over time, all values of the first sample first
 
     def check(self) -> None:
-        """Refuse what does not go together, and data that are not there."""
+        """Refuse options that exclude each other, and data that do not exist (ValueError)."""
         require_dataset("--dataset", self.dataset)
         if self.readings is None:
-            given = {"--label": self.label is not None, "--ignore": bool(self.ignore), "--samples": self.samples != 1}
-            for flag, has in given.items():
-                require_with(flag, has, "--readings", False)
+            flags = {"--label": self.label is not None, "--ignore": bool(self.ignore), "--samples": self.samples != 1}
+            for flag, given in flags.items():
+                require_with(flag, given, "--readings", False)
             return
         if self.dataset is not None:
             raise ValueError("--dataset and --readings are two sources of touches; pass one of them")
@@ -36,5 +36,5 @@ class ShapesArgs(ResumableOptions):
         if self.label is None:
             raise ValueError("--readings needs --label; name the table's column of labels")
         if self.samples < 1:
-            raise ValueError(f"--samples is {self.samples}; a touch has one sample at least")
+            raise ValueError(f"--samples is {self.samples}; a touch has at least one sample")
         require_extra("sklearn", "a table of readings")

@@ -1,12 +1,12 @@
 """The compared classifiers of stamps, and the splits by which presses are held out.
 
-  paper's classifier             15 readings into 500, 10 and 5 units (`i2t.paper.classifier`)
-  classifier with pose           the same kind of network, also given position, rotation and force, of tuned size
-  imagined touch                 which stamp, pressed where the arm says with the force it measured, would have read so
-                                 on the skin fitted to the presses at hand (`experiments.shapes.pad`)?
+  paper's classifier             15 readings, then layers of 500, 10 and 5 units (`i2t.paper.classifier`)
+  classifier with pose           a network of the same kind and tuned size, with position, rotation and force as inputs
+  imagined touch                 the stamp whose predicted reading, on a skin fitted to the training presses, is most
+                                 likely at the measured pose and force (`experiments.shapes.pad`)
 
-The first answers from readings alone, the others know as much of the press as each other. Minibatches are drawn with
-replacement, so that trainings on different numbers of presses share one compiled program.
+The first uses readings only, and the other two have the same additional inputs. Minibatches are drawn with replacement,
+so that training on different numbers of presses shares one compiled program.
 """
 
 from dataclasses import dataclass, field
@@ -18,14 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
-from experiments.shapes.pad import (
-    LAYERS,
-    FittedSkin,
-    StampFeatures,
-    StampPoses,
-    fit_hysteresis,
-    log_likelihood,
-)
+from experiments.shapes.pad import LAYERS, FittedSkin, StampFeatures, StampPoses, fit_hysteresis, log_likelihood
 from experiments.shapes.world import PREFIX, SHAPES
 from i2t.dataset import Dataset, square_blocks
 from i2t.errors import DataError
@@ -37,32 +30,31 @@ from i2t.types import Board, ReturnCode
 
 PAPER, POSED, IMAGINED = "paper's classifier", "classifier with pose", "imagined touch"
 METHODS = (PAPER, POSED, IMAGINED)
-CAPACITY_ROWS = 2048  # of a training set; capacities are multiples of it
 SPLITS = ("random", "location", "travel", "angle")
 FOLDS = 5
-BLOCK_EDGE_M = 2e-3  # of the squares of positions that are never torn apart
 
 
 @dataclass(frozen=True)
 class Methods:
-    """Sizes of the methods."""
+    """Settings of the methods."""
 
     paper: Classifier = field(default_factory=Classifier)
-    # Chosen among eight sizes, lengths and decays on random fifths, squares and 20 presses of pad 3, which is no test.
+    # Chosen among eight sizes, lengths and decays on random fifths, squares and 20 presses of pad 3, which is not a
+    # test pad.
     posed: Classifier = field(default_factory=lambda: Classifier((256, 256, 256), decay=3.0))
-    layers: int = len(LAYERS)  # how many of `LAYERS` a skin may have
+    layers: int = len(LAYERS)  # number of `LAYERS` that are tried for a skin
     grid: Grid = GRID  # of the fitted skin
 
     def network(self, method: str) -> Classifier:
-        """The network of a classifier."""
+        """Select the network of a classifier."""
         return self.paper if method == PAPER else self.posed
 
 
 class StampPresses(NamedTuple):
-    """Presses on one pad, in order of time; NaN where the arm did not say."""
+    """Presses on one pad in chronological order, with NaN for quantities that were not measured."""
 
     reading: np.ndarray  # (n, c) uT
-    before: np.ndarray  # (n, c) uT, the reading before it in its session; zero for the first
+    before: np.ndarray  # (n, c) uT, the previous reading in the session; zero for the first
     shape: np.ndarray  # (n,)
     position: np.ndarray  # (n, 2) m
     rotation: np.ndarray  # (n,) rad, about the skin's normal
@@ -72,17 +64,17 @@ class StampPresses(NamedTuple):
 
     @property
     def poses(self) -> StampPoses:
-        """Poses that the arm knew."""
+        """Measured poses and forces."""
         return StampPoses(self.position, self.rotation, self.force)
 
     @property
     def located(self) -> bool:
-        """Tell whether the arm knew all that a press is imagined from."""
+        """Whether all poses and forces were measured."""
         return all(bool(np.isfinite(leaf).all()) for leaf in self.poses)
 
     def inputs(self, method: str) -> Float[np.ndarray, "n d"]:
-        """Inputs of a classifier: readings (uT), and for `POSED` also position (m), the rotation's cosine and sine, and
-        force (N).
+        """Collect the inputs of a classifier: readings (uT), and for `POSED` also position (m), the rotation's cosine
+        and sine, and force (N).
         """
         if method == PAPER:
             return self.reading
@@ -91,10 +83,10 @@ class StampPresses(NamedTuple):
 
 
 def presses_on(dataset: Dataset, pad: int) -> StampPresses:
-    """The presses of one pad."""
+    """Select the presses on one pad."""
     touches = dataset.touches
-    met = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
-    rows = np.flatnonzero((touches.pad == pad) & met)
+    contact = ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
+    rows = np.flatnonzero((touches.pad == pad) & contact)
     y = touches.reading[rows].astype(np.float64)
     session = touches.session[rows]
     before = np.concatenate([np.zeros((1, y.shape[1])), y[:-1]])
@@ -108,17 +100,17 @@ def presses_on(dataset: Dataset, pad: int) -> StampPresses:
 
 
 def shapes_of(dataset: Dataset) -> tuple[str, ...]:
-    """The names of the shapes, as the catalogue of stamps has them where it does."""
+    """List the names of the shapes, without the prefix of the catalogue's stamps."""
     if len(dataset.objects) < 2:
-        raise DataError(f"the data set holds {len(dataset.objects)} shape; to tell shapes apart takes two at least")
+        raise DataError(f"the data set holds {len(dataset.objects)} shape; classification needs at least two")
     return tuple(name.removeprefix(PREFIX) for name in dataset.objects)
 
 
-def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | None:
-    """The one of `FOLDS` parts that each press is tested in; None where the arm did not say what the split needs.
+def split_folds(presses: StampPresses, split: str, seed: int, *, block_edge: float = 2e-3) -> np.ndarray | None:
+    """Assign each press to one of `FOLDS` test parts; None if the quantity of the split was not measured.
 
-    random: any presses. location: squares of 2 mm. travel: fifths of each shape's travel (or force). angle: sectors of
-    72 degrees.
+    random: any presses. location: squares of `block_edge` (m). travel: fifths of each shape's travel (or force). angle:
+    sectors of 72 degrees.
     """
     rng = np.random.default_rng(seed)
     n = len(presses.shape)
@@ -140,10 +132,10 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
         return part
     if not np.isfinite(presses.position).all():
         return None
-    block = square_blocks(presses.position, BLOCK_EDGE_M, origin=(0.0, 0.0))
+    block = square_blocks(presses.position, block_edge, origin=(0.0, 0.0))
     counts = np.bincount(block)
     part, filled = np.zeros(len(counts), int), np.zeros(FOLDS)
-    for i in rng.permutation(len(counts)):  # each block to the part that has least
+    for i in rng.permutation(len(counts)):  # each block joins the part with the fewest presses
         part[i] = np.argmin(filled)
         filled[part[i]] += counts[i]
     return part[block]
@@ -151,14 +143,14 @@ def split_folds(presses: StampPresses, split: str, seed: int) -> np.ndarray | No
 
 @dataclass(frozen=True)
 class StampClassificationBenchmark:
-    """One pad's presses and what was worked out about them.
+    """Classification of one pad's presses by all methods.
 
     Attributes:
-        presses: In the order of time.
+        presses: Presses in chronological order.
         board: The sensor board.
-        names: Of the shapes.
-        cfg: Sizes of the methods.
-        seed: Of the classifiers.
+        names: Names of the shapes.
+        cfg: Settings of the methods.
+        seed: Seed of the classifiers.
     """
 
     presses: StampPresses
@@ -169,19 +161,19 @@ class StampClassificationBenchmark:
 
     @cached_property
     def features(self) -> StampFeatures | None:
-        """What presses are imagined from, where the arm said where they were and the stamps are the catalogue's."""
+        """Features for predicted readings, if poses were measured and the stamps are in the catalogue."""
         if not (self.presses.located and set(self.names) <= set(SHAPES)):
             return None
-        where, cfg = self.presses, self.cfg
-        return StampFeatures(self.board, self.names, where.poses, where.shape, layers=cfg.layers, grid=cfg.grid)
+        presses, cfg = self.presses, self.cfg
+        return StampFeatures(self.board, self.names, presses.poses, presses.shape, layers=cfg.layers, grid=cfg.grid)
 
     def methods(self) -> tuple[str, ...]:
-        """Names of the methods that these presses allow."""
+        """List the methods that these presses allow."""
         networks = (PAPER, POSED) if self.presses.located else (PAPER,)
         return METHODS if self.features else networks
 
     def log_probability(self, method: str, train: np.ndarray, test: np.ndarray, seed: int) -> np.ndarray:
-        """Log probability (up to a constant) of each shape at the presses `test`, from those of `train`."""
+        """Compute log probabilities of the shapes, up to a constant, for rows `test` after training on rows `train`."""
         p, classes = self.presses, len(self.names)
         if method in (PAPER, POSED):
             x = p.inputs(method)
@@ -191,7 +183,7 @@ class StampClassificationBenchmark:
         return log_likelihood(skin, self.features.hypotheses(skin.layer)[test], readings[test])
 
     def guesses(self, method: str, part: np.ndarray) -> np.ndarray:
-        """The shape guessed for each press when its part is held out."""
+        """Classify each press by a method that was trained on the other parts."""
         guess = np.zeros(len(part), int)
         for fold in np.unique(part):
             train, test = np.flatnonzero(part != fold), np.flatnonzero(part == fold)
@@ -199,7 +191,7 @@ class StampClassificationBenchmark:
         return guess
 
     def fitted(self, train: np.ndarray) -> tuple[FittedSkin, np.ndarray]:
-        """The skin fitted to labelled presses, and all readings (n, c) uT less the chips' hysteresis."""
+        """Fit the skin to labelled presses; also returns all readings (n, c) uT without the chips' hysteresis."""
         assert self.features is not None
         p = self.presses
         first = self.features.fit(train, p.reading[train])
@@ -210,7 +202,7 @@ class StampClassificationBenchmark:
 
 
 def rows_per_shape(presses: StampPresses, each: int, seed: int) -> np.ndarray:
-    """Rows of `each` presses of every shape."""
+    """Draw `each` presses of every shape; returns their rows."""
     rng = np.random.default_rng(seed)
     return np.sort(
         np.concatenate([rng.permutation(np.flatnonzero(presses.shape == s))[:each] for s in np.unique(presses.shape)])
@@ -222,7 +214,7 @@ class TrainingSet(NamedTuple):
 
     x: Float[Array, "rows d"]
     y: Int[Array, " rows"]
-    n: Int[Array, ""]  # rows that count, the first
+    n: Int[Array, ""]  # number of rows without padding
 
 
 def classify(
@@ -233,29 +225,34 @@ def classify(
     *,
     classes: int,
     seed: int,
+    capacity_step: int = 2048,
 ) -> Float[np.ndarray, "m classes"]:
-    """Train on inputs x of classes y, and give log probabilities at other inputs.
+    """Train a classifier, and predict log probabilities of the classes.
 
     Args:
-        cfg: How to train.
-        x: Inputs.
-        y: Their classes.
-        at: Inputs to classify.
+        cfg: Settings of the network and its training.
+        x: Training inputs, `(n, d)`.
+        y: Classes of the training inputs, `(n,)`.
+        at: Inputs to classify, `(m, d)`.
         classes: Number of classes.
-        seed: Of the training.
+        seed: Seed of the training.
+        capacity_step: Training sets are padded to multiples of this number of rows.
 
     Returns:
-        Log probabilities, the mean over the ensemble's members.
+        Log probabilities `(m, classes)` of the mean over the ensemble's members.
+
+    Raises:
+        ValueError: The probabilities are not finite.
     """
     n, d = x.shape
     mean, std = x.mean(0), x.std(0)
     std = np.where(std > 0, std, 1)
-    capacity = -(-n // CAPACITY_ROWS) * CAPACITY_ROWS
+    capacity = -(-n // capacity_step) * capacity_step
     rows, labels = np.zeros((capacity, d)), np.zeros(capacity, np.int32)
     rows[:n], labels[:n] = (x - mean) / std, y
-    known = TrainingSet(jnp.float32(rows), jnp.asarray(labels), jnp.int32(n))
+    train = TrainingSet(jnp.float32(rows), jnp.asarray(labels), jnp.int32(n))
     keys = [jax.random.fold_in(jax.random.key(seed), i) for i in range(cfg.members)]
-    log_p = [_log_probability(_train(key, known, cfg, classes), jnp.float32((at - mean) / std)) for key in keys]
+    log_p = [_log_probability(_train(key, train, cfg, classes), jnp.float32((at - mean) / std)) for key in keys]
     mean_p = np.asarray(jax.nn.logsumexp(jnp.stack(log_p), axis=0) - np.log(cfg.members))
     if not np.isfinite(mean_p).all():
         raise ValueError(
@@ -265,13 +262,13 @@ def classify(
 
 
 @partial(jax.jit, static_argnames=("cfg", "classes"))
-def _train(key: Key[Array, ""], known: TrainingSet, cfg: Classifier, classes: int) -> Layers:
+def _train(key: Key[Array, ""], train: TrainingSet, cfg: Classifier, classes: int) -> Layers:
     def draw(key: Key[Array, ""]) -> tuple[Array, Array]:
-        key_rows, _ = jax.random.split(key)  # one more than is used: the draws of a seed stay
-        rows = jax.random.randint(key_rows, (cfg.batch,), 0, known.n)
-        return known.x[rows], known.y[rows]
+        key_rows, _ = jax.random.split(key)  # keeps the random numbers of a seed
+        rows = jax.random.randint(key_rows, (cfg.batch,), 0, train.n)
+        return train.x[rows], train.y[rows]
 
-    return classifier.fit(key, draw, cfg, inputs=known.x.shape[1], classes=classes)
+    return classifier.fit(key, draw, cfg, inputs=train.x.shape[1], classes=classes)
 
 
 @jax.jit

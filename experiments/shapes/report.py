@@ -1,4 +1,4 @@
-"""Output of `experiments.shapes`: tables next to the paper's, confusion matrices, figures."""
+"""Output of `experiments.shapes`: tables with the paper's rates, confusion matrices and figures."""
 
 from pathlib import Path
 from typing import Any
@@ -17,16 +17,16 @@ PUBLISHED_RATES = {"T": 0.91, "circle": 0.90, "angle": 0.90, "triangle": 0.95, "
 def summarise(
     parts: list[dict[str, Any]], truth: list[np.ndarray], held: list[dict[str, np.ndarray]], names: tuple[str, ...]
 ) -> dict[str, Any]:
-    """Rates with intervals: Student's t over the folds of all pads (`held`), or over draws of presses for a new skin.
+    """Compute rates with intervals by Student's t over the folds of all pads (`held`), or over draws for a new skin.
 
-    Folds of one pad share presses to learn from, so that with few pads the intervals are a little too narrow.
+    Folds of one pad share training presses, so the intervals are slightly too narrow for few pads.
     """
     new = {
-        each: {
-            method: list(map(float, student_interval(np.concatenate([part["new"][each][method] for part in parts]))))
+        count: {
+            method: list(map(float, student_interval(np.concatenate([part["new"][count][method] for part in parts]))))
             for method in methods
         }
-        for each, methods in parts[0]["new"].items()
+        for count, methods in parts[0]["new"].items()
     }
     splits = {
         split: {
@@ -56,35 +56,38 @@ def _total(guesses: list[list[int]], truth: list[np.ndarray], held: list[np.ndar
     right = [np.asarray(g) == t for g, t in zip(guesses, truth, strict=True)]
     folds = [r[part == fold].mean() for r, part in zip(right, held, strict=True) for fold in np.unique(part)]
     total = student_interval(np.array(folds))
-    mean = float(np.concatenate(right).mean())  # folds are nearly of one size
+    mean = float(np.concatenate(right).mean())  # folds have nearly the same size
     return [mean, float(total.low), float(total.high)]
 
 
 def report(result: dict[str, Any]) -> None:
-    """The tables a person reads."""
+    """Print the tables."""
     kind = "" if result["source"] == "real" else f" ({source_phrase(result['source'])})"
     over = f"{len(result['pads'])} pads" if len(result["pads"]) > 1 else "one pad"
     names = result["shapes"]
     published = all(name in PUBLISHED_RATES for name in names)
-    print(f"\nrandom fifths held out{kind}, {over} [95 %]\n{'':30}" + "".join(f"{n:>10}" for n in (*names, "total")))
+    print(
+        f"\nrandom fifths held out{kind}, {over} [95 % interval]\n{'':30}"
+        + "".join(f"{n:>10}" for n in (*names, "total"))
+    )
     if published:
         print(f"{'paper, one real skin':30}" + "".join(f"{PUBLISHED_RATES[name]:10.2f}" for name in (*names, "total")))
     for method, scored in result["splits"]["random"].items():
-        each = "".join(f"{scored['by_shape'][name][0]:10.2f}" for name in names)
-        print(f"{method:30}{each}  {cell(scored['total'], ends=2)}")
+        by_shape = "".join(f"{scored['by_shape'][name][0]:10.2f}" for name in names)
+        print(f"{method:30}{by_shape}  {cell(scored['total'], ends=2)}")
     methods = [method for method in METHODS if method in result["splits"]["random"]]
     print(f"\nheld out{kind}{'':20}" + "".join(f"{method:>30}" for method in methods))
     for split, scored in result["splits"].items():
         print(f"{split:28}" + "".join(f"{cell(scored[method]['total'], ends=2):>30}" for method in methods))
-    for each, rates in result["new"].items():
-        print(f"\na new skin, {each} presses of each shape{kind}")
+    for count, rates in result["new"].items():
+        print(f"\na new skin, {count} presses of each shape{kind}")
         for method, value in rates.items():
             print(f"  {method:40}{cell(value, ends=2)}")
     print(f"{result['seconds']:.0f} s")
 
 
 def figures(out: Path, result: dict[str, Any]) -> None:
-    """Confusion matrices of the random split, and rates of all splits."""
+    """Draw confusion matrices of the random split, and rates of all splits."""
     simulated = holds_simulated(result["source"])
     matrices = {name: np.array(scored["confusion"]) for name, scored in result["splits"]["random"].items()}
     figure = viz.plot_confusions(matrices, result["shapes"], "Which stamp was it? A random fifth held out", simulated)
@@ -93,9 +96,9 @@ def figures(out: Path, result: dict[str, Any]) -> None:
         f"{split} out": {method: scored["total"] for method, scored in methods.items()}
         for split, methods in result["splits"].items()
     } | {
-        f"new skin, {each} of each": rates for each, rates in result["new"].items()
+        f"new skin, {count} of each": rates for count, rates in result["new"].items()
     }  # fmt: skip
     figure = viz.plot_rates(
-        rates, "Which stamp was it?", "share of right answers", 1 / len(result["shapes"]), simulated
+        rates, "Which stamp was it?", "share of correct answers", 1 / len(result["shapes"]), simulated
     )
     viz.save_figure(figure, out / "rates.png")

@@ -1,16 +1,16 @@
-"""Question: which of five stamps pressed the skin, also at new positions, travels and rotations and on new skins?
+"""Question: how often is a stamp recognised by touch, also at new positions, travels and rotations and on new skins?
 
-    python -m experiments.shapes                     three skins, simulated, 1280 presses each: some 15 minutes
-    python -m experiments.shapes --preset debug      a few presses, too few to mean anything
+    python -m experiments.shapes                     three simulated skins, 1280 presses each, in about 15 minutes
+    python -m experiments.shapes --preset debug      a few presses, too few for meaningful results
     python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
     python -m experiments.shapes --readings TABLE --label COLUMN [--ignore COLUMN ...] [--samples N]
-                                                     any table of readings with labels (docs/shapes.md)
+                                                     any table of labelled readings (docs/shapes.md)
 
-The skin is held still; a stamp comes down at any position and rotation until it bears 1 to 3 N. Every split is
-five-fold: a fifth of the presses is held out, drawn at random or as squares of positions, fifths of the travel or
-sectors of the rotation, and every press is tested once. Leave-pad-out tests on a skin that only 0, 5 or 20 presses of
-each shape are known of. The paper's classifier reached 0.92 on a random fifth. Results go to --out: metrics.json,
-config.json, figures, and the presses (data.h5).
+The skin is fixed, and a stamp is pressed on it with 1 to 3 N at any position and rotation. Every split is five-fold: a
+fifth of the presses is held out, at random or by squares of positions, fifths of the travel or sectors of the rotation,
+and every press is tested once. The test on a new skin uses 0, 5 or 20 training presses of each shape on that skin. The
+paper's classifier reached 0.92 on a random fifth. Results go to --out: metrics.json, config.json, figures, and the
+presses (data.h5).
 """
 
 import time
@@ -49,29 +49,26 @@ from i2t.runtime.progress import progress
 from i2t.skin.elasticity import Grid
 from i2t.skin.pad import pad_from_seed
 
-MIN_PRESSES_PER_SHAPE = 10
-
 
 @dataclass(frozen=True)
 class ShapeExperiment:
     """Settings of `python -m experiments.shapes`."""
 
     pads: tuple[int, ...] = (0, 1, 2)  # numbers of the simulated skins
-    presses: int = 1280  # on each, the paper's
+    presses: int = 1280  # on each pad, as in the paper
     pressing: StampPressConfig = field(default_factory=StampPressConfig)
     methods: Methods = field(default_factory=Methods)
-    presses_per_shape: tuple[int, ...] = (5, 20)  # that are known of a new skin
-    draws: int = 5  # of those presses
+    presses_per_shape: tuple[int, ...] = (5, 20)  # training presses on a new skin
+    draws: int = 5  # random choices of these presses
 
 
-_COARSE = Grid(20, 32)
 PRESETS: dict[str, ShapeExperiment] = {
     "paper": ShapeExperiment(),
     "debug": ShapeExperiment(
         pads=(0, 1),
         presses=50,
-        pressing=StampPressConfig(grid=_COARSE, friction=False, touches_per_session=25),
-        methods=Methods(Classifier((16, 10), 40), Classifier((16, 10), 40), layers=1, grid=_COARSE),
+        pressing=StampPressConfig(grid=Grid(20, 32), friction=False, touches_per_session=25),
+        methods=Methods(Classifier((16, 10), 40), Classifier((16, 10), 40), layers=1, grid=Grid(20, 32)),
         presses_per_shape=(2,),
         draws=1,
     ),
@@ -79,19 +76,19 @@ PRESETS: dict[str, ShapeExperiment] = {
 
 
 class ShapePresses(NamedTuple):
-    """The presses of all pads, and what every method is tested on."""
+    """The presses on all pads, with the folds of every split."""
 
     dataset: Dataset
-    names: tuple[str, ...]  # of the shapes
+    names: tuple[str, ...]  # names of the shapes
     pads: list[StampPresses]
-    held: list[dict[str, np.ndarray]]  # of each pad and split: in which fold each press is tested
+    held: list[dict[str, np.ndarray]]  # test fold of each press, by pad and split
 
 
 def run(args: ShapesArgs) -> dict[str, Any]:
-    """The experiment: presses, then pad by pad the splits and new skins."""
+    """Run all splits and the tests on new skins, pad by pad, and report the rates."""
     cfg = choose_preset(PRESETS, args.preset)
     if args.readings:
-        from experiments.shapes import readings  # needs scikit-learn, as nothing else here does
+        from experiments.shapes import readings  # the only module here that needs scikit-learn
 
         return readings.run(args, cfg.methods)
     begin(args, cfg)
@@ -110,8 +107,8 @@ def run(args: ShapesArgs) -> dict[str, Any]:
         "seed": args.seed,
         "shapes": list(names),
         "pads": list(dataset.pads),
-        "presses": [len(each.shape) for each in presses.pads],
-        **report.summarise(parts, [each.shape for each in presses.pads], presses.held, names),
+        "presses": [len(pad.shape) for pad in presses.pads],
+        **report.summarise(parts, [pad.shape for pad in presses.pads], presses.held, names),
         "seconds": round(time.perf_counter() - started, 1),
     }
     report.figures(args.out, result)
@@ -121,33 +118,33 @@ def run(args: ShapesArgs) -> dict[str, Any]:
 
 
 def prepare(args: ShapesArgs, cfg: ShapeExperiment) -> ShapePresses:
-    """The presses that were recorded, or simulated ones."""
+    """Load recorded presses, or simulate them, and split them into folds (DataError: there are too few)."""
     dataset = data.load_dataset(args.dataset) if args.dataset else simulated(cfg, args.seed, args.out / "data.h5")
     names = shapes_of(dataset)
     pads = [presses_on(dataset, pad) for pad in range(len(dataset.pads))]
     for name, presses in zip(dataset.pads, pads, strict=True):
-        if len(presses.shape) < MIN_PRESSES_PER_SHAPE * len(names):
+        if len(presses.shape) < 10 * len(names):
             raise DataError(
-                f"pad {name!r} has {len(presses.shape)} presses of {len(names)} shapes; ten of each at least are needed"
+                f"pad {name!r} has {len(presses.shape)} presses of {len(names)} shapes; at least ten of each are needed"
             )
     folds = [{split: split_folds(presses, split, args.seed) for split in SPLITS} for presses in pads]
-    held = [{split: fold for split, fold in each.items() if fold is not None} for each in folds]
+    held = [{split: fold for split, fold in of_pad.items() if fold is not None} for of_pad in folds]
     return ShapePresses(dataset, names, pads, held)
 
 
 def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:
-    """The embedded default, kept in `path` for a resumed run."""
+    """Load the simulated presses in `path`, or simulate them if the file does not exist."""
     if path.exists():
         return data.load_dataset(path)
     with progress(total=cfg.presses * len(cfg.pads), desc="pressing stamps", unit="press") as bar:
         pads = [pad_from_seed(number) for number in cfg.pads]
-        made = press_stamps(jax.random.key(seed), pads, cfg.presses, cfg.pressing, bar.update)
-    data.save_dataset(path, made)
-    return made
+        presses = press_stamps(jax.random.key(seed), pads, cfg.presses, cfg.pressing, bar.update)
+    data.save_dataset(path, presses)
+    return presses
 
 
 def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) -> Part:
-    """Guesses of all methods on one pad, split by split, and their scores where it is a new skin."""
+    """Classify the presses on one pad with all methods in every split, and score them on the pad as a new skin."""
     own, others = presses.pads[pad], presses.pads[:pad] + presses.pads[pad + 1 :]
     classes = len(presses.names)
     benchmark = StampClassificationBenchmark(own, presses.dataset.board, presses.names, cfg.methods, seed)
@@ -155,19 +152,19 @@ def make_part(presses: ShapePresses, pad: int, cfg: ShapeExperiment, seed: int) 
         split: {method: benchmark.guesses(method, part).tolist() for method in benchmark.methods()}
         for split, part in presses.held[pad].items()
     }
-    new: dict[str, Any] = {}  # by how many presses of each shape are known of the skin
+    new: dict[str, Any] = {}  # by number of training presses of each shape on the skin
     if others:
         y, new["0"] = np.concatenate([o.shape for o in others]), {}
-        for method in (each for each in (PAPER, POSED) if each in benchmark.methods()):
+        for method in (PAPER, POSED) if own.located else (PAPER,):
             x, network = np.concatenate([o.inputs(method) for o in others]), cfg.methods.network(method)
             guess = classify(network, x, y, own.inputs(method), classes=classes, seed=seed).argmax(1)
             new["0"][f"{method}, other skins"] = [float(np.mean(guess == own.shape))]
-    for each in cfg.presses_per_shape:
-        new[str(each)] = {method: [] for method in benchmark.methods()}
+    for count in cfg.presses_per_shape:
+        new[str(count)] = {method: [] for method in benchmark.methods()}
         for draw in range(cfg.draws):
-            train = rows_per_shape(own, each, seed + draw)
+            train = rows_per_shape(own, count, seed + draw)
             test = np.setdiff1d(np.arange(len(own.shape)), train)
-            for method, rates in new[str(each)].items():
+            for method, rates in new[str(count)].items():
                 guess = benchmark.log_probability(method, train, test, seed + draw).argmax(1)
                 rates.append(float(np.mean(guess == own.shape[test])))
     return {"splits": splits, "new": new}

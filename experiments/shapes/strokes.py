@@ -1,77 +1,72 @@
-"""Recognition of strokes, touches that move over the skin while it is sampled, by the path of the contact.
+"""Recognition of strokes, which move over the skin during a series of samples, by the path of the contact.
 
-What a stroke is told by shall not depend on the field around it, on how hard or how quickly it was made:
+The features do not depend on the ambient field, and little on the force and speed of a stroke:
 
-  ambient        median of the stroke's own samples, channel by channel: right while a channel rests half of the time
-  saturation     v = b / (|b| + a) of the change b: its direction says where the contact is, its size how hard; a is a
-                 share of the root mean square of |b| over the training strokes
+  ambient        median of the stroke's own samples in each channel, valid if a channel rests half of the time
+  saturation     v = b / (|b| + a) of the change b, whose direction depends on the position of the contact and whose
+                 size depends on the force; a is a share of the root mean square of |b| over the training strokes
   time warping   squared distances of samples, summed along the best monotone alignment of two strokes (dynamic time
                  warping; Sakoe and Chiba, IEEE Transactions on Acoustics, Speech and Signal Processing 26, 1978)
-  classifier     multinomial logistic regression on the features of the kernel exp(-distance / median) (Nyström's, of
-                 at most `MAX_LANDMARKS` training strokes; Williams and Seeger, NeurIPS 2000)
-  augmentation   training strokes also weaker, stronger, and cut at either end, as windows cut them
+  classifier     multinomial logistic regression on features of the kernel exp(-distance / median), by Nyström's method
+                 with training strokes as landmarks (Williams and Seeger, NeurIPS 2000)
+  augmentation   weaker and stronger copies of training strokes, and copies that are cut at either end
 
-The path is v in the plane in which it varies most: the contact's position up to an unknown smooth map, because where a
-skin reads what is not known without its chips and magnets.
+The path is v in the plane of its greatest variance: the contact's position up to a smooth map, which is unknown without
+the positions of chips and magnets.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 from sklearn.linear_model import LogisticRegression
 
-MAX_LANDMARKS = 300
-GAINS = (0.6, 1.6)  # of training strokes made weaker and stronger
-CUT = 0.2  # share of a window by which training strokes are moved out of it
-PATH_POINTS = 24  # of a resampled path
-QUIET_SHARE = 0.2  # of a stroke's samples, the quietest: a stroke rests for half of its window
-PLANE = 2
-MIN_EIGENVALUE = 1e-6  # of the landmarks' kernel: less is rounding
-MIN_NORM = 1e-9  # of readings that never change
+MIN_NORM = 1e-9  # minimum divisor, for readings that never change
 
 
 class StrokeSettings(NamedTuple):
-    """What validation chooses."""
+    """Settings that are chosen on validation strokes."""
 
-    saturation: float  # a, as a share of the changes' root mean square
+    saturation: float  # a as a share of the changes' root mean square
     penalty: float  # C of the logistic regression
 
 
 def less_ambient(strokes: Float[np.ndarray, "n t d"]) -> Float[np.ndarray, "n t d"]:
-    """Changes of the reading: strokes without each one's own ambient field.
+    """Subtract each stroke's own ambient field.
 
     Args:
         strokes: Readings over time.
 
     Returns:
-        The same less `ambient`.
+        Changes of the reading, `(n, t, d)`.
     """
     return strokes - ambient(strokes)[:, None]
 
 
 def ambient(strokes: Float[np.ndarray, "n t d"]) -> Float[np.ndarray, "n d"]:
-    """Reading of the skin at rest around each stroke, from its own samples.
+    """Estimate the reading at rest from each stroke's own samples.
 
     Args:
         strokes: Readings over time.
 
     Returns:
-        The median over time.
+        The median over time, `(n, d)`.
     """
     return np.median(strokes, axis=1)
 
 
-def quietest(strokes: Float[np.ndarray, "n t d"]) -> Float[np.ndarray, "n q d"]:
-    """Samples of each stroke in which nothing is felt, or next to nothing.
+def quietest(strokes: Float[np.ndarray, "n t d"], share: float = 0.2) -> Float[np.ndarray, "n q d"]:
+    """Select the samples of each stroke with little or no contact.
 
     Args:
         strokes: Readings over time.
+        share: Share of the samples to select. A stroke rests for half of its samples.
 
     Returns:
-        The q samples nearest to the stroke's `ambient`, at least two, in order of time.
+        The q samples nearest to the stroke's `ambient`, at least two, in chronological order.
     """
-    count = max(round(QUIET_SHARE * strokes.shape[1]), 2)
+    count = max(round(share * strokes.shape[1]), 2)
     size = np.linalg.norm(less_ambient(strokes), axis=-1)
     rows = np.sort(np.argsort(size, axis=1, kind="stable")[:, :count], axis=1)
     return np.take_along_axis(strokes, rows[:, :, None], axis=1)
@@ -80,34 +75,34 @@ def quietest(strokes: Float[np.ndarray, "n t d"]) -> Float[np.ndarray, "n q d"]:
 def saturated(
     changes: Float[np.ndarray, "v n t d"], train: Int[np.ndarray, " m"], share: float
 ) -> Float[np.ndarray, "v n t d"]:
-    """Directions of the changes, shorter where these are small.
+    """Compute the directions of the changes, with shorter vectors for small changes.
 
     Args:
-        changes: As of `varied`.
-        train: Rows from which the scale is taken, as they are.
-        share: `StrokeSettings.saturation`.
+        changes: Changes of strokes and their variations, from `varied`.
+        train: Rows of the training strokes, whose unvaried changes set the scale.
+        share: The setting `StrokeSettings.saturation`.
 
     Returns:
-        Vectors of length below 1.
+        Vectors of length below 1, `(v, n, t, d)`.
     """
     size = np.linalg.norm(changes, axis=-1, keepdims=True)
     return changes / (size + max(share * float(np.sqrt(np.mean(size[0, train] ** 2))), MIN_NORM))
 
 
 def warped_distances(a: Float[np.ndarray, "n t d"], b: Float[np.ndarray, "m t d"]) -> Float[np.ndarray, "n m"]:
-    """Distances of strokes after the best alignment of their times.
+    """Compute distances of strokes after the best alignment of their times.
 
     With costs c of pairs of samples and their row sums s, the recursion of a row is D_j = c_j + min(p_j, D_(j-1)),
-    where p is the lesser of its neighbours above; it unrolls to s_j + min over k <= j of (p_k - s_(k-1)).
+    where p is the lesser of the neighbours above; it unrolls to s_j + min over k <= j of (p_k - s_(k-1)).
 
     Args:
         a: Strokes.
-        b: Others.
+        b: Other strokes.
 
     Returns:
-        Sums of squared distances along each alignment.
+        Sums of squared distances along each alignment, `(n, m)`.
     """
-    found = np.empty((len(a), len(b)))
+    distances = np.empty((len(a), len(b)))
     squared = (a**2).sum(-1)
     for column, stroke in enumerate(b):
         cost = np.maximum(squared[:, :, None] + (stroke**2).sum(-1) - 2 * a @ stroke.T, 0)
@@ -116,79 +111,84 @@ def warped_distances(a: Float[np.ndarray, "n t d"], b: Float[np.ndarray, "m t d"
             above = np.minimum(reached, np.pad(reached[:, :-1], ((0, 0), (1, 0)), constant_values=np.inf))
             sums = np.cumsum(cost[:, row], axis=1)
             reached = sums + np.minimum.accumulate(above - (sums - cost[:, row]), axis=1)
-        found[:, column] = reached[:, -1]
-    return found
+        distances[:, column] = reached[:, -1]
+    return distances
 
 
-def varied(changes: Float[np.ndarray, "n t d"]) -> Float[np.ndarray, "v n t d"]:
-    """Strokes as they are, with other gains, and moved to either end of their windows until a part is cut off.
+def varied(
+    changes: Float[np.ndarray, "n t d"], *, gains: Sequence[float] = (0.6, 1.6), cut_share: float = 0.2
+) -> Float[np.ndarray, "v n t d"]:
+    """Vary strokes by gains, and by shifts that cut off a part at either end.
 
     Args:
-        changes: As of `less_ambient`: a skin at rest reads 0.
+        changes: Changes of the reading, from `less_ambient`.
+        gains: Factors of the weaker and stronger copies.
+        cut_share: Share of the samples that is cut off.
 
     Returns:
-        The same first, then its variations.
+        The unvaried strokes, then the variations, `(v, n, t, d)`.
     """
-    cut = max(round(CUT * changes.shape[1]), 1)
+    cut = max(round(cut_share * changes.shape[1]), 1)
     late, early = (np.pad(changes, ((0, 0), pad, (0, 0))) for pad in ((cut, 0), (0, cut)))
-    return np.stack([changes, *(gain * changes for gain in GAINS), late[:, :-cut], early[:, cut:]])
+    return np.stack([changes, *(gain * changes for gain in gains), late[:, :-cut], early[:, cut:]])
 
 
-def choose_landmarks(train: Int[np.ndarray, " k"]) -> Int[np.ndarray, " m"]:
-    """At most `MAX_LANDMARKS` of the training rows, evenly over them.
+def choose_landmarks(train: Int[np.ndarray, " k"], most: int = 300) -> Int[np.ndarray, " m"]:
+    """Choose evenly spaced training rows as landmarks.
 
     Args:
-        train: Rows.
+        train: Training rows.
+        most: Maximum number of landmarks.
 
     Returns:
-        Some of them.
+        The chosen rows, `(m,)`.
     """
-    return train[np.unique(np.linspace(0, len(train) - 1, min(len(train), MAX_LANDMARKS)).round().astype(int))]
+    return train[np.unique(np.linspace(0, len(train) - 1, min(len(train), most)).round().astype(int))]
 
 
 class StrokeKernel(NamedTuple):
-    """Distances from which strokes are classified."""
+    """Distances by which strokes are classified."""
 
-    distances: Float[np.ndarray, "v n m"]  # of all strokes and their variations to the landmarks
-    landmarks: Int[np.ndarray, " m"]  # rows
+    distances: Float[np.ndarray, "v n m"]  # from all strokes and their variations to the landmarks
+    landmarks: Int[np.ndarray, " m"]  # rows of the landmarks
 
 
 def stroke_kernel(vectors: Float[np.ndarray, "v n t d"], landmarks: Int[np.ndarray, " m"]) -> StrokeKernel:
-    """Distances of strokes and their variations to landmarks.
+    """Compute the distances of strokes and their variations to landmarks.
 
     Args:
-        vectors: As of `saturated`, of `varied` strokes.
-        landmarks: Rows.
+        vectors: Saturated vectors of varied strokes.
+        landmarks: Rows of the landmarks.
 
     Returns:
-        The distances.
+        The distances with the landmarks.
     """
     flat = vectors.reshape(-1, *vectors.shape[2:])
-    found = warped_distances(flat, vectors[0, landmarks])
-    return StrokeKernel(found.reshape(*vectors.shape[:2], -1), landmarks)
+    distances = warped_distances(flat, vectors[0, landmarks])
+    return StrokeKernel(distances.reshape(*vectors.shape[:2], -1), landmarks)
 
 
 def classify(
     kernel: StrokeKernel, label: Int[np.ndarray, " n"], train: Int[np.ndarray, " k"], test: Int[np.ndarray, " q"],
     penalty: float,
 ) -> Float[np.ndarray, "q classes"]:  # fmt: skip
-    """Probabilities of every label, by logistic regression on kernel features.
+    """Predict the labels of strokes by logistic regression on kernel features.
 
     Args:
-        kernel: Of all strokes.
-        label: Of all rows; every label is among those of `train`.
-        train: Rows to learn from, with their variations; landmarks that are none of them are left out.
+        kernel: Distances of all strokes.
+        label: Label of each row. The training rows have all labels.
+        train: Training rows, which are used with their variations. Other landmarks are left out.
         test: Rows to classify.
         penalty: C of the logistic regression.
 
     Returns:
-        Probabilities.
+        Probabilities of the labels, `(q, classes)`.
     """
     kept = np.isin(kernel.landmarks, train)
     distances, landmarks = kernel.distances[:, :, kept], kernel.landmarks[kept]
     similar = np.exp(-distances / max(float(np.median(distances[0, train])), MIN_NORM))
     values, vectors = np.linalg.eigh(similar[0, landmarks])
-    good = values > MIN_EIGENVALUE
+    good = values > 1e-6  # smaller eigenvalues are rounding errors
     features = similar @ (vectors[:, good] / np.sqrt(values[good]))
     learned = features[:, train].reshape(-1, features.shape[-1])
     fitted = LogisticRegression(C=penalty, max_iter=1000).fit(learned, np.tile(label[train], len(features)))
@@ -199,36 +199,37 @@ def classify(
 
 
 def plane_paths(vectors: Float[np.ndarray, "v n t d"], train: Int[np.ndarray, " m"]) -> Float[np.ndarray, "v n t p"]:
-    """Paths of strokes in the plane in which the training strokes vary most.
+    """Project strokes to the plane of the greatest variance of the training strokes.
 
     Args:
-        vectors: As of `saturated`.
-        train: Rows from which the plane is taken.
+        vectors: Saturated vectors.
+        train: Training rows.
 
     Returns:
-        Two coordinates of every sample, without unit; one where a sample has one value.
+        Two coordinates of every sample, `(v, n, t, 2)`, without unit, or one if a sample has one value.
     """
     axes = np.linalg.svd(vectors[0, train].reshape(-1, vectors.shape[-1]), full_matrices=False)[2]
-    return vectors @ axes[:PLANE].T
+    return vectors @ axes[:2].T
 
 
 def mean_paths(
-    paths: Float[np.ndarray, "n t p"], label: Int[np.ndarray, " n"], classes: int
+    paths: Float[np.ndarray, "n t p"], label: Int[np.ndarray, " n"], classes: int, points: int = 24
 ) -> Float[np.ndarray, "classes k p"]:
-    """Mean path of every label, each resampled at equal steps of its length.
+    """Average the paths of every label after resampling them at equal steps of their length.
 
     Args:
-        paths: Of strokes.
-        label: Of each.
+        paths: Paths of strokes.
+        label: Label of each stroke.
         classes: Number of labels.
+        points: Number of points of a resampled path.
 
     Returns:
-        `PATH_POINTS` points of each label.
+        The mean path of each label, `(classes, points, p)`.
     """
     steps = np.linalg.norm(np.diff(paths, axis=1), axis=-1)
     length = np.concatenate([np.zeros((len(paths), 1)), np.cumsum(steps, axis=1)], axis=1)
     even = [
-        np.stack([np.interp(np.linspace(0, s[-1], PATH_POINTS), s, x) for x in path.T], -1)
+        np.stack([np.interp(np.linspace(0, s[-1], points), s, x) for x in path.T], -1)
         for s, path in zip(length, paths, strict=True)
     ]
     return np.stack([np.mean(np.array(even)[label == i], axis=0) for i in range(classes)])

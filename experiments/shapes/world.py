@@ -1,16 +1,16 @@
-"""Stamps pressed on a skin that is held still: the paper's stamp experiment, simulated.
+"""Simulation of the paper's stamp experiment, in which stamps are pressed on a fixed skin.
 
-A press draws a position of the stamp's centre on the skin, a rotation about the skin's normal and a force; the stamp
-comes down along the normal until it bears that force. What goes wrong is what goes wrong in `i2t.simulation.touches`:
-the arm misses the position by its repeatability, the stamp's face is not quite level, the motion slants (so that
-friction drags the skin), force and travel are measured with errors, and the skin is read by a noisy board with faults.
+Each press has a random position of the stamp's centre on the skin, a random rotation about the skin's normal and a
+random force. The stamp moves along the normal until it reaches that force. Errors are those of
+`i2t.simulation.touches`: limited repeatability of the arm, a slight tilt of the stamp, a slanted motion (so that
+friction drags the skin), errors of measured force and travel, and a noisy board with faults.
 
-The skin's tool frame T is the world's, and the object O is the stamp, as in recordings of a probe on a fixed skin
-(`i2t.convert.eflesh`): `T_w_t` is the identity and `T_w_o` the stamp's believed pose, so that position and rotation are
-the arm's own measurements. The patch is the stamp as its drawing says it lies there; no camera looks.
+The skin's tool frame T is the world frame, and the object O is the stamp, as in recordings of a probe on a fixed skin
+(`i2t.convert.eflesh`): `T_w_t` is the identity and `T_w_o` the nominal pose of the stamp, so position and rotation are
+measurements of the arm. The patch is computed from the stamp's drawing at that pose, without a camera.
 
-A stamp has one flat face, parallel to its base. So what a skin meets is a plane inside an outline and nothing that it
-can reach outside, and needs no renderer: `heights` asks which cells see the face.
+A stamp has one flat face, parallel to its base. Its surface is therefore a plane inside an outline, with nothing within
+reach outside, and `heights` computes it without a renderer.
 """
 
 import math
@@ -38,31 +38,30 @@ from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 
 PREFIX = "stamp-"  # of the stamps' names in the catalogue
 SHAPES = tuple(name.removeprefix(PREFIX) for name in catalogue.STAMPS)
-MAX_POSITION_M = 2.9e-3  # from the skin's middle along x and y: at any rotation the whole face is on it
-FORCES_N = (1.0, 3.0)  # the paper's range
+MAX_POSITION_M = 2.9e-3  # from the skin's centre along x and y, so that the whole face is on it at any rotation
 ERRORS = simulation.SimulationErrors()
-PRESSES_AT_ONCE = 16
 
 
 class Stamp(NamedTuple):
-    """A flat-faced object, in its own frame: z points out of the face."""
+    """A stamp with a flat face in its own frame, whose z points out of the face."""
 
     face: Float[Array, "k 3 2"]  # m, triangles that tile the face
     top: Float[Array, ""]  # m, height of the face
-    base: Float[Array, ""]  # m, height of what lies around it
+    base: Float[Array, ""]  # m, height of the base around the face
 
 
 @dataclass(frozen=True)
 class StampPressConfig:
     """Settings of the presses of the stamps."""
 
-    grid: Grid = FINE_GRID  # sharp edges
+    grid: Grid = FINE_GRID  # fine, because of the sharp edges
     friction: bool = True
-    touches_per_session: int = 64  # over which the sensor warms, wears and drifts
+    forces: tuple[float, float] = (1.0, 3.0)  # N, as in the paper
+    touches_per_session: int = 64  # during which the sensor warms, wears and drifts
 
 
 def stamps(names: Sequence[str] = SHAPES) -> Stamp:
-    """The catalogue's stamps, stacked; ValueError for any other name."""
+    """Stack stamps of the catalogue (ValueError: it has no stamp of a name)."""
     unknown = [name for name in names if name not in SHAPES]
     if unknown:
         raise ValueError(f"no stamp is called {', '.join(unknown)}; the catalogue has {', '.join(SHAPES)}")
@@ -82,8 +81,8 @@ def stamps(names: Sequence[str] = SHAPES) -> Stamp:
 
 
 def pose(position: Float[Array, "2"], rotation: Float[Array, ""], stamp: Stamp) -> Float[Array, "4 4"]:
-    """T_t_o of a stamp whose face lies on the skin about `position` (m), at `rotation` (rad) about the normal: its z
-    points into the skin, and at rotation 0 its x is the skin's.
+    """Compute T_t_o of a stamp whose face is centred at `position` (m) on the skin, at `rotation` (rad) about the
+    normal. Its z points into the skin, and at rotation 0 its x is that of the skin.
     """
     c, s = jnp.cos(rotation), jnp.sin(rotation)
     matrix = jnp.stack([c, s, jnp.zeros(()), s, -c, jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), -jnp.ones(())])
@@ -94,11 +93,11 @@ def pose(position: Float[Array, "2"], rotation: Float[Array, ""], stamp: Stamp) 
 def heights(
     stamp: Stamp, T_t_o: Float[Array, "4 4"], window: float, cells: int
 ) -> tuple[Float[Array, "n n"], Float[Array, "n n"]]:
-    """Along tool z (m), at the cells' centres: the stamp's face, +inf next to it; and its base, +inf next to that."""
+    """Compute the heights along tool z (m) of the stamp's face and of its base at the cells' centres; +inf outside."""
     at = ((np.arange(cells) + 0.5) / cells - 0.5) * window
     x, y = jnp.meshgrid(jnp.float32(at), jnp.float32(at))
     normal, origin = T_t_o[:3, 2], T_t_o[:3, 3]
-    # z of the plane through the face: normal . (p - origin) = top.
+    # The plane of the face satisfies normal . (p - origin) = top.
     plane = origin[2] + (stamp.top - normal[0] * (x - origin[0]) - normal[1] * (y - origin[1])) / normal[2]
     points = jnp.stack([x, y, plane], -1) - origin[None, None]
     u, v = points @ T_t_o[:3, 0], points @ T_t_o[:3, 1]
@@ -111,10 +110,10 @@ def heights(
         flat = jnp.all(triangle == triangle[:1])
         return jnp.all(side >= 0, axis=0) & ~flat
 
-    met = jnp.any(jax.vmap(inside)(stamp.face), axis=0)
+    on_face = jnp.any(jax.vmap(inside)(stamp.face), axis=0)
     edge = solids.STAMP_BASE_MM[0] / solids.MM_PER_M / 2
     over = (jnp.abs(u) <= edge) & (jnp.abs(v) <= edge)
-    return jnp.where(met, plane, jnp.inf), jnp.where(over, plane - (stamp.top - stamp.base) / normal[2], jnp.inf)
+    return jnp.where(on_face, plane, jnp.inf), jnp.where(over, plane - (stamp.top - stamp.base) / normal[2], jnp.inf)
 
 
 @geometry.full_precision
@@ -122,29 +121,29 @@ def press_stamp(
     key: Key[Array, ""], stamp: Stamp, pad: Pad, position: Float[Array, "2"], rotation: Float[Array, ""],
     force: Float[Array, ""], cfg: StampPressConfig,
 ) -> Touches:  # fmt: skip
-    """One press; the reading is still that of an ideal sensor, and indices are left 0 (see `read_session`)."""
+    """Simulate one press with the reading of an ideal sensor and indices of 0 (see `read_session`)."""
     key_arm, key_tilt, key_scalars = jax.random.split(key, 3)
     force_error, travel_error, *slant = jax.random.normal(key_scalars, (4,))
-    believed = pose(position, rotation, stamp)
-    level = jnp.eye(4).at[2, 3].set(stamp.top)  # the face, about whose middle it tilts
+    nominal = pose(position, rotation, stamp)
+    level = jnp.eye(4).at[2, 3].set(stamp.top)  # the stamp tilts about the centre of its face
     missed = geometry.random_motion(key_arm, ERRORS.repeatability, 0.0)
     tilted = level @ geometry.random_motion(key_tilt, 0.0, ERRORS.approach_angle) @ geometry.inverse(level)
-    T_t_o = believed @ missed @ tilted
+    T_t_o = nominal @ missed @ tilted
 
-    met = heights(stamp, T_t_o, PAD_WINDOW, cfg.grid.cells)[0]
-    met = jnp.minimum(met - jnp.min(met), MAX_HEIGHT_M)
-    pressed = press_force(pad, met, force, cfg.grid)
+    surface = heights(stamp, T_t_o, PAD_WINDOW, cfg.grid.cells)[0]
+    surface = jnp.minimum(surface - jnp.min(surface), MAX_HEIGHT_M)
+    pressed = press_force(pad, surface, force, cfg.grid)
     reading = pressed.reading
     if cfg.friction:
         slide = ERRORS.slant * pressed.indentation * jnp.stack(slant)
-        # Every other cell: friction's part is small, and four times as quick.
+        # Every other cell suffices for the small effect of friction, and takes a quarter of the time.
         step = max(cfg.grid.cells // GRID.cells, 1)
         coarse = GRID if step > 1 else cfg.grid
-        reading = reading + friction_response(pad, met[::step, ::step], pressed.indentation, slide, grid=coarse)
+        reading = reading + friction_response(pad, surface[::step, ::step], pressed.indentation, slide, grid=coarse)
 
     travel = pressed.indentation + force / ARM_STIFFNESS_N_PER_M
     deep = jnp.eye(4).at[2, 3].set(-pressed.indentation)
-    seen, z = (_view_heights(stamp, deep @ T) for T in (believed, T_t_o))
+    seen, z = (_view_heights(stamp, deep @ T) for T in (nominal, T_t_o))
     view = view_of_heights(seen)
     true_nearest = jnp.min(z)
     zero = jnp.int32(0)
@@ -156,7 +155,7 @@ def press_stamp(
         force=force + ERRORS.force * force_error,
         travel=travel + ERRORS.repeatability * travel_error,
         T_w_t=jnp.eye(4),
-        T_w_o=deep @ believed,
+        T_w_o=deep @ nominal,
         object=zero,
         pad=zero,
         session=zero,
@@ -166,7 +165,7 @@ def press_stamp(
 
 
 def _view_heights(stamp: Stamp, T_t_o: Array) -> Array:
-    """Tool z (m) of what a view shows."""
+    """Compute tool z (m) of the stamp in a view."""
     return jnp.minimum(*heights(stamp, T_t_o, VIEW_WINDOW, VIEW_PIXELS))
 
 
@@ -180,19 +179,19 @@ def press_session(
     *,
     presses_before: Int[Array, ""] | int = 0,
 ) -> Touches:
-    """A session: one press each of the stamps `which`, at random positions, rotations and forces, by a real sensor."""
+    """Simulate a session of one press of each stamp in `which`, with the errors of a real sensor."""
     n = len(which)
     key_position, key_rotation, key_force, key_touch, key_skin = jax.random.split(key, 5)
     positions = jax.random.uniform(key_position, (n, 2), minval=-MAX_POSITION_M, maxval=MAX_POSITION_M)
     rotations = jax.random.uniform(key_rotation, (n,), maxval=2 * math.pi)
-    forces = jax.random.uniform(key_force, (n,), minval=FORCES_N[0], maxval=FORCES_N[1])
+    forces = jax.random.uniform(key_force, (n,), minval=cfg.forces[0], maxval=cfg.forces[1])
 
-    def one(args: tuple) -> Touches:
+    def press_once(args: tuple) -> Touches:
         key, stamp, position, rotation, force = args
         return press_stamp(key, jax.tree.map(lambda leaf: leaf[stamp], drawn), pad, position, rotation, force, cfg)
 
     touches = map_batches(
-        one, (jax.random.split(key_touch, n), which, positions, rotations, forces), batch_size=PRESSES_AT_ONCE
+        press_once, (jax.random.split(key_touch, n), which, positions, rotations, forces), batch_size=16
     )
     read = simulation.read_session(key_skin, touches.reading, touches.T_w_t, pad, ERRORS, presses_before=presses_before)
     return touches._replace(reading=read, object=which)
@@ -205,7 +204,7 @@ def press_stamps(
     cfg: StampPressConfig,
     progress: Callable[[int], None] = lambda n: None,
 ) -> Dataset:
-    """n presses on each pad, of all stamps in sessions, as a data set that says it is simulated."""
+    """Simulate n presses of all stamps on each pad, in sessions, as a data set that is marked as simulated."""
     drawn, rows = stamps(), cfg.touches_per_session
     parts, session = [], 0
     for number, pad in enumerate(pads):

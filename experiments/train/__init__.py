@@ -1,1 +1,1 @@
-"""The main experiment: predictors of readings on objects not seen in training."""
+"""The main experiment: prediction of readings on objects that were not used for training."""

@@ -1,4 +1,4 @@
-"""The options of `python -m experiments.train`, without JAX, so that its help and its refusals are there at once."""
+"""Options of `python -m experiments.train`. This module has no slow imports."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,28 +14,29 @@ Registration = Literal["sessions", "camera"]
 
 @dataclass(frozen=True)
 class TrainArgs(ResumableOptions):
-    """Train a touch predictor and report how well it does on unseen objects (or unseen places)."""
+    """Train touch predictors, and score them on objects or places that were not used for training."""
 
-    out: Path = Path("runs/train")  # folder for everything that is made
+    out: Path = Path("runs/train")  # folder for the results
     preset: Literal["paper", "debug", "study"] = "paper"
-    dataset: Path | None = None  # a data set to train on instead of simulating one
-    skin_name: str | None = None  # with --dataset: of several skins that were read in each touch, the one to train on
-    objects: tuple[Path, ...] = ()  # mesh files of its objects that the catalogue does not have, for the pad model
-    unit: UnitName | None = None  # of those files
-    rig: Path | None = None  # with --dataset: of the lab; its object_covariance says how far poses may be off
-    # sessions: find the poses of object and camera in each session (needs the meshes of the objects); camera: find the
-    # offset of one camera from sessions on the training objects, and correct all views
+    dataset: Path | None = None  # data set to train on instead of simulated touches
+    skin_name: str | None = None  # with --dataset: skin to train on, if each touch has readings of several
+    objects: tuple[Path, ...] = ()  # with --dataset: mesh files of objects outside the catalogue, for the pad model
+    unit: UnitName | None = None  # unit of the mesh files
+    rig: Path | None = None  # with --dataset: description of the lab; object_covariance gives the pose errors
+    # sessions: estimate the poses of object and camera in each session, which needs the meshes of all objects; camera:
+    # estimate the offset of a single camera from sessions on the training objects, and correct all views
     registered: Registration | None = None
-    pad_model_of: Literal["train", "all"] = "train"  # touches of --dataset that the pad model is fitted to
-    split: Literal["auto", "object", "session", "block", "time"] = "auto"  # what is held out of --dataset
-    pad: Path | None = None  # a pad on disk (`i2t.skin.files`), say one fitted to a real skin, to simulate with
-    pads: tuple[Seed, ...] | None = None  # numbers of simulated pads, in place of the preset's
-    seeds: Count | None = None  # how many seeds, from --seed on; one unless given
-    methods: tuple[str, ...] | None = None  # in place of the preset's; the mean reading is always among them
-    method: tuple[str, ...] = ()  # of your own, beside those: my_package.module:Method
-    paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
-    epochs: Count | None = None  # of the networks, in place of the preset's
-    softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0  # of the skin; 4: E is a quarter of the nominal
+    pad_model_of: Literal["train", "all"] = "train"  # with --dataset: touches that the pad model is fitted to
+    split: Literal["auto", "object", "session", "block", "time"] = "auto"  # with --dataset: what is held out
+    pad: Path | None = None  # file of a pad to simulate with, such as one fitted to a real skin
+    pads: tuple[Seed, ...] | None = None  # numbers of the simulated pads, instead of the preset's
+    seeds: Count | None = None  # number of seeds, starting at --seed; by default that of the preset
+    methods: tuple[str, ...] | None = None  # methods instead of the preset's; the mean reading is always added
+    method: tuple[str, ...] = ()  # additional methods of your own, such as my_package.module:Method
+    paper: PaperOptions = field(default_factory=PaperOptions)  # options of the paper's network
+    epochs: Count | None = None  # epochs of the networks, instead of the preset's
+    # Softness of the skin; 4 means a quarter of the nominal Young's modulus.
+    softness: Annotated[float, Limits(0, 1000, above=True)] = 1.0
 
     @property
     def next_command(self) -> str:
@@ -45,11 +46,11 @@ class TrainArgs(ResumableOptions):
         return "" if self.skin_name else f"python -m experiments.fidelity --dataset {self.dataset}"
 
     def check(self) -> None:
-        """Refuse what does not go together, and files that are not there."""
+        """Refuse options that exclude each other, and files that do not exist (ValueError)."""
         if self.pads is not None and (self.pad or self.dataset):
-            raise ValueError("--pads are simulated pads by number; pass it without --pad and --dataset")
+            raise ValueError("--pads gives numbers of simulated pads; pass it without --pad and --dataset")
         if self.pad and self.dataset:
-            raise ValueError("--pad is for simulated touches, and --dataset brings its own; pass one of them")
+            raise ValueError("--pad simulates touches, and --dataset reads recorded ones; pass one of them")
         if self.objects and not self.dataset:
             raise ValueError("--objects are meshes of the objects in --dataset; pass both, or neither")
         require_with(f"--split {self.split}", self.split != "auto", "--dataset", self.dataset is not None)

@@ -1,4 +1,4 @@
-"""Named presets: frozen dataclasses that hold no arrays and say what an experiment does."""
+"""Settings and presets of the experiment, as frozen dataclasses without arrays."""
 
 import math
 from dataclasses import dataclass, field
@@ -10,37 +10,37 @@ from i2t.simulation.touches import PressLimits, SimulationErrors
 from i2t.skin.contact import FINE_GRID
 from i2t.training import TrainConfig
 
-WITH_FORCE = ("paper-mask-force", "paper-depth-force")  # of a study: what the measured force is worth to the paper
+FORCE_METHODS = ("paper-mask-force", "paper-depth-force")  # the paper's networks with the measured force, for studies
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """The simulated data set: which objects, how many touches of each, what goes wrong."""
+    """Objects, numbers of touches and errors of the simulated data set."""
 
-    train: tuple[str, ...] = ("hexagon", "parallelogram")  # the paper's
+    train: tuple[str, ...] = ("hexagon", "parallelogram")  # as in the paper
     validation: tuple[str, ...] = ("cutter",)
     test: tuple[str, ...] = ("star", "square", "flower", "cylinder", "screwdriver", "hammer")
-    judging: tuple[str, ...] = ()  # more objects to choose the method by, touched last, as often as a test object
-    touches: int = 1630  # the paper's, over all objects but these
-    train_share: float = 0.575  # of the touches, on the training objects: 13 runs of 36 each
-    touches_per_session: int = 36  # the paper's
-    same_camera: bool = False  # whether the camera was calibrated once for all sessions, and not in each
+    selection: tuple[str, ...] = ()  # more objects to choose the method by, touched last, as often as a test object
+    touches: int = 1630  # of all objects without those of `selection`, as in the paper
+    train_share: float = 0.575  # share of the touches on training objects: 13 sessions of 36 touches on each
+    touches_per_session: int = 36  # as in the paper
+    same_camera: bool = False  # whether one camera calibration holds for all sessions
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=lambda: PressLimits(final=FINE_GRID))
 
     @property
     def objects(self) -> tuple[str, ...]:
-        """All objects in the order in which they are touched, training objects first."""
-        return self.train + self.validation + self.test + self.judging
+        """Names of all objects in the order in which they are touched, training objects first."""
+        return self.train + self.validation + self.test + self.selection
 
     def counts(self) -> list[int]:
-        """Touches of each object; without those of `judging` they sum to `touches`."""
-        trained = round(self.touches * self.train_share)
-        others = _shares(self.touches - trained, len(self.validation + self.test))
-        return _shares(trained, len(self.train)) + others + others[:1] * len(self.judging)
+        """Compute the number of touches of each object. Without the objects of `selection` they sum to `touches`."""
+        training = round(self.touches * self.train_share)
+        others = _divide(self.touches - training, len(self.validation + self.test))
+        return _divide(training, len(self.train)) + others + others[:1] * len(self.selection)
 
 
-def _shares(total: int, parts: int) -> list[int]:
+def _divide(total: int, parts: int) -> list[int]:
     return [total // parts + (i < total % parts) for i in range(parts)]
 
 
@@ -49,16 +49,16 @@ class TrainExperiment:
     """Settings of `python -m experiments.train`."""
 
     simulation: Simulation = field(default_factory=Simulation)
-    methods: tuple[str, ...] = tuple(name for name in METHODS if name not in WITH_FORCE)
+    methods: tuple[str, ...] = tuple(name for name in METHODS if name not in FORCE_METHODS)
     training: TrainConfig = field(default_factory=lambda: TrainConfig(epochs=120))
     pads: tuple[int, ...] = (0,)  # seeds of the simulated pads
     seeds: int = 1
     split: str = "auto"  # what is held out of a recording: object, session, block or time
-    registered: Registration | None = None  # what touches of known objects correct before anything is learnt
-    softness: float = 1.0  # of the skin, in units of the nominal one's
-    paper: PaperOptions = field(default_factory=PaperOptions)  # of the paper's network
-    hidden_tilt: float = 0.4 * math.pi / 180  # rad, that a noisy view leaves open
-    block: float = 6e-3  # m, edge of a spatial block where presses on one object are split
+    registered: Registration | None = None  # how registration of known objects corrects the touches
+    softness: float = 1.0  # of the skin, relative to the nominal skin
+    paper: PaperOptions = field(default_factory=PaperOptions)  # options of the paper's network
+    hidden_tilt: float = 0.4 * math.pi / 180  # rad, uncertainty of the tilt in a noisy view
+    block: float = 6e-3  # m, edge of the spatial blocks in which presses on one object are held out
 
 
 PRESETS: dict[str, TrainExperiment] = {
@@ -73,15 +73,16 @@ PRESETS: dict[str, TrainExperiment] = {
             touches_per_session=12,
             limits=PressLimits(),
         ),
-        methods=tuple(name for name in METHODS if name not in (*WITH_FORCE, "paper-mask", "pressure-network")),
+        methods=tuple(name for name in METHODS if name not in (*FORCE_METHODS, "paper-mask", "pressure-network")),
         training=TrainConfig(epochs=12, batch_size=16),
     ),
     "study": TrainExperiment(
-        # 99 touches of one object are too few to choose a method by. Recognition validates on these four objects too.
-        simulation=Simulation(judging=("pentagon", "octagon", "marker", "pliers")),
+        # The 99 touches of one validation object are too few to choose a method. Recognition also validates on these
+        # four objects.
+        simulation=Simulation(selection=("pentagon", "octagon", "marker", "pliers")),
         methods=tuple(METHODS),
         pads=tuple(range(6)),
-        # All epochs, as the networks had that played the paper's episodes (docs/recognition.md).
+        # No early stopping, as for the networks of the paper's episodes (docs/recognition.md).
         training=TrainConfig(epochs=120, patience=120),
     ),
 }

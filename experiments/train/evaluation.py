@@ -1,8 +1,8 @@
-"""Scores of methods on touches that none was fitted to, and the choice of the predictor: the best on validation
-touches, baselines included.
+"""Scores of methods on held-out touches, and selection of the best predictor on validation touches, which may be a
+baseline.
 
-Validation touches are held out as test touches are, by whole objects, sessions, blocks of places or times, and how sure
-the choice is comes from resampling whole groups of them.
+Validation touches are held out like test touches: by whole objects, sessions, spatial blocks or times. The confidence
+in the selection comes from resampling whole groups of them.
 """
 
 from collections.abc import Mapping, Sequence
@@ -19,8 +19,6 @@ from i2t.prediction.metrics import score
 from i2t.prediction.predictor import Predictor, coverage, std_scale
 from i2t.prediction.touch_model import Reading
 
-LEVEL_R2 = 0.01  # a lead of less than this is none
-
 
 class Lead(NamedTuple):
     """Lead in R2 of one method over another on the same touches."""
@@ -31,28 +29,28 @@ class Lead(NamedTuple):
 
 
 class MethodChoice(NamedTuple):
-    """The method that is kept, and how sure that is."""
+    """The selected method and its lead over the baselines."""
 
     best: str
-    r2: dict[str, float]  # on validation touches, of every row; NaN where a method's prediction is not finite
+    r2: dict[str, float]  # of every method on validation touches; NaN if its predictions are not finite
     best_baseline: str
-    over_baseline: Lead  # of the best over the best baseline
+    over_baseline: Lead  # of the best method over the best baseline
     best_on_pressure: str | None
     pressure_over_baseline: Lead | None
 
     @property
     def pressure_loses(self) -> bool:
-        """Tell whether the best method on predicted pressure explains less than the best baseline, beyond chance or by
-        so much that chance is no excuse.
+        """Whether the best method on predicted pressure is worse than the best baseline: by more than 0.01 of R2 with
+        an interval below 0, or by more than 0.05.
         """
         lead = self.pressure_over_baseline
-        return lead is not None and lead.r2 < -LEVEL_R2 and (lead.high < 0 or lead.r2 < -5 * LEVEL_R2)
+        return lead is not None and (lead.r2 < -0.05 or (lead.r2 < -0.01 and lead.high < 0))
 
     def to_json(self) -> dict[str, Any]:
-        """The choice as numbers for metrics.json.
+        """Convert the choice for metrics.json.
 
         Returns:
-            Names and differences of R2 with their intervals.
+            Names of the methods, and differences of R2 with their intervals.
         """
         return {
             "best": self.best,
@@ -64,13 +62,13 @@ class MethodChoice(NamedTuple):
 
 
 class Evaluation(NamedTuple):
-    """Results of the methods on touches that none was fitted to."""
+    """Results of the methods on held-out touches."""
 
-    predicted: dict[str, np.ndarray]  # (test touches, 3 chips) uT, by method
-    std: dict[str, np.ndarray]  # likewise
-    choice: MethodChoice  # on validation touches
+    predicted: dict[str, np.ndarray]  # (test touches, 3 chips) uT, mean by method
+    std: dict[str, np.ndarray]  # (test touches, 3 chips) uT, standard deviation by method
+    choice: MethodChoice  # by validation touches
     coverage: dict[str, float]  # share of validation values in the 90 % range, by method
-    predictors: dict[str, Predictor]  # their standard deviations scaled on the validation touches
+    predictors: dict[str, Predictor]  # with standard deviations scaled on the validation touches
 
 
 def evaluate(
@@ -79,29 +77,29 @@ def evaluate(
     fitted: Mapping[str, Predictor],
     others: Mapping[str, Reading] | None = None,
 ) -> Evaluation:
-    """Scale the standard deviations on the validation touches, choose a predictor on these and those that only choose;
-    predict the test touches.
+    """Scale the standard deviations on the validation touches, select a predictor on the validation and selection
+    touches, and predict the test touches.
 
     Args:
         prepared: The touches and their split.
         methods: All methods.
         fitted: Predictors by the title of their method.
-        others: Readings of the touches that validate or test by what is no method: judged alike, never kept.
+        others: Other predictions of the held-out touches by title. They are scored like methods, but never selected.
 
     Returns:
-        Predictions of the test touches, and the choice among the methods.
+        Predictions of the test touches, and the selected method.
 
     Raises:
-        ValueError: A method predicts arrays of other shapes than the readings', or impossible standard deviations.
+        ValueError: A method predicts arrays of a wrong shape, or standard deviations that are negative or not finite.
     """
     split, readings = prepared.split, prepared.touches.dataset.touches.reading
-    judging = prepared.judging_rows
-    held_out = judging | split.test
-    tuning, testing, judged = split.validation[held_out], split.test[held_out], judging[held_out]
+    selection = prepared.selection_rows
+    held_out = selection | split.test
+    tuning, testing, selecting = split.validation[held_out], split.test[held_out], selection[held_out]
     truth = readings[split.validation]
-    asked = prepared.touches.batch(held_out)
+    batch = prepared.touches.batch(held_out)
     predicted, std, validated, covered, predictors = {}, {}, {}, {}, {}
-    readings_of = {name: predictor.predict_batch(asked) for name, predictor in fitted.items()} | dict(others or {})
+    readings_of = {name: predictor.predict_batch(batch) for name, predictor in fitted.items()} | dict(others or {})
     for name, reading in readings_of.items():
         if {np.shape(reading.mean), np.shape(reading.std)} != {readings[held_out].shape}:
             raise ValueError(
@@ -111,17 +109,17 @@ def evaluate(
         if np.isfinite(reading.mean).all() and not (np.isfinite(reading.std).all() and (reading.std >= 0).all()):
             raise ValueError(f"{name} predicts standard deviations that are negative or not finite")
         reading = Reading(reading.mean, np.maximum(reading.std, 1e-6))  # uT, because errors are divided by it
-        seen = Reading(reading.mean[tuning], reading.std[tuning])
-        scale = std_scale(truth, seen)
-        validated[name] = reading.mean[judged]
-        covered[name] = coverage(truth, Reading(seen.mean, scale * seen.std))
+        on_validation = Reading(reading.mean[tuning], reading.std[tuning])
+        scale = std_scale(truth, on_validation)
+        validated[name] = reading.mean[selecting]
+        covered[name] = coverage(truth, on_validation._replace(std=scale * on_validation.std))
         predicted[name], std[name] = reading.mean[testing], scale * reading.std[testing]
         if name in fitted:
             predictors[name] = replace(fitted[name], std_scale=scale)
     choice = choose(
-        readings[judging],
+        readings[selection],
         {name: validated[name] for name in fitted},
-        split.groups[judging],
+        split.groups[selection],
         baselines=[method.title for method in methods if method.baseline],
         on_pressure=[
             method.title
@@ -129,7 +127,7 @@ def evaluate(
             if method.title in predictors and not method.baseline and predictors[method.title].pressure is not None
         ],
     )
-    r2 = choice.r2 | {name: score(readings[judging], validated[name]).r2 for name in others or ()}
+    r2 = choice.r2 | {name: score(readings[selection], validated[name]).r2 for name in others or ()}
     return Evaluation(predicted, std, choice._replace(r2=r2), covered, predictors)
 
 
@@ -141,17 +139,20 @@ def choose(
     baselines: Sequence[str],
     on_pressure: Sequence[str],
 ) -> MethodChoice:
-    """Choose by the squared error on validation touches.
+    """Select the method with the least squared error on validation touches.
 
     Args:
-        truth: (n, 3 chips) uT, of the validation touches.
-        predicted: Readings (n, 3 chips) uT by method.
-        groups: (n,) session, spatial block or stretch of time of each touch.
+        truth: Measured readings of the validation touches, `(n, 3 chips)`, uT.
+        predicted: Predicted readings by method, `(n, 3 chips)`, uT.
+        groups: Session, spatial block or time interval of each touch, `(n,)`.
         baselines: Names of the methods that are baselines.
-        on_pressure: Names of the methods on predicted contact pressure that are no baselines.
+        on_pressure: Names of the methods on predicted contact pressure that are not baselines.
 
     Returns:
-        The method with the least error of all whose predictions are finite; of equal ones, the first.
+        The method with the least error among those with finite predictions, and its lead over the best baseline.
+
+    Raises:
+        ValueError: No method or no baseline has finite predictions.
     """
     finite = {name: mean for name, mean in predicted.items() if np.isfinite(mean).all()}
     errors = {name: ((mean - truth) ** 2).sum(1) for name, mean in finite.items()}
@@ -175,16 +176,16 @@ def choose(
 
 
 def lead_of(truth: np.ndarray, error: np.ndarray, other: np.ndarray, groups: np.ndarray) -> Lead:
-    """Lead in R2 of one method's errors over another's.
+    """Compute the lead in R2 of one method over another.
 
     Args:
-        truth: (n, 3 chips) uT.
-        error: (n,) uT^2, squared errors of the method.
-        other: (n,) uT^2, of the other.
-        groups: (n,) of touches that are not independent.
+        truth: Measured readings, `(n, 3 chips)`, uT.
+        error: Squared error of the method at each touch, `(n,)`, uT^2.
+        other: Squared error of the other method, `(n,)`, uT^2.
+        groups: Group of each touch, `(n,)`. Touches of one group are not independent.
 
     Returns:
-        The difference with its 95 % interval over groups.
+        The difference of R2 with its 95 % interval over groups.
     """
     spread = ((truth - truth.mean(0)) ** 2).sum(1)
 
@@ -195,17 +196,17 @@ def lead_of(truth: np.ndarray, error: np.ndarray, other: np.ndarray, groups: np.
 
 
 def choice_over_pads(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """The method that is best on validation touches over several pads, and its lead over the best baseline.
+    """Select the best method on validation touches over several pads, and compute its lead over the best baseline.
 
     Args:
-        parts: Metrics of each pad and seed, of the same methods.
+        parts: Metrics of each pad and seed, with the same methods.
 
     Returns:
-        Mean validation R2 by method, both names, and the lead with its 95 % interval over pads (Student's t); and how
-        many touches, sessions and objects validated.
+        Names of the method and the baseline, mean validation R2 by method, the lead with its 95 % interval over pads
+        (Student's t), and the numbers of touches, sessions and objects of validation.
     """
     pads = sorted({str(part["pad"]) for part in parts})
-    finite = [name for name in parts[0]["validation_r2"] if all(_is_number(p["validation_r2"][name]) for p in parts)]
+    finite = [name for name in parts[0]["validation_r2"] if all(_is_finite(p["validation_r2"][name]) for p in parts)]
     of_pad = {
         name: np.array([np.mean([p["validation_r2"][name] for p in parts if str(p["pad"]) == pad]) for pad in pads])
         for name in finite
@@ -226,43 +227,43 @@ def choice_over_pads(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _is_number(value: float | None) -> bool:
+def _is_finite(value: float | None) -> bool:
     return value is not None and bool(np.isfinite(value))
 
 
 def position_note(choice: MethodChoice, by_position: Sequence[str]) -> list[str]:
-    """A sentence where what is given the position of one tip explains more than the method that is kept.
+    """Note that a predictor from the tip's position explains more than the selected method.
 
     Args:
-        choice: On validation touches.
-        by_position: Titles of the rows that are given positions.
+        choice: The selected method.
+        by_position: Titles of the predictors from positions.
 
     Returns:
-        The sentence, if there is one.
+        A list of one sentence, or an empty list.
     """
     best = max(by_position, key=lambda name: choice.r2[name], default=choice.best)
     if not choice.r2[best] > choice.r2[choice.best]:
         return []
     return [
-        f"{best}, which is given the tip's position and knows this tip only, explains more of the validation touches "
+        f"{best}, which uses the tip's position and applies to this tip only, explains more of the validation touches "
         f"than any method (R2 {choice.r2[best]:.3f}, {choice.best} {choice.r2[choice.best]:.3f})"
     ]
 
 
 def pressure_note(choice: MethodChoice, recorded: Path | None) -> list[str]:
-    """A sentence where a method on predicted pressure loses to a baseline, and what tells why.
+    """Note that the best method on predicted pressure is worse than a baseline, and name the command that finds causes.
 
     Args:
-        choice: On validation touches.
-        recorded: Where the touches are from; None where they are simulated.
+        choice: The selected method.
+        recorded: Path of recorded touches, or None if touches are simulated.
 
     Returns:
-        The sentence, if there is one.
+        A list of one sentence, or an empty list.
     """
     method, baseline = choice.best_on_pressure, choice.best_baseline
     if method is None or not choice.pressure_loses:
         return []
-    said = f"{method} loses to {baseline} on validation touches"
+    sentence = f"{method} loses to {baseline} on validation touches"
     if recorded is None:
-        return [said]
-    return [f"{said}; python -m experiments.fidelity --dataset {recorded} tests likely causes"]
+        return [sentence]
+    return [f"{sentence}; python -m experiments.fidelity --dataset {recorded} tests likely causes"]

@@ -1,15 +1,15 @@
-"""Finished runs of `experiments.train`: the one place that says what is in their folders, for whoever reads them.
+"""Layout of the folders of finished runs of `experiments.train`, and functions that find their files.
 
 The folder of a run, or each folder `pad-P-seed-S` of a run of several pads or seeds, holds:
 
-  training.json     its pad, the method of each predictor in checkpoint/, and why there is no pad model if there is none
+  training.json     its pad, the method of each predictor in checkpoint/, and the reason if there is no pad model
   pad_model.npz     pad model of the skin (`i2t.load_pad_model`), fitted to the training touches
-  checkpoint/       predictors: `predictor`, the best of all, and `on_pressure`, the best on predicted contact pressure
-                    (`i2t.load_predictor`), and one for each network of the paper
-  data.h5, pad.npz  touches that the run simulated, and the pad that it pressed (`i2t.load_dataset`, `i2t.load_pad`)
-  metrics.json      scores; written last, so that a folder with it is finished
+  checkpoint/       predictors (`i2t.load_predictor`): `predictor`, the best of all, `on_pressure`, the best on
+                    predicted contact pressure, and one for each network of the paper
+  data.h5, pad.npz  touches that the run simulated, and their pad (`i2t.load_dataset`, `i2t.load_pad`)
+  metrics.json      scores, written last, so that the run is finished if it exists
 
-This module imports neither JAX nor NumPy, so that options are refused at once.
+This module has no slow imports.
 """
 
 import json
@@ -24,8 +24,7 @@ from i2t.models import READY_MODELS
 
 TRAINING, PAD_MODEL, CHECKPOINTS, TOUCHES, PAD = "training.json", "pad_model.npz", "checkpoint", "data.h5", "pad.npz"
 KEPT, ON_PRESSURE = "predictor", "on_pressure"  # folders in CHECKPOINTS
-FORMER_NAMES = {"--trained-run": "--pad-model", "--pad": "--pad-model"}  # of options that name a run or a pad model
-OPTIONS_OF_TRAIN = "TrainArgs"  # the kind that runs of experiments.train note
+FORMER_NAMES = {"--trained-run": "--pad-model", "--pad": "--pad-model"}  # for options that name a run or a pad model
 
 
 @dataclass(frozen=True)
@@ -33,9 +32,9 @@ class FinishedRun:
     """One pad and seed of a finished run."""
 
     folder: Path
-    pad: int | str | None  # number of a simulated pad, or its file; None where touches were recorded
-    predictors: dict[str, str] = field(default_factory=dict)  # methods by their folders in CHECKPOINTS
-    no_pad_model: str | None = None  # why there is none
+    pad: int | str | None  # number of a simulated pad, or its file; None if touches were recorded
+    predictors: dict[str, str] = field(default_factory=dict)  # titles of methods by their folders in CHECKPOINTS
+    no_pad_model: str | None = None  # reason if there is no pad model
 
     @property
     def pad_name(self) -> str:
@@ -47,39 +46,39 @@ class FinishedRun:
         """File of the pad model.
 
         Raises:
-            ValueError: The touches made none.
+            ValueError: No pad model could be fitted to the touches.
         """
         if self.no_pad_model:
             raise ValueError(f"{self.folder} has no pad model: {self.no_pad_model}")
         return self.folder / PAD_MODEL
 
     def checkpoint(self, method: str) -> Path | None:
-        """Folder of a method's predictor.
+        """Find the folder of a method's predictor.
 
         Args:
-            method: Its title.
+            method: Title of the method.
 
         Returns:
-            The folder; None where it was not kept.
+            The folder, or None if the predictor was not saved.
         """
         names = [name for name, title in self.predictors.items() if title == method]
         return self.folder / CHECKPOINTS / names[0] if names else None
 
     @property
     def on_pressure(self) -> Path:
-        """Folder of the best predictor on predicted contact pressure, or of the best of all where there is none."""
+        """Folder of the best predictor on predicted contact pressure, or else of the best predictor of all."""
         return self.folder / CHECKPOINTS / (ON_PRESSURE if ON_PRESSURE in self.predictors else KEPT)
 
     @property
     def simulated_pad(self) -> Path:
-        """File of the pad that the run simulated its touches with.
+        """File of the pad with which the run simulated its touches.
 
         Raises:
-            ValueError: They were recorded.
+            ValueError: The touches were recorded.
         """
         if self.pad is None:
             raise ValueError(
-                f"{self.folder} was trained on recorded touches, and simulated episodes need a pad to simulate with; "
+                f"{self.folder} was trained on recorded touches, but simulated episodes need a simulated pad; "
                 "recognise recorded touches with it (--dataset), or pass a run that simulated its touches"
             )
         return self.folder / PAD
@@ -94,7 +93,7 @@ def write_training(run: FinishedRun) -> None:
     """Write training.json.
 
     Args:
-        run: What its folder holds.
+        run: The record to write.
     """
     write_json(run.folder / TRAINING, {name: value for name, value in asdict(run).items() if name != "folder"})
 
@@ -103,18 +102,18 @@ def read_run(folder: Path) -> FinishedRun:
     """Read the record of one pad and seed.
 
     Args:
-        folder: Of a finished run.
+        folder: Folder of a finished run.
 
     Returns:
-        What it holds.
+        The record of the run.
 
     Raises:
-        ValueError: It is of an earlier version, which kept no pad model, or its record is damaged.
+        ValueError: The run is of an earlier version without pad models, or its record is damaged.
     """
     if not (folder / TRAINING).is_file():
         raise ValueError(
             f"{folder} is a run of an earlier version, which kept no pad model; make it again: python -m "
-            f"experiments.train --overwrite, with the options that its {CONFIG} notes"
+            f"experiments.train --overwrite, with the options in its {CONFIG}"
         )
     try:
         return FinishedRun(folder, **json.loads((folder / TRAINING).read_text()))
@@ -123,15 +122,15 @@ def read_run(folder: Path) -> FinishedRun:
 
 
 def finished_runs(folder: Path, pads: Sequence[str] = ()) -> dict[int, FinishedRun]:
-    """A finished run, or those of every pad and seed.
+    """Read a finished run, or the runs of all pads and seeds.
 
     Args:
-        folder: Named by the user; the pad model's file in it names it, too.
-        pads: Names of the pads; all runs where none is given.
+        folder: Folder of the run, or the pad model's file in it.
+        pads: Names of the pads to select; all runs by default.
 
     Returns:
-        The runs by their numbers among all that the folder holds, so that what is drawn for one does not depend on
-        which others are chosen.
+        The runs by their numbers among all runs in the folder, so that the random choices for a run do not depend on
+        the selection.
 
     Raises:
         ValueError: There is no finished run, or none with one of these pads.
@@ -148,30 +147,30 @@ def finished_runs(folder: Path, pads: Sequence[str] = ()) -> dict[int, FinishedR
 
 
 def require_simulated_runs(folder: Path, pads: Sequence[str] = ()) -> None:
-    """Refuse runs that simulated episodes cannot be played on.
+    """Refuse runs that cannot be used for simulated episodes.
 
     Args:
-        folder: Named by the user, as in `finished_runs`.
-        pads: Names of the pads; all runs where none is given.
+        folder: Folder or file, as in `finished_runs`.
+        pads: Names of the pads to select; all runs by default.
 
     Raises:
-        ValueError: There is none, it trained on recorded touches, or it has no pad model.
+        ValueError: There is no finished run, a run used recorded touches, or a run has no pad model.
     """
     for run in finished_runs(folder, pads).values():
         _ = run.simulated_pad, run.pad_model
 
 
 def find_pad_model(path: Path) -> tuple[str, FinishedRun | None]:
-    """The pad model that --pad-model names.
+    """Find the pad model that --pad-model names.
 
     Args:
         path: The file of a pad model, the folder of a finished run, or the name of a ready model.
 
     Returns:
-        What `i2t.load_pad_model` takes, and the run that made it, where the file is in its folder.
+        The argument of `i2t.load_pad_model`, and the run if the file is in the folder of a run.
 
     Raises:
-        ValueError: The folder holds none, or several.
+        ValueError: The folder holds no pad model, or several.
     """
     if not path.is_dir() and not _is_kept_pad_model(path):
         return str(path), None
@@ -182,13 +181,13 @@ def find_pad_model(path: Path) -> tuple[str, FinishedRun | None]:
 
 
 def require_pad_model(path: Path) -> None:
-    """Refuse what --pad-model names where it holds no pad model, and tell what makes one of it.
+    """Refuse a value of --pad-model that names no pad model, and explain how to make one.
 
     Args:
-        path: As in `find_pad_model`.
+        path: File, folder or name, as in `find_pad_model`.
 
     Raises:
-        ValueError: Nothing is there, or it holds something else.
+        ValueError: The path does not exist, or holds something else.
     """
     ready = [name for name, parts in READY_MODELS.items() if PAD_MODEL in parts]
     if path.is_dir() or str(path) in ready:
@@ -196,7 +195,7 @@ def require_pad_model(path: Path) -> None:
     elif not path.exists() and (near := closest(str(path), ready)):
         raise ValueError(f"--pad-model {path}: there is no such file or folder; did you mean {near}?")
     elif not path.exists() and not path.suffix:
-        finished_runs(path)  # says what makes it
+        finished_runs(path)  # its message explains how to make a run
     else:
         require_path("--pad-model", path)
         _require_kind(path)
@@ -208,33 +207,33 @@ def _is_kept_pad_model(path: Path) -> bool:
 
 
 def _require_kind(path: Path) -> None:
-    """Refuse touches and pads, of which a run makes a pad model (ValueError)."""
-    from i2t.files.serialization import file_kind  # here, as it imports NumPy
+    """Refuse touches and pads, to which `experiments.train` fits a pad model (ValueError)."""
+    from i2t.files.serialization import file_kind  # a slow import
 
     kind = "data set" if path.suffix == ".h5" else file_kind(path)
     if option := {"data set": "--dataset", "i2t pad": "--pad"}.get(kind):
         raise ValueError(
-            f"--pad-model {path}: holds a {kind.removeprefix('i2t ')}; make a pad model of it, python -m "
+            f"--pad-model {path}: holds a {kind.removeprefix('i2t ')}; fit a pad model to it, python -m "
             f"experiments.train {option} {path} --out runs/skin, and pass --pad-model runs/skin"
         )
 
 
 def _why_no_run(folder: Path, first: Path) -> str:
-    """End of a sentence on a folder without a finished run of `experiments.train`; "" where it has one."""
+    """Complete the sentence on a folder without a finished run of `experiments.train`; empty if there is one."""
     if folder.is_file():
         return "is a file and holds no finished run; name the folder that experiments.train wrote"
     if not folder.exists() or not any(folder.iterdir()):
         return f"holds no finished run; make one: python -m experiments.train --out {folder}"
     try:
         kind = json.loads((folder / CONFIG).read_text()).get("kind")
-    except (OSError, ValueError, AttributeError):  # none, or another program's
+    except (OSError, ValueError, AttributeError):  # missing, or of another program
         kind = None
-    if kind not in (None, OPTIONS_OF_TRAIN):
+    if kind not in (None, "TrainArgs"):
         return f"holds a run of another command ({kind}); name a folder that experiments.train wrote"
     if (first / METRICS).exists():
         return ""
-    if kind == OPTIONS_OF_TRAIN or (folder / CONFIG).exists():
-        return "holds no finished run but one that was interrupted; go on with it: the same command with --resume"
+    if kind == "TrainArgs" or (folder / CONFIG).exists():
+        return "holds a run that was interrupted; continue it: the same command with --resume"
     touches = next(folder.glob("*.h5"), None)
     remedy = f"; train on these touches: python -m experiments.train --dataset {folder}" if touches else ""
-    return f"holds no finished run but other files; name a folder that experiments.train wrote{remedy}"
+    return f"holds other files but no finished run; name a folder that experiments.train wrote{remedy}"

@@ -1,4 +1,4 @@
-"""Load of each touch, chosen before anything is computed: the force, the travel, or nothing."""
+"""Selection of the load of a recording, and input of the Gaussian process in tests of likely causes."""
 
 from typing import Literal, NamedTuple
 
@@ -12,96 +12,96 @@ from i2t.recordings.sets import MIN_TRAVEL_M
 from i2t.skin_models import pressure_gp as gp
 from i2t.types import Touches
 
-MAX_UNKNOWN_SHARE = 0.1  # of touches that are left out because neither force nor travel is known of them
-NIL_SHARE = 0.5  # of touches without a load, from which on it says nothing
-MIN_GAIN = 0.05  # of R2, from which on a change is taken for right
-TRIED_TOUCHES = 200  # on which changes are tried
-TRIED_STEPS = 20  # of the choice of hyperparameters
+MIN_GAIN = 0.05  # minimum gain of R2 by a correction that is reported as a likely cause
+TRIED_TOUCHES = 200  # maximum number of touches for trying corrections
 
 
 class PressLoad(NamedTuple):
-    """Quantity that contact pressure can be predicted from."""
+    """Load from which contact pressure is predicted."""
 
-    control: Literal["force", "travel"] | None  # None: nothing says how hard a touch was pressed
-    notes: tuple[str, ...]  # what a person is told, a sentence each
-    constant: bool = False  # nothing is known, and all touches are taken to be pressed alike
+    control: Literal["force", "travel"] | None  # None if no load is known
+    notes: tuple[str, ...]  # sentences for the user
+    constant: bool = False  # whether the same force is assumed for all touches
 
 
 def press_load(touches: Touches) -> PressLoad:
-    """Choose the load of a recording: its force where it was measured, else its travel.
+    """Choose the load of a recording: the force if it was measured, otherwise the travel.
 
     Args:
-        touches: That methods are to learn from, of a set that `corrected_dataset` gave.
+        touches: Touches of a data set that `corrected_dataset` returned.
 
     Returns:
-        The load, and what is odd about it.
+        The load, with notes about its problems.
     """
     force, travel = (np.asarray(getattr(touches, name), np.float64) for name in ("force", "travel"))
     if len(force) and np.isfinite(force).all():
-        found = _forced(force)
-        if found.control or not np.isfinite(travel).all():
-            return found
-        other = _deep(travel)
-        return other._replace(notes=(*found.notes, *other.notes))
+        by_force = _force_load(force)
+        if by_force.control or not np.isfinite(travel).all():
+            return by_force
+        by_travel = _travel_load(travel)
+        return by_travel._replace(notes=(*by_force.notes, *by_travel.notes))
     if len(travel) and np.isfinite(travel).all():
-        return _deep(travel)
+        return _travel_load(travel)
     if not np.isfinite(force).any() and not np.isfinite(travel).any():
-        said = "neither force nor travel is known: contact pressure is predicted as if all touches were pressed with"
-        return PressLoad("force", (f"{said} {ASSUMED_FORCE_N:g} N",), constant=True)
+        note = (
+            f"neither force nor travel is known: contact pressure is predicted for {ASSUMED_FORCE_N:g} N in all touches"
+        )
+        return PressLoad("force", (note,), constant=True)
     missing = f"force is missing at {np.sum(~np.isfinite(force))} and travel at {np.sum(~np.isfinite(travel))}"
     return PressLoad(None, (f"{missing} of {len(force)} touches: methods on predicted contact pressure are left out",))
 
 
-def _forced(force: np.ndarray) -> PressLoad:
-    """Judge forces as a load."""
+def _force_load(force: np.ndarray) -> PressLoad:
+    """Use forces as the load, unless over half of them are zero or negative."""
     floor = PressureModelConfig.floor
-    nil, median = float(np.mean(force <= floor)), float(np.median(force))
-    if nil > NIL_SHARE:
-        said = f"{100 * nil:.0f} % of the forces do not push (median {median:.3f} N), so forces do not say how hard"
-        return PressLoad(None, (f"{said}: methods on predicted contact pressure cannot use them",))
-    notes = (f"{100 * nil:.0f} % of the forces do not push and count as {floor:g} N",) if nil > 0.02 else ()
-    return PressLoad("force", notes)
+    zero, median = float(np.mean(force <= floor)), float(np.median(force))
+    share = f"{100 * zero:.0f} % of the forces are zero or negative"
+    if zero > 0.5:
+        note = f"{share} (median {median:.3f} N), so methods on predicted contact pressure cannot use them"
+        return PressLoad(None, (note,))
+    return PressLoad("force", (f"{share} and count as {floor:g} N",) if zero > 0.02 else ())
 
 
-def _deep(travel: np.ndarray) -> PressLoad:
-    """Judge travels as a load."""
-    nil = float(np.mean(travel < MIN_TRAVEL_M))
-    if nil > NIL_SHARE:
-        said = (
-            f"{100 * nil:.0f} % of the travels are zero: the height of first contact that they count from is too low; "
-            "give its height (--z0-mm of the converter)"
-        )
-        return PressLoad("travel", (said,))
-    return PressLoad("travel", ())
+def _travel_load(travel: np.ndarray) -> PressLoad:
+    """Use travels as the load, with a note if over half of them are zero."""
+    zero = float(np.mean(travel < MIN_TRAVEL_M))
+    if zero <= 0.5:
+        return PressLoad("travel", ())
+    note = (
+        f"{100 * zero:.0f} % of the travels are zero, because they are measured from a height of first contact that is "
+        "too low; give that height (--z0-mm of the converter)"
+    )
+    return PressLoad("travel", (note,))
 
 
-def with_known_load(dataset: Dataset) -> tuple[Dataset, str | None]:
-    """Leave out touches of which neither force nor travel is known, where they are few.
+def with_known_load(dataset: Dataset, max_share: float = 0.1) -> tuple[Dataset, str | None]:
+    """Leave out touches without the force or the travel, whichever is known more often, if they are few.
 
     Args:
-        dataset: Of touches.
+        dataset: The touches.
+        max_share: Maximum share of touches that may be left out.
 
     Returns:
-        The data set, and a sentence where touches were left out.
+        The data set, and a sentence if touches were left out.
     """
     touches = dataset.touches
-    known = {name: np.isfinite(getattr(touches, name)) for name in ("force", "travel")}
-    name = max(known, key=lambda one: int(known[one].sum()))  # the force where both are known as often
-    lost = int(np.sum(~known[name]))
-    if not 0 < lost <= MAX_UNKNOWN_SHARE * len(dataset):
+    finite = {name: np.isfinite(getattr(touches, name)) for name in ("force", "travel")}
+    name = max(finite, key=lambda quantity: int(finite[quantity].sum()))  # the force if both are known as often
+    lost = int(np.sum(~finite[name]))
+    if not 0 < lost <= max_share * len(dataset):
         return dataset, None
-    return dataset.select(known[name]), f"left out: {lost} touches whose {name} is not known"
+    return dataset.select(finite[name]), f"left out: {lost} touches whose {name} is not known"
 
 
 def several_skins(dataset: Dataset) -> list[str]:
-    """A sentence where one predictor would be trained on the readings of several skins."""
+    """Note that one predictor is trained on the readings of several skins, as a list of at most one sentence."""
     skins = [dataset.pads[i] for i in np.unique(dataset.touches.pad)]
     if len(skins) < 2 or dataset.source == "simulated":
         return []
     named = f"{', '.join(skins[:3])}{', ...' if len(skins) > 3 else ''}"
     return [
-        f"touches of {len(skins)} skins ({named}) are predicted as if they were of one; convert them apart (--board, "
-        "--pad of the converter)"
+        f"touches of {len(skins)} skins ({named}) are predicted as if there were one skin; convert them separately "
+        "(--board, --pad of the converter)"
     ]
 
 
@@ -116,17 +116,17 @@ class Tried(NamedTuple):
 
 
 def tried_touches(dataset: Dataset, which: np.ndarray, groups: np.ndarray) -> Tried:
-    """Inputs of some touches for a method on predicted pressure."""
+    """Select touches for a method on predicted pressure."""
     touches, views = dataset.touches, np.asarray(views_of(dataset)[which])
     return Tried(views, touches.force[which], touches.travel[which], touches.reading[which], groups[which])
 
 
 def explained(seen: Tried, cfg: PressureModelConfig) -> float:
-    """R2 of the Gaussian process on held-out groups; minus infinity where it cannot be fitted."""
+    """Compute R2 of the Gaussian process on held-out groups; minus infinity if it cannot be fitted."""
     pressure = predict_pressures(cfg, seen.views, seen.force, seen.travel)
     try:
         _, r2 = gp.choose_hyperparameters(
-            pressure, jnp.asarray(seen.readings), seen.groups, steps=TRIED_STEPS, limit=TRIED_TOUCHES
+            pressure, jnp.asarray(seen.readings), seen.groups, steps=20, limit=TRIED_TOUCHES
         )
     except ValueError:
         return float("-inf")
@@ -134,7 +134,7 @@ def explained(seen: Tried, cfg: PressureModelConfig) -> float:
 
 
 def some_groups(which: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
-    """Rows of whole groups, in random order of the groups, up to a number of rows."""
+    """Select rows of whole groups in random order, up to a number of rows."""
     rng = np.random.default_rng(0)
     names, of = np.unique(groups[which], return_inverse=True)
     rank = rng.permutation(len(names))[of.ravel()]

@@ -36,11 +36,13 @@ def report(
     about: dict[str, Any],
     started: float,
 ) -> None:
-    """Write predictors, the pad model where there is no reason that there is none, figures and, last, metrics.json."""
+    """Write the predictors, the pad model, figures and, last, metrics.json. A text in place of the pad model is the
+    reason why there is none.
+    """
     dataset, split, choice = prepared.touches.dataset, prepared.split, evaluation.choice
     touches = dataset.touches
     truth, groups = touches.reading[split.test], split.groups[split.test]
-    noise = None if touches.truth is None else (touches.reading - touches.truth.reading).std(0)  # the sensor's own
+    noise = None if touches.truth is None else (touches.reading - touches.truth.reading).std(0)
     metrics: dict[str, Any] = {
         "source": dataset.source,
         **about,
@@ -52,9 +54,9 @@ def report(
         "validation_r2": choice.r2,
         "choice": choice.to_json(),
         "validated_on": {
-            "touches": int(prepared.judging_rows.sum()),
-            "groups": len(np.unique(split.groups[prepared.judging_rows])),
-            "objects": len(np.unique(touches.object[prepared.judging_rows])),
+            "touches": int(prepared.selection_rows.sum()),
+            "groups": len(np.unique(split.groups[prepared.selection_rows])),
+            "objects": len(np.unique(touches.object[prepared.selection_rows])),
         },
         "methods": {
             name: scored(truth, mean, groups, noise, evaluation.std.get(name))
@@ -75,12 +77,12 @@ def report(
 
 
 def save_predictors(out: Path, evaluation: Evaluation, about: dict[str, Any]) -> dict[str, str]:
-    """Write the predictor that is kept, the best on predicted contact pressure, and the networks, each with what it is
-    of; returns their methods by folder.
+    """Write the selected predictor, the best on predicted contact pressure, and the networks, each with its origin.
+    Returns their methods by folder.
     """
     best = {KEPT: evaluation.choice.best, ON_PRESSURE: evaluation.choice.best_on_pressure}
     kept = {folder: method for folder, method in best.items() if method is not None}
-    kept |= {slug(name): name for name, each in evaluation.predictors.items() if "curve" in (each.metadata or {})}
+    kept |= {slug(name): name for name, fitted in evaluation.predictors.items() if "curve" in (fitted.metadata or {})}
     for folder, method in kept.items():
         predictor = evaluation.predictors[method]
         from_training = {
@@ -93,26 +95,26 @@ def save_predictors(out: Path, evaluation: Evaluation, about: dict[str, Any]) ->
 
 
 def curves_of(fitted: Mapping[str, Predictor]) -> dict[str, np.ndarray]:
-    """Errors of networks over epochs, on training and on validation touches."""
-    kept = {name: np.asarray((each.metadata or {}).get("curve", ())) for name, each in fitted.items()}
+    """Collect the errors of networks over epochs, on training and on validation touches."""
+    curves = {name: np.asarray((predictor.metadata or {}).get("curve", ())) for name, predictor in fitted.items()}
     parts = ("training", "validation")
-    return {f"{name}, {parts[i]}": curve[:, i] for name, curve in kept.items() if len(curve) for i in (0, 1)}
+    return {f"{name}, {parts[i]}": curve[:, i] for name, curve in curves.items() if len(curve) for i in (0, 1)}
 
 
 def scored(
     truth: np.ndarray, mean: np.ndarray, groups: np.ndarray, noise: np.ndarray | None, std: np.ndarray | None
 ) -> dict[str, Any]:
-    """All scores of a method.
+    """Compute all scores of a method.
 
     Args:
-        truth: (n, 3 chips) uT, of the test touches.
-        mean: Predicted, as `truth`.
-        groups: (n,) session or spatial block of each touch.
-        noise: (3 chips,) uT, the sensor's own, where it is known.
-        std: Predicted standard deviations, of a method that has them.
+        truth: Measured readings of the test touches, `(n, 3 chips)`, uT.
+        mean: Predicted readings, `(n, 3 chips)`, uT.
+        groups: Session or spatial block of each touch, `(n,)`.
+        noise: Standard deviation of the sensor's noise, `(3 chips,)`, uT, if it is known.
+        std: Predicted standard deviations, `(n, 3 chips)`, uT, if the method predicts them.
 
     Returns:
-        The scores, the 95 % interval of R2 over groups, and the share of values within the predicted 90 %.
+        The scores, the 95 % interval of R2 over groups, and the share of values in the predicted 90 % range.
     """
     values: dict[str, Any] = score(truth, mean, noise)._asdict()
     values["r2_interval"] = grouped_interval(lambda rows: score(truth[rows], mean[rows]).r2, groups, most=1.0)
@@ -122,7 +124,7 @@ def scored(
 
 
 def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict[str, np.ndarray]) -> dict[str, Any]:
-    """R2 of every method on each test object."""
+    """Compute R2 of every method on each test object."""
     kinds = dataset.touches.object[split.test]
     return {
         dataset.objects[kind]: {
@@ -134,7 +136,7 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
 
 
 def figures(out: Path, prepared: Prepared, evaluation: Evaluation, metrics: dict[str, Any]) -> None:
-    """All pictures of one run, in the folder `out`."""
+    """Draw all figures of one run into the folder `out`."""
     dataset, split = prepared.touches.dataset, prepared.split
     simulated = holds_simulated(dataset.source)
     _touches(out, dataset, split, evaluation.predicted[evaluation.choice.best])
@@ -148,7 +150,7 @@ def figures(out: Path, prepared: Prepared, evaluation: Evaluation, metrics: dict
 
 
 def _touches(out: Path, dataset: Dataset, split: Split, predicted: np.ndarray) -> None:
-    """Pictures of test touches with a typical, a small and a large error."""
+    """Draw test touches with typical, small and large errors."""
     truth, patches = dataset.touches.reading[split.test], dataset.touches.patch[split.test]
     kinds = dataset.touches.object[split.test]
     error = np.linalg.norm(predicted - truth, axis=1) / np.maximum(np.linalg.norm(truth, axis=1), 1e-9)
@@ -171,7 +173,7 @@ def _touches(out: Path, dataset: Dataset, split: Split, predicted: np.ndarray) -
 
 
 def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
-    """Means over seeds with Student's t intervals, pad by pad."""
+    """Average over seeds with Student's t intervals for each pad, and over pads if there are several."""
     pads = sorted({part["pad"] or 0 for part in parts})
     of_pad = {str(pad): [part for part in parts if (part["pad"] or 0) == pad] for pad in pads}
     numbers = [field for field in Score._fields if not field.endswith("_axis")]
@@ -179,19 +181,19 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
         "source": parts[0]["source"],
         "baselines": parts[0]["baselines"],
         "seeds": sorted({part["seed"] for part in parts}),
-        "pads": {pad: _estimates([part["methods"] for part in some], numbers) for pad, some in of_pad.items()},
+        "pads": {pad: _estimates([part["methods"] for part in seeds], numbers) for pad, seeds in of_pad.items()},
     }
     over, which, unit = summary["pads"][str(pads[0])], f"pad {pads[0]}", "seeds"
-    if len(pads) > 1:  # the mean over pads, each of which counts once
+    if len(pads) > 1:  # the mean over pads gives each pad the same weight
         means = [
-            {name: {field: float(found.mean) for field, found in row.items()} for name, row in methods.items()}
+            {name: {field: float(estimate.mean) for field, estimate in row.items()} for name, row in methods.items()}
             for methods in summary["pads"].values()
         ]
         summary["over_pads"] = over = _estimates(means, numbers)
         summary["by_object"] = _estimates([part["by_object"] for part in parts])
         summary["choice"] = choice_over_pads(parts)
         which, unit = f"{len(pads)} pads", "pads"
-    summary["best"] = {pad: [part["best"] for part in some] for pad, some in of_pad.items()}
+    summary["best"] = {pad: [part["best"] for part in seeds] for pad, seeds in of_pad.items()}
     write_json(out / "metrics.json", summary)
     figure = viz.plot_intervals(
         {name: tuple(row["r2"]) for name, row in over.items()},
@@ -204,7 +206,7 @@ def summarise(parts: list[dict[str, Any]], out: Path) -> dict[str, Any]:
 
 
 def _estimates(tables: Sequence[Mapping[str, Any]], columns: Sequence[str] | None = None) -> dict[str, Any]:
-    """Tables of one form as one, each cell with its mean and interval over them; all columns unless some are named."""
+    """Average tables of the same form, with an interval in each cell; all columns by default."""
     return {
         name: {column: student_interval([table[name][column] for table in tables]) for column in columns or row}
         for name, row in tables[0].items()
@@ -212,7 +214,7 @@ def _estimates(tables: Sequence[Mapping[str, Any]], columns: Sequence[str] | Non
 
 
 def print_table(result: dict[str, Any]) -> None:
-    """The table a person reads."""
+    """Print the tables of a run."""
     kind = "" if result["source"] == "real" else f" ({source_phrase(result['source'])})"
     if "pads" in result:
         for pad, methods in result["pads"].items() if "over_pads" not in result else ():
@@ -225,7 +227,7 @@ def print_table(result: dict[str, Any]) -> None:
         return
     enough = result["groups"] >= MIN_CLUSTERS
     over = f"{'95 % interval' if enough else 'too few for an interval'}: {result['groups']} groups"
-    print(f"\ntest touches{kind}; {over}; kept as predictor: {result['best']}")
+    print(f"\ntest touches{kind}; {over}; selected predictor: {result['best']}")
     rows = []
     for name, values in result["methods"].items():
         numbers = [cell(values.get(field), 2) for field in ("rmse", "rmse_sigma", "cosine")]
@@ -239,25 +241,24 @@ def print_table(result: dict[str, Any]) -> None:
 
 
 def _choice_over_pads(choice: dict[str, Any], pads: int) -> str:
-    """Say which method is best on validation touches over pads, and how sure that is."""
+    """State the best method on validation touches over pads, with its lead."""
     best, over = choice["best"], choice["validated_on"]
-    said = f"best on validation touches over pads: {best} (R² {cell(choice['validation_r2'][best])})"
+    sentence = f"best on validation touches over pads: {best} (R² {cell(choice['validation_r2'][best])})"
     if best != choice["best_baseline"]:
-        said += f", {cell(choice['over_best_baseline'])} above {choice['best_baseline']}"
-    return (
-        f"{said}; {over['touches']} touches of {over['objects']} objects in {over['groups']} sessions with {pads} pads"
-    )
+        sentence += f", {cell(choice['over_best_baseline'])} above {choice['best_baseline']}"
+    counts = f"{over['touches']} touches of {over['objects']} objects in {over['groups']} sessions with {pads} pads"
+    return f"{sentence}; {counts}"
 
 
 def _print_choice(result: dict[str, Any]) -> None:
-    """Print what was kept, how sure that is, and whether its range holds what it says."""
+    """Print the selected method, its lead, the coverage of its 90 % range, and the notes."""
     best, choice = result["best"], result["choice"]
     lead, inside = choice["over_best_baseline"], result["methods"][best]
-    said = f"kept: {best}, the best on validation touches (R² {cell(result['validation_r2'][best], 2)})"
+    sentence = f"selected: {best}, the best on validation touches (R² {cell(result['validation_r2'][best], 2)})"
     if best != choice["best_baseline"]:
-        said += f", {_lead(lead, result['validated_on'])} above {choice['best_baseline']}"
+        sentence += f", {_lead(lead, result['validated_on'])} above {choice['best_baseline']}"
     print(
-        f"\n{said}; its 90 % range holds {cell(inside.get('validation_coverage_90'), 2)} of validation values and "
+        f"\n{sentence}; its 90 % range covers {cell(inside.get('validation_coverage_90'), 2)} of validation values and "
         f"{cell(inside.get('coverage_90'), 2)} of test values"
     )
     for note in result["notes"]:
@@ -265,7 +266,7 @@ def _print_choice(result: dict[str, Any]) -> None:
 
 
 def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:
-    """Write a lead and its interval, and over what that is, or why there is none."""
+    """Format a lead with its interval and the number of groups, or the reason why there is no interval."""
     objects = f"{over['objects']} {'object' if over['objects'] == 1 else 'objects'}"
     if lead["low"] is None or not np.isfinite(lead["low"]):
         groups = objects if over["groups"] == over["objects"] else f"{over['groups']} groups of {objects}"
@@ -274,7 +275,7 @@ def _lead(lead: dict[str, float | None], over: dict[str, int]) -> str:
 
 
 def _print_methods(title: str, methods: dict[str, Any]) -> None:
-    """Estimates of every method."""
+    """Print the estimates of every method."""
     rows = []
     for name, values in methods.items():
         numbers = [cell(values[field][0], 2) for field in ("rmse", "rmse_sigma", "cosine")]
@@ -283,7 +284,7 @@ def _print_methods(title: str, methods: dict[str, Any]) -> None:
 
 
 def _print_objects(scores: dict[str, dict[str, float]]) -> None:
-    """R² of every method on the touches of each object, where there are several."""
+    """Print R² of every method on each object, if there are several objects."""
     if len(scores) < 2:
         return
     methods = next(iter(scores.values()))

@@ -1,5 +1,5 @@
-"""The default data set of `experiments.train`: simulated touches of a preset's objects with one pad, and what a model
-would reach on them if nothing erred.
+"""The default data set of `experiments.train`, simulated touches of a preset's objects with one pad, and predictions
+without errors of camera and arm.
 """
 
 from dataclasses import replace
@@ -20,29 +20,28 @@ from i2t.runtime.progress import progress
 from i2t.simulation import touches as simulation
 from i2t.types import Pad
 
-OF_CAMERA = 1_000_000  # folded into the seed for the one camera of all sessions: their numbers are smaller
-
 
 def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name: str, camera: int = 0) -> Dataset:
-    """The data set in `path`, simulated first where there is none, so that a resumed run finds the same touches.
+    """Load the data set in `path`, or simulate it if the file does not exist, so that resumed runs use the same
+    touches.
 
     Args:
         cfg: Objects, counts and errors.
         pad: The pad.
-        path: HDF5 file to keep it in.
-        seed: Of sites and errors.
-        name: Of the pad in the data set.
-        camera: Number of the camera that all sessions have, where the configuration says that they have one.
+        path: HDF5 file of the data set.
+        seed: Seed of sites and errors.
+        name: Name of the pad in the data set.
+        camera: Number of the camera, if the configuration has the same camera in all sessions.
 
     Returns:
-        The data set, which says that it is simulated.
+        The data set, marked as simulated.
     """
     if path.exists():
         return data.load_dataset(path)
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
     key, T_t_camera = jax.random.key(seed), None
     if cfg.same_camera:
-        key_camera = jax.random.fold_in(key, OF_CAMERA + camera)
+        key_camera = jax.random.fold_in(key, 1_000_000 + camera)  # above the numbers of all sessions
         T_t_camera = simulation.sample_session_errors(key_camera, cfg.errors).T_t_camera
     with progress(total=sum(cfg.counts()), desc="simulating touches", unit="touch") as bar:
         touches = simulation.simulate_touches(
@@ -56,8 +55,8 @@ def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name:
 
 
 def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split, seed: int) -> np.ndarray:
-    """Readings (n, 3 chips) uT of the test touches by the same Gaussian process where the camera saw what the skin met
-    and the force was known: what errors cost.
+    """Predict the readings (n, 3 chips) uT of the test touches with the same Gaussian process on exact views and
+    forces, which shows the cost of errors.
     """
     truth = dataset.touches.truth
     assert truth is not None
@@ -67,8 +66,8 @@ def ceiling(dataset: Dataset, pressure_model: PressureModelConfig, split: Split,
 
 
 def predicted_by_gp(pressure: ContactPressure, readings: np.ndarray, split: Split, seed: int) -> np.ndarray:
-    """Readings (n, 3 chips) uT of the test touches by a Gaussian process on the contact pressures of all touches."""
+    """Predict the readings (n, 3 chips) uT of the test touches with a Gaussian process on contact pressures."""
     fitted = fit_gp(jax.random.key(seed), pressure, readings, split)
-    held_out = split.validation | split.test  # as many as the evaluation predicts, for which it has been compiled
+    held_out = split.validation | split.test  # the same number as in the evaluation, so that nothing is compiled again
     mean, _ = fitted.predict(select_rows(pressure, np.flatnonzero(held_out)))
     return np.asarray(mean)[split.test[held_out]]

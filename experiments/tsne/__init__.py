@@ -1,1 +1,1 @@
-"""Agreement of views and readings of touches."""
+"""Agreement between views and readings of touches."""

@@ -1,4 +1,4 @@
-"""The options of `python -m experiments.tsne`, without JAX."""
+"""Options of `python -m experiments.tsne`. This module has no slow imports."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,14 +11,14 @@ from i2t.errors import require_extra
 
 @dataclass(frozen=True)
 class TsneArgs(RunOptions):
-    """A map of touches, their clusters, and how far views and readings agree."""
+    """Map and cluster touches, and measure how far views and readings agree."""
 
-    out: Path = Path("runs/tsne")  # folder for everything that is made
+    out: Path = Path("runs/tsne")  # folder for the results
     preset: Literal["paper", "debug"] = "paper"
-    dataset: Path | None = None  # touches in place of simulated ones
-    kind: Literal["mask", "depth"] = "mask"  # what a view is
+    dataset: Path | None = None  # recorded touches instead of simulated ones
+    kind: Literal["mask", "depth"] = "mask"  # view of a touch: contact mask or depth patch
 
     def check(self) -> None:
-        """Refuse a data set that is not there, and scikit-learn where it is missing."""
+        """Refuse a data set that does not exist, and a missing scikit-learn (ValueError)."""
         require_dataset("--dataset", self.dataset)
         require_extra("sklearn", "a map of touches")

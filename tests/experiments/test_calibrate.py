@@ -112,9 +112,9 @@ def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
         (GRID, "each block of 6 mm left out", "9 blocks of 6 mm is left out in turn, too"),
         (GRID / 4, None, "each press has a place to itself"),  # all in one block
         (np.repeat(SPREAD[:5] / 4, 4, axis=0), "each place left out", "5 places is left out in turn, too"),
-        (np.repeat(SPREAD[:2], 10, axis=0), "each place left out", "there is no interval: presses lie in 2 places"),
-        (np.zeros((20, 2)), None, "all 20 presses lie at one place, so leaving places out is impossible"),
-        (np.r_[np.zeros((15, 2)), SPREAD[:6]], None, "more than half of the 21 presses lie at one place"),
+        (np.repeat(SPREAD[:2], 10, axis=0), "each place left out", "there is no interval: presses are in 2 places"),
+        (np.zeros((20, 2)), None, "all 20 presses are at one place, so places cannot be left out"),
+        (np.r_[np.zeros((15, 2)), SPREAD[:6]], None, "more than half of the 21 presses are at one place"),
         (SPREAD[:8], "each block of 6 mm left out", "8 presses are fewer than 60"),
     ],
 )
@@ -142,7 +142,7 @@ def test_many_presses_in_one_block_are_held_out_without_it(place):
     assert list(held.tests) == ([RANDOM, "places"] if place.any() else [RANDOM])
     (split,) = held.splits
     assert len(split.pool) >= 50
-    assert "other places" in held.sentences[0] or "farther from them" in held.sentences[0]
+    assert "other places" in held.sentences[0] or "farther away" in held.sentences[0]
 
 
 def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
@@ -157,7 +157,7 @@ def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough()
     with pytest.raises(ValueError, match=r"7 usable presses, too few .* 8 are enough .* some 20"):
         held_out_of(SPREAD[:7])
     alike = LoadedPresses(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), load_kind="travel")
-    with pytest.raises(ValueError, match="one place and one travel, which says nothing of any other press"):
+    with pytest.raises(ValueError, match="one place and one travel, so they cannot predict other presses"):
         hold_out(alike, arguments.PRESETS["paper"], 0, np.ones(20, bool), "set")
 
 
@@ -189,7 +189,7 @@ def test_few_presses_are_calibrated_from_the_command_line(tmp_path, capsys, one_
     assert (over["low"] is None) == one_place
     printed = capsys.readouterr().out
     assert "held out: 12 presses are fewer than 60" in printed
-    assert ("leaving places out is impossible" in printed) == one_place
+    assert ("places cannot be left out" in printed) == one_place
     assert load_calibration(tmp_path / "out" / "calibration.npz").load_kind == "travel"
 
 

@@ -40,10 +40,10 @@ UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e
     ("force", "travel", "control", "said"),
     [
         (None, None, "force", ""),
-        (NIL, None, None, "forces do not push"),
-        (NIL, RISING, "travel", "forces do not push"),
+        (NIL, None, None, "forces are zero or negative"),
+        (NIL, RISING, "travel", "forces are zero or negative"),
         (UNKNOWN, NIL, "travel", "100 % of the travels are zero"),
-        (UNKNOWN, UNKNOWN, None, "predicted as if all touches were pressed with 1 N"),
+        (UNKNOWN, UNKNOWN, None, "predicted for 1 N in all touches"),
         (np.where(np.arange(200) % 2, 1.0, np.nan), UNKNOWN, None, "force is missing at 100 and travel at 200 of 200"),
     ],
 )

@@ -62,7 +62,10 @@ def test_a_folder_without_a_finished_run_is_named_for_what_it_is(tmp_path):
         (tmp_path / "nowhere", r"holds no finished run; make one: python -m experiments.train --out \S+nowhere$"),
         (folder_with(tmp_path / "empty"), "make one"),
         (tmp_path / "mesh.stl", "is a file and holds no finished run; name the folder"),
-        (folder_with(tmp_path / "data", touches={}), "but other files; name a folder that experiments.train wrote$"),
+        (
+            folder_with(tmp_path / "data", touches={}),
+            "but no finished run; name a folder that experiments.train wrote$",
+        ),
         (tmp_path / "touches", r"train on these touches: python -m experiments.train --dataset \S+touches$"),
         (folder_with(tmp_path / "begun", config={"kind": "TrainArgs"}), "was interrupted; .* --resume"),
         (
@@ -119,7 +122,7 @@ def test_what_holds_no_pad_model_is_refused_with_what_makes_one(tmp_path):
 
 def test_a_run_on_recorded_touches_says_why_it_simulates_no_episodes(tmp_path):
     run = finished(tmp_path / "run", pad=None)
-    with pytest.raises(ValueError, match="trained on recorded touches, and simulated episodes need a pad"):
+    with pytest.raises(ValueError, match="trained on recorded touches, but simulated episodes need a simulated pad"):
         StudyArgs("mismatch", pad_model=run.folder).check()
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from experiments.calibrate.arguments import CalibrateArgs
-from experiments.common.commands import say_where
+from experiments.common.commands import print_outcome
 from experiments.common.runs import METRICS
 from experiments.recognize.arguments import DatasetArgs, SimulateArgs
 from experiments.train.arguments import TrainArgs
@@ -13,11 +13,11 @@ from tools.check_docs import pages
 
 
 def test_results_pictures_and_the_next_command_are_named_where_there_are_any(tmp_path, capsys):
-    say_where(tmp_path, "python -m experiments.train")
+    print_outcome(tmp_path, "python -m experiments.train")
     assert capsys.readouterr().out == ""
     (tmp_path / METRICS).write_text("{}")
     (tmp_path / "curves.png").touch()
-    say_where(tmp_path, "python -m experiments.train")
+    print_outcome(tmp_path, "python -m experiments.train")
     said = capsys.readouterr().out
     assert said == f"\nresults and pictures (curves.png) are in {tmp_path}\nnext: python -m experiments.train\n"
 

@@ -39,13 +39,13 @@ def test_all_touches_or_those_that_train_make_the_pad_model_of_a_recording(monke
     train = np.arange(60) < 40
     for every in (False, True):
         source = RecordedSource(Path("DATA"), None, (), None, None, every)
-        source.pad_model(0, dataset, train, source.objects_known())
+        source.pad_model(0, dataset, train, source.known_objects())
     assert fitted_to == [40, 60]
 
 
 def test_a_rig_and_meshes_say_what_is_known_of_the_objects(tmp_path, mug):
     replace(Rig(), object_covariance=np.diag([4e-6] * 6)).write(tmp_path / "lab.toml")
-    known = RecordedSource(Path("DATA"), None, (mug,), "mm", tmp_path / "lab.toml", False).objects_known()
+    known = RecordedSource(Path("DATA"), None, (mug,), "mm", tmp_path / "lab.toml", False).known_objects()
     assert known.errors.placement == pytest.approx(2e-3)
     np.testing.assert_allclose(np.ptp(known.meshes["mug"].vertices, axis=0), 0.02, atol=1e-6)
 
@@ -53,7 +53,7 @@ def test_a_rig_and_meshes_say_what_is_known_of_the_objects(tmp_path, mug):
 def test_touches_that_make_no_pad_model_end_no_training(capsys):
     dataset = recorded_presses(objects=("star", "hammer"), force=np.full(40, np.nan))
     source = RecordedSource(Path("DATA"), None, (), None, None, False)
-    fit = partial(source.pad_model, 0, dataset, np.ones(40, bool), source.objects_known())
+    fit = partial(source.pad_model, 0, dataset, np.ones(40, bool), source.known_objects())
     assert "no press among the training touches has a measured force" in fit_or_explain(fit)
     assert "recognition cannot use this run" in capsys.readouterr().out
 

@@ -5,14 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from experiments.common.reading_tables import OUTLIERS
 from experiments.recognize.__main__ import main
 from experiments.recognize.reading_methods import (
     BOTH,
     KNN,
     LOGISTIC,
-    TREES_NAME,
-    Fixed,
+    TREES,
+    ClassifierConfig,
     Fold,
     Labelled,
     all_log_probabilities,
@@ -60,8 +59,8 @@ def test_no_touch_rules_a_label_out_and_both_classifiers_make_their_geometric_me
     found = all_log_probabilities(touches(3, 10, 0), touches(3, 4, 1).reading, seed=0)
     for name, log_p in found.items():
         np.testing.assert_allclose(np.exp(log_p).sum(1), 1, err_msg=name)
-        assert np.exp(log_p).min() > OUTLIERS / 3 * (0.9 if name != BOTH else 0.5)
-    mean = np.sqrt(np.exp(found[TREES_NAME] + found[LOGISTIC]))
+        assert np.exp(log_p).min() > 0.01 / 3 * (0.9 if name != BOTH else 0.5)
+    mean = np.sqrt(np.exp(found[TREES] + found[LOGISTIC]))
     np.testing.assert_allclose(np.exp(found[BOTH]), mean / mean.sum(1, keepdims=True))
 
 
@@ -71,7 +70,7 @@ def test_neighbours_and_novelty_are_those_of_a_reading_that_was_taught():
     far = train.reading + np.array([0.0, 0.0, 100.0])
     assert (novelty(train, far) > 50).all()
     p = np.exp(log_probabilities(KNN, train, train.reading, 0))  # the reading itself outweighs all others
-    np.testing.assert_allclose(p[np.arange(30), train.label], 1 - OUTLIERS + OUTLIERS / 3)
+    np.testing.assert_allclose(p[np.arange(30), train.label], 0.99 + 0.01 / 3)
 
 
 def test_the_product_is_that_of_the_touches():
@@ -130,7 +129,7 @@ def write_table(path, labels: str, rows: int = 8) -> None:
 
 
 def test_the_command_reports_both_splits_and_unknown_labels_with_intervals(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("experiments.recognize.reading_methods.FIXED", Fixed(trees=10))
+    monkeypatch.setattr("experiments.recognize.reading_methods.CONFIG", ClassifierConfig(trees=10))
     for name, labels in (("a", "xyz"), ("b", "wxy")):  # groups of other labels
         write_table(tmp_path / f"{name}.csv", labels)
     words = ["recorded", "--readings", str(tmp_path / "a.csv"), str(tmp_path / "b.csv"), "--label", "Stück"]
@@ -155,7 +154,7 @@ def test_the_command_reports_both_splits_and_unknown_labels_with_intervals(tmp_p
 
 
 def test_two_labels_are_told_apart_none_is_held_out_and_a_run_goes_on(tmp_path, monkeypatch):
-    monkeypatch.setattr("experiments.recognize.reading_methods.FIXED", Fixed(trees=10))
+    monkeypatch.setattr("experiments.recognize.reading_methods.CONFIG", ClassifierConfig(trees=10))
     write_table(tmp_path / "t.csv", "xy", rows=5)
     out = tmp_path / "out"
     words = ["recorded", "--readings", str(tmp_path / "t.csv"), "--label", "Stück", "--episodes", "1"]
@@ -177,7 +176,7 @@ def test_a_label_of_few_rows_is_refused_and_nothing_is_made(tmp_path, capsys):
 
 
 def test_fewer_touches_than_asked_and_samples_of_one_touch_are_said_and_kept(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("experiments.recognize.reading_methods.FIXED", Fixed(trees=10))
+    monkeypatch.setattr("experiments.recognize.reading_methods.CONFIG", ClassifierConfig(trees=10))
     rng = np.random.default_rng(0)
     lines = [
         f"{'xy'[c]},{grasp},{','.join(f'{v:.4f}' for v in 3 * c + own + 0.02 * rng.normal(size=4))}"
@@ -193,7 +192,7 @@ def test_fewer_touches_than_asked_and_samples_of_one_touch_are_said_and_kept(tmp
     assert "--touch COLUMN" in out
     assert main([*words, "--touch", "grasp", "--out", str(tmp_path / "touches")]) == 0
     out = capsys.readouterr().out
-    assert "100 rows are samples of 20 touches, as column grasp says" in out
+    assert "100 rows are samples of 20 touches by column grasp" in out
     assert "episodes have 4 touches, and 10 were asked for (--max-touches): label x in group t has 10 touches" in out
     metrics = json.loads((tmp_path / "touches" / "metrics.json").read_text())
     assert (metrics["samples"], metrics["rows"], metrics["touches_asked"]) == (100, 20, 10)

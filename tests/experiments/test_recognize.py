@@ -136,7 +136,7 @@ def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, caps
     np.testing.assert_allclose(belief.sum(1)[-1], 1 - result["unknown"], atol=1e-9)
     assert len(set(result["sites"])) == len(result["sites"]) == 2
     assert len(result["met_air"]) == len(result["would_be_met"]) == len(belief)
-    assert "; poses in which it would be met: " in capsys.readouterr().out  # what a touch told, air included
+    assert "; predicted probability of contact: " in capsys.readouterr().out  # what a touch told, air included
     kept = dataset.load_dataset(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)
@@ -174,8 +174,8 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
     assert recognize.main(["live", "--pad-model", str(trained_run), "--out", str(out), *LIVE]) == 2
     assert len(draws) == MAX_EMPTY_DRAWS
     captured = capsys.readouterr()
-    assert f"no touch is safe on what may be there: {MAX_EMPTY_DRAWS} draws" in captured.out
-    assert "no touch is safe on what may be there" in captured.err
+    assert f"no site is safe for all possible objects in {MAX_EMPTY_DRAWS} draws" in captured.out
+    assert "no site is safe for all possible objects" in captured.err
     assert not list((out / "touches").glob("*.h5"))
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from experiments.common.runs import load_part, save_part
 from experiments.recognize import report
-from experiments.recognize.report import COMPARED, FAIR, IMAGINE2TOUCH, RULES_GP, EpisodeResults
+from experiments.recognize.report import COMPARED_PAIRS, IMAGINE2TOUCH, RULES_GP, SAME_INPUT_PAIRS, EpisodeResults
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 from tools.reproduce.recognition_tables import paper_differences
 
@@ -132,7 +132,7 @@ def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_indepe
 def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_own():
     """In the documents' table, where a name that was shortened too far would stand for two rows."""
     last = {"mean": 0.1, "low": 0.0, "high": 0.2}
-    pairs = [f"{one} - {other}" for one, other in COMPARED if ", " in one and ", " in other]
+    pairs = [f"{one} - {other}" for one, other in COMPARED_PAIRS if ", " in one and ", " in other]
     paired = {pair: {"last": last, "pads_needed": 3} for pair in pairs}
     sets = {name: {"paired": paired} for name in report.PAPER_SETS}
     measured = {"pads": list("012345"), "sets": sets, "differences of these means": dict.fromkeys(pairs, last)}
@@ -144,7 +144,7 @@ def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_
     for rule in ("votes", "product"):
         found = {name.removesuffix(f" ({rule})") for name in names if name.endswith(f"({rule})")}
         assert found >= {network_with, gp_without, *gp_with}
-    assert len([pair for pair in FAIR if pair[0] == RULES_GP]) == 3
+    assert len([pair for pair in SAME_INPUT_PAIRS if pair[0] == RULES_GP]) == 3
     # A p value of 0.05 alone stands with no other beside it. Clear differences do, and the primary one bears no mark.
     assert "†" not in table
     clear = {"mean": 0.1, "low": 0.09, "high": 0.11}

@@ -19,14 +19,14 @@ def test_every_long_enough_session_counts_and_the_limit_is_said():
     dataset = sessions_of(36, 12, 4, 20)
     chosen = recorded.choose_sessions(dataset, 10, None)
     assert (chosen.names, chosen.touches) == (("run 0", "run 1", "run 3"), 12)
-    assert "left out, with fewer: run 2 (4)" in chosen.describe()
+    assert "left out, with too few: run 2 (4)" in chosen.describe()
     chosen = recorded.choose_sessions(dataset, 10, 20)
     assert (chosen.names, chosen.touches) == (("run 0", "run 3"), 20)
     with pytest.raises(DataError, match="no session has 40 touches with a measured force; the longest has 36"):
         recorded.choose_sessions(dataset, 10, 40)
     chosen = recorded.choose_sessions(sessions_of(3, 2), 10, None)
     assert chosen.names == ("run 0",)
-    assert "1 sessions of 3 usable touches, and not the 10 that were asked for" in chosen.describe()
+    assert "1 sessions of 3 usable touches; no session has the 10 that were asked for" in chosen.describe()
 
 
 @pytest.mark.parametrize("episodes", [1, 2, 8])
@@ -54,7 +54,7 @@ def test_candidates_are_those_of_the_data_set_where_the_catalogue_has_them():
     assert tuple(recorded.meshes_of(names, path)) == names
     with pytest.raises(DataError, match=r"touches of mug, of which there is no mesh.*--objects star mug.stl"):
         recorded.meshes_of(("star", "mug"), path)
-    with pytest.raises(DataError, match="touches of star only; name the objects to tell apart"):
+    with pytest.raises(DataError, match="touches of star only; name the objects to distinguish"):
         recorded.meshes_of(("star",), path)
 
 

@@ -73,14 +73,14 @@ def test_a_mean_path_has_equal_steps_whatever_the_pace():
     paced = np.array([0, 0.1, 0.2, 0.9, 1.0])
     paths = np.stack([np.stack([x, 0 * x], -1) for x in (paced, paced**2)])
     found = strokes.mean_paths(paths, np.array([0, 0]), 1)[0]
-    np.testing.assert_allclose(np.diff(found[:, 0]), 1 / (strokes.PATH_POINTS - 1))
+    np.testing.assert_allclose(np.diff(found[:, 0]), 1 / 23)
 
 
 def test_who_was_always_right_is_as_sure_as_the_number_of_judged_rows_allows():
     """As if half a row more had been of any label (Jeffreys), whatever the classifier claims."""
     label = np.tile([0, 1], 20)
     train, test = np.arange(30), np.arange(30, 40)
-    told = readings.told_by(lambda _, rows: np.eye(2)[label[rows]], label, train, test)
+    told = readings.predict_calibrated(lambda _, rows: np.eye(2)[label[rows]], label, train, test)
     judged = sum(len(block) for _, block in readings.rolling_blocks(label, train))
     np.testing.assert_allclose(told.p.max(1), 1 - 0.25 / (0.5 + judged), rtol=1e-3)
 
@@ -135,7 +135,7 @@ def test_strokes_are_told_by_their_path_and_not_by_the_field_around_them(table, 
         assert rate[readings.AMBIENT] < 0.7
         assert rate[readings.REST_PAIRS] < 0.7
         assert len(part["methods"][readings.AT_REST][readings.BETTER_BY]) == 3
-        assert np.shape(part["mean_paths"]) == (3, strokes.PATH_POINTS, 2)
+        assert np.shape(part["mean_paths"]) == (3, 24, 2)
         assert np.sum(part["methods"][readings.WARPED]["confusion"]) == 15
     assert {path.name for path in (tmp_path / "run").glob("*.png")} == {"rates.png", "confusion.png", "paths.png"}
 
@@ -149,10 +149,10 @@ def test_single_readings_are_given_to_classifiers_alone(table, tmp_path):
 
 def test_a_table_that_does_not_fit_is_refused_in_a_sentence(table, tmp_path, monkeypatch, capsys):
     for more, answer in (
-        (["--samples", "7"], "no multiple of --samples 7"),
+        (["--samples", "7"], "not a multiple of --samples 7"),
         (["--label", "sort"], "there is no column sort"),
         (["--dataset", str(tmp_path)], "pass one of them"),
-        (["--samples", "0"], "one sample at least"),
+        (["--samples", "0"], "at least one sample"),
     ):
         words = ["--readings", str(table), "--ignore", "number", "--out", str(tmp_path / "run")]
         words += [] if "--label" in more else ["--label", "kind"]

@@ -75,7 +75,7 @@ def test_folds_hold_out_what_they_say():
     for fold in range(FOLDS):
         turn = np.degrees(where.rotation[angle == fold]) % 360
         assert ((turn >= 72 * fold - 1e-6) & (turn <= 72 * (fold + 1) + 1e-6)).all()
-    block = np.floor(where.position / methods.BLOCK_EDGE_M).astype(int)
+    block = np.floor(where.position / 2e-3).astype(int)
     location = split_folds(where, "location", 0)
     for cell in np.unique(block, axis=0):
         assert len(np.unique(location[(block == cell).all(1)])) == 1
@@ -95,7 +95,7 @@ def test_the_hysteresis_of_a_chip_is_found():
     residuals = np.where((runs == 0)[:, None], kept[None] * before, 0) + rng.normal(size=(200, 15))
     found = pad.fit_hysteresis(residuals, before, runs, np.array([0, 1, 7]))
     # Shrunk by n / (n + MEMORY); noise of 1 uT on 50 uT over 300 values leaves 0.001.
-    np.testing.assert_allclose(found[0], kept * 100 / (100 + pad.HYSTERESIS_PRIOR_PRESSES), atol=0.03)
+    np.testing.assert_allclose(found[0], kept * 100 / (100 + 8), atol=0.03)
     np.testing.assert_allclose(found[1:], 0, atol=0.01)
 
 
@@ -175,7 +175,7 @@ def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
 
 @pytest.mark.full
 def test_one_shape_and_unknown_stamps_are_refused():
-    with pytest.raises(DataError, match="two at least"):
+    with pytest.raises(DataError, match="needs at least two"):
         methods.shapes_of(replace(pressed(), objects=("T",)))
     with pytest.raises(ValueError, match="no stamp is called"):
         world.stamps(["banana"])

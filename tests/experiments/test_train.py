@@ -197,7 +197,7 @@ def test_touches_that_only_choose_are_neither_trained_on_nor_tested_nor_scaled_b
     blank = np.zeros((12, 4, 4))
     part = np.repeat([0, 1, 2, 3], 3)
     split = Split(part == 0, part == 1, part == 2, part, "object")
-    prepared = Prepared(TrainingTouches(bare_dataset(blank, readings)), split, (), judging=part == 3)
+    prepared = Prepared(TrainingTouches(bare_dataset(blank, readings)), split, (), selection=part == 3)
     error = np.random.default_rng(1).normal(size=(9, 6))
     wrong = {"tuned": np.repeat([0.1, 1.0, 3.0], 3), "judged": np.repeat([0.5, 1.0, 0.1], 3)}
     both = {name: foretold(readings[3:] + size[:, None] * error) for name, size in wrong.items()}
@@ -212,7 +212,7 @@ def test_a_study_keeps_the_touches_of_the_default():
     default, study = (PRESETS[name].simulation for name in ("paper", "study"))
     assert study.objects[: len(default.objects)] == default.objects
     assert study.counts()[: len(default.objects)] == default.counts()
-    assert not set(study.judging) & set(default.objects)
+    assert not set(study.selection) & set(default.objects)
     assert sum(default.counts()) == default.touches
 
 
@@ -233,7 +233,7 @@ def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeyp
     assert command.main([*arguments, str(tmp_path / "none.npz"), "--overwrite"]) == 2
     assert "none.npz" in capsys.readouterr().err
     assert command.main([*arguments, str(tmp_path / "pad.npz"), "--dataset", str(tmp_path), "--overwrite"]) == 2
-    assert "--pad is for simulated touches" in capsys.readouterr().err
+    assert "--pad simulates touches" in capsys.readouterr().err
 
 
 def small_recording(board: Board, **columns) -> dataset.Dataset:
@@ -287,7 +287,7 @@ def test_a_table_is_printed_where_a_score_is_missing(capsys):
         }
     )  # fmt: skip
     said = capsys.readouterr().out
-    assert "kept: mean reading" in said
+    assert "selected: mean reading" in said
     assert "0.91 of validation values" in said
     assert "note: travels are zero" in said
 
