@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from experiments.common.cells import AVERAGE_SUFFIX, Measured, Table
+from experiments.common.cells import UNSHOWN, Measured, Table
 from tools.reproduce import recognition_tables as recognition
 from tools.reproduce import shape_tables as shapes
 from tools.reproduce import skin_tables as skins
@@ -83,11 +83,11 @@ def shortened(step: str, measured: Measured) -> Measured:
         kept = ("source", "pads", "runs", "episodes", "touches", "tables")
         measured = {name: x for name, x in measured.items() if name in kept}
     if "sets" in measured:
-        scores_kept = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss")
+        kept_scores = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss")
         for entry in measured["sets"].values():
-            entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(AVERAGE_SUFFIX)}
+            entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(UNSHOWN)}
             for scores in entry["methods"].values():
-                for name in [name for name in scores if name not in scores_kept]:
+                for name in [name for name in scores if name not in kept_scores]:
                     del scores[name]
     if step == "fidelity":
         measured |= {"recordings": skins.sections_of_recordings(measured["recordings"])}
