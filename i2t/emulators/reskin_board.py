@@ -6,7 +6,7 @@
 The first line of output is the port's path (the link, if there is one). With `--field`, the second line is the address
 for fields. Like a real board, it waits until somebody opens the port. At rest, it sends a uniform ambient field in the
 axes of its chips (`i2t.skin.boards`), with noise and steps as measured on real boards. Presses can be added. Times of
-faults count from the first opening. The emulator runs on Linux and macOS, without JAX.
+faults count from when the port is first opened. The emulator runs on Linux and macOS, without JAX.
 """
 
 import errno
@@ -58,27 +58,29 @@ class BoardSignal:
 class EmulatedBoardArgs:
     """An emulated ReSkin, AnySkin or eFlesh board."""
 
-    link: Path | None = None  # name of the port: a symbolic link that is made and removed
-    board: str = "reskin"  # reskin, anyskin, or grid-RxC for R rows and C columns of chips
-    format: tyro.conf.EnumChoicesFromValues[Format] = Format.BINARY  # format of its frames, by its firmware
-    rate: float = 400.0  # frames per second
-    noise: float = 1.0  # noise relative to real boards; 0 repeats one frame exactly
+    link: Path | None = None  # symbolic link to the port, created at the start and removed at the end
+    board: str = "reskin"  # board to emulate: reskin, anyskin, or grid-RxC for R rows and C columns of chips
+    # format of the frames, which depends on the board's firmware
+    format: tyro.conf.EnumChoicesFromValues[Format] = Format.BINARY
+    rate: float = 400.0  # frame rate (frames per second)
+    noise: float = 1.0  # noise as a multiple of that of real boards; 0 repeats the same values exactly
     press: float = 0.0  # size of a press every 4 s, in units of 57 uT (norm on 5 chips)
     field: bool = False  # receive the field (3 float32 per chip, little-endian, uT) in UDP datagrams
-    fail: tuple[int, ...] = ()  # chips that do not answer
-    fail_after: float = 0.0  # time (s) until they stop answering
-    freeze_after: float = float("inf")  # time (s) until it sends the same values for ever
+    fail: tuple[int, ...] = ()  # numbers of the chips that stop answering
+    fail_after: float = 0.0  # time (s) until the chips in --fail stop answering
+    freeze_after: float = float("inf")  # time (s) until the board begins to repeat the same values
     fail_share: float = 0.0  # fraction of the samples in which a chip does not answer, independently for each chip
-    empty: int = 1  # only every Nth frame holds values, as if the firmware read faster than the chips measure
+    # only every Nth frame holds values, as if the firmware read faster than the chips measure; 1 fills all frames
+    empty: int = 1
     skip: float = 0.0  # fraction of the frames that are lost
-    garbage_for: float = 0.0  # duration (s) of random bytes after each opening, which resets the board
-    silent_after: float = float("inf")  # time (s) until it falls silent
-    silent_for: float = float("inf")  # duration (s) of the silence
-    unplug_after: float = float("inf")  # time (s) until it is unplugged
-    replug_after: float = float("inf")  # time (s) until it is plugged in again, under the same link
-    baud: int | None = None  # rate of a real UART, at which any other rate gives random bytes
-    seed: int = 0  # seed of noise and damage
-    tethered: bool = False  # end when standard input closes, together with the program that started it
+    garbage_for: float = 0.0  # duration (s) of random bytes each time that the port is opened, which resets the board
+    silent_after: float = float("inf")  # time (s) until the board stops sending
+    silent_for: float = float("inf")  # duration (s) of the pause after --silent-after
+    unplug_after: float = float("inf")  # time (s) until the board is unplugged
+    replug_after: float = float("inf")  # time (s) until the board is plugged in again, under the same link
+    baud: int | None = None  # baud rate of an emulated UART; a client at any other rate receives random bytes
+    seed: int = 0  # seed of the noise and of the random faults
+    tethered: bool = False  # exit when standard input closes, so that the board ends with the program that started it
 
 
 class Readings:

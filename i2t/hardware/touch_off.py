@@ -4,22 +4,22 @@
 
 WARNING: The command moves the arm. Set the speed slider to a fifth and keep a hand on the emergency stop.
 
-A rigid, level flat lies at a known height in the robot's base: the table, or a gauge block on it. The tool is tilted so
-that one corner of the skin is lowest, and lowered until the corner feels the flat. From the tool's pose T_b_t at that
-moment, the corner (x, y) of the skin has in the tool the height
+The flat is a rigid, level surface at a known height in the robot's base: the table, or a gauge block on it. The tool is
+tilted so that one corner of the skin is lowest, and lowered until the arm feels the flat. From the tool's pose
+T_b_t at that moment, the height in the tool of the corner (x, y) of the skin is
 
     z = (height - o_z - R_zx x - R_zy y) / R_zz,        T_b_t = (R, o),
 
 and four corners determine a plane, z = z0 + sx x + sy y by least squares: the face of the skin. The tool's frame is
-moved along its z axis and tilted onto this plane. A flat reveals nothing about sideways shifts or rotations about z. A
-plane needs three corners; the distance by which the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around, is
-reported.
+moved along its z axis and tilted onto this plane. A flat reveals nothing about lateral offsets or rotations about z.
+Three corners determine a plane; the distance by which the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around
+the skin, is reported.
 
-A press begins before it is felt. A corner that sinks into an elastic layer by d touches over an area of d^2 at a mean
-strain proportional to d, so its force grows as d^3. With a spring of stiffness k in series, the travel since first
-contact is a F^(1/3) + F / k. First contact, a and k are fitted to the forces on the way by least squares. On the skin
-of the simulated world the result is 0.03 mm early at this tilt; a straight line through the forces would be 0.5 mm
-late.
+A press begins before its force can be measured. A corner that sinks into an elastic layer by d touches over an area of
+d^2 at a mean strain proportional to d, so its force grows as d^3. With a spring of stiffness k in series, the travel
+since first contact is a F^(1/3) + F / k. First contact, a and k are fitted to the measured forces by least squares. On
+the skin of the simulated world the result is 0.03 mm early at this tilt; a straight line through the forces would be
+0.5 mm late.
 """
 
 import math
@@ -247,11 +247,11 @@ class TouchOffArgs:
     """Find the pose of the skin in the tool by touching a flat with each corner of the skin."""
 
     rig: Path  # the lab's calibration file
-    height: float  # of the flat in the base, m
-    at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # the flat's position in the base, m
-    arm: str = "ur"  # or an arm of another package: its registered name, or package.module:Class
-    host: str | None = None  # address of the arm's controller; a UR arm needs one
-    write: bool = False  # write the result into the rig
+    height: float  # height (m) of the flat in the robot's base frame
+    at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # position (m) of the flat in the base frame
+    arm: str = "ur"  # ur, or an arm of another package by its registered name or as package.module:Class
+    host: str | None = None  # address of the arm's controller; required for a UR arm
+    write: bool = False  # write the result to the calibration file
 
 
 def _touch_off(args: TouchOffArgs) -> None:
