@@ -85,7 +85,7 @@ def _check(args: ImagineArgs) -> None:
     require_writable("--out", args.out)
     endings = (".png", ".jpg", ".pdf", ".svg")
     if args.out.suffix.lower() not in endings:
-        raise ValueError(f"--out {args.out}: is not a picture; let the name end in {' or '.join(endings)}")
+        raise ValueError(f"--out {args.out}: is not the name of a picture; use the ending {' or '.join(endings)}")
     folder = ready_path(args.model, "predictor")
     if not any((folder / part / "_CHECKPOINT_METADATA").is_file() for part in ("", "checkpoint/predictor")):
         raise ValueError(

@@ -49,10 +49,10 @@ def numbers(name: str, value: Any, hint: str) -> np.ndarray:
     try:
         array = np.asarray(value)
     except (TypeError, ValueError) as error:  # rows of different lengths
-        raise TypeError(f"{name}: is a {type(value).__name__} that makes no array; give {hint}") from error
+        raise TypeError(f"{name}: is a {type(value).__name__} that does not form an array; give {hint}") from error
     is_real = array.dtype.kind in "iuf"  # integers and floats, but not booleans, text or objects
     if array.size and not is_real:
-        raise TypeError(f"{name}: is {_short(value)}, and no real numbers; give {hint}")
+        raise TypeError(f"{name}: is {_short(value)}, not real numbers; give {hint}")
     return array
 
 
@@ -61,7 +61,7 @@ def _without_mask(name: str, value: Any, hint: str) -> Any:
     if not isinstance(value, np.ma.MaskedArray) or not np.ma.getmaskarray(value).any():
         return value
     if value.dtype.kind != "f":
-        raise TypeError(f"{name}: masks some of its {value.dtype}, which have no NaN to mark them; give {hint}")
+        raise TypeError(f"{name}: masks some of its {value.dtype} values, which cannot be NaN; give {hint}")
     return value.filled(np.nan)
 
 
@@ -132,7 +132,7 @@ def number(name: str, value: Any, hint: str, *, least: int | float = -math.inf, 
         return
     array = numbers(name, value, hint)
     if array.ndim != 0:
-        raise ValueError(f"{name}: has the shape {array.shape}, and one number is meant; give {hint}")
+        raise ValueError(f"{name}: has the shape {array.shape}, but must be one number; give {hint}")
     if not (math.isfinite(array) and array >= least and array > above):
         raise ValueError(f"{name}: is {array:g}; give {hint}")
 
@@ -184,7 +184,7 @@ def count(name: str, value: Any, *, least: int = 1) -> int:
     except TypeError:
         whole = None
     if whole is None or isinstance(value, bool | np.bool_):
-        raise TypeError(f"{name}: is {_short(value)}, and no whole number; give one from {least}")
+        raise TypeError(f"{name}: is {_short(value)}, not a whole number; give one from {least}")
     if whole < least:
         raise ValueError(f"{name}: is {whole}; give a whole number from {least}")
     return whole
@@ -203,7 +203,7 @@ def random_key(name: str, value: Any) -> None:
     kind = str(getattr(value, "dtype", ""))
     new, old = kind.startswith("key<"), kind == "uint32" and getattr(value, "shape", ())[-1:] == (2,)
     if not (new or old):
-        raise TypeError(f"{name}: is {_short(value)}, and no random key; give jax.random.key(0)")
+        raise TypeError(f"{name}: is {_short(value)}, not a random key; give jax.random.key(0)")
 
 
 def round_tip(text: str, largest_mm: float = MAX_TIP_RADIUS_MM) -> tuple[str, float]:

@@ -413,7 +413,7 @@ def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box,
         predictor.predict_touch(trimesh.Trimesh(1e3 * box.vertices, box.faces), on_top())
     with pytest.raises(ValueError, match="unit is that of a file"):
         predictor.predict_touch(box, on_top(), unit="mm")
-    with pytest.raises(ValueError, match="say in which unit"):
+    with pytest.raises(ValueError, match="its unit is missing"):
         predictor.predict_touch(tmp_path / "box.stl", on_top())
     bodies = [trimesh.creation.box((30, 30, 30)), trimesh.creation.box((30, 30, 29))]
     bodies[1].apply_translation((60, 0, 0))

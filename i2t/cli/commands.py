@@ -49,7 +49,7 @@ EXPERIMENTS = {
     "tools.check_docs": "check the documentation",
     "tools.reproduce": "repeat the studies and tables of the documentation",
 }
-FIRST = (  # commands that users begin with, in this order
+FIRST = (  # most common commands, listed first and in this order
     "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",
     "experiments.train", "experiments.recognize", "experiments.calibrate", "experiments.fidelity",
 )  # fmt: skip

@@ -61,5 +61,5 @@ class TouchSettings:
         check_options(self, group="settings.")
         if self.near > self.prepare:
             raise ValueError(
-                f"settings.near, {self.near:g} m, lies before prepare, {self.prepare:g} m; make it smaller"
+                f"settings.near, {self.near:g} m, is more than settings.prepare, {self.prepare:g} m; make it smaller"
             )

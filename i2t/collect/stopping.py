@@ -85,9 +85,9 @@ class StopCondition:
         """
         above = self._watch(result.state)
         if result.state.moving:
-            raise DeviceError("the arm's approach has ended, and the arm moves; see `approach` of its driver")
+            raise DeviceError("the arm still moves after its approach has ended; see `approach` of its driver")
         if not (self._asked or result.distance <= 1e-3):  # a shorter approach may end before it asks
-            raise DeviceError("the arm's approach did not ask its stop condition; see `approach` of its driver")
+            raise DeviceError("the arm's approach did not evaluate its stop condition; see `approach` of its driver")
         if result.reason == "distance":
             return result._replace(reason=above or "distance")
         return result._replace(reason=self._above, answer=None) if self._above else result

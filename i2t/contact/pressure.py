@@ -49,7 +49,7 @@ _WEIGHTS = np.array(
 class ContactPressure(NamedTuple):
     """Pressure of a contact on the skin's surface, of one touch or of many along axis 0."""
 
-    pressure: Float[Array, "*n m m"]  # N on each cell of 1 mm
+    pressure: Float[Array, "*n m m"]  # N, force on each cell of 1 mm
     load: Float[Array, "*n"]  # N, total force
 
 
@@ -66,8 +66,8 @@ class PressureModelConfig:
     # m, edge of a cell of the contact grid; it must divide 1 mm
     cell: float = field(default=0.5e-3, metadata={"static": True})
     iterations: int = MAX_STEPS  # steps of the contact solver
-    floor: float = 0.02  # N, smallest load; a noisy wrench sensor may report less
-    softness: float = 1.0  # divides Young's modulus of the pad: a layer twice as soft has softness 2
+    floor: float = 0.02  # N, smallest load that is used; a noisy wrench sensor may report less
+    softness: float = 1.0  # factor that divides Young's modulus of the pad: a layer twice as soft has softness 2
 
     def __post_init__(self) -> None:
         """Refuse cells that do not tile the skin, and a layer without stiffness (ValueError)."""

@@ -47,7 +47,7 @@ def write(target: Path, dataset: Dataset) -> Path:
     """
     require_extra("pyarrow", "LeRobot's format")
     if target.is_dir() and any(target.iterdir()) and not (target / "meta/i2t.json").is_file():
-        raise DataError(f"{target}: holds files that no such export wrote; give another folder")
+        raise DataError(f"{target}: holds files that this export did not write; give another folder")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))

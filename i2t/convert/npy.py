@@ -128,7 +128,7 @@ class _Parts(NamedTuple):
     shape: tuple[int, ...]
     code: str
     fortran: bool
-    data: Any  # bytes, or a list of objects
+    data: Any  # array data as bytes, or a list of objects
 
 
 def _inert_parts() -> dict[str, Callable[..., Any]]:

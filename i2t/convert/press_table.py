@@ -90,8 +90,9 @@ class Tip(NamedTuple):
     """The body that presses."""
 
     name: str
-    patches: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]  # patches of x, y, window and reach (m)
-    lowest: float = 0.0  # m, z of the lowest point in the tip's own frame
+    # function that makes patches from x, y, window and reach (m)
+    patches: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
+    lowest: float = 0.0  # m, z of the tip's lowest point in its own frame
 
 
 def round_tip(name: str, profile: Profile) -> Tip:

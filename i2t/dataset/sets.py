@@ -40,7 +40,7 @@ class Dataset:
     source: str  # "simulated", "real", "mixed" (partly simulated) or "not stated"
     window: float = PATCH_WINDOW  # m, edge of the square that a patch covers
     reach: float = REACH  # m, largest depth of a patch
-    meta: Mapping[str, str] = field(default_factory=dict)  # provenance
+    meta: Mapping[str, str] = field(default_factory=dict)  # provenance of the touches as names and texts
 
     def __repr__(self) -> str:
         return (

@@ -67,8 +67,8 @@ class Series:
     """Samples with their own clock."""
 
     time: np.ndarray  # (n,) s, Unix time
-    values: np.ndarray  # (n, k)
-    columns: tuple[str, ...]  # k names
+    values: np.ndarray  # (n, k) values of the columns
+    columns: tuple[str, ...]  # names of the k columns
     unit: str
 
 
@@ -76,7 +76,7 @@ class Series:
 class Record:
     """Everything that was recorded of one touch."""
 
-    touch: Dataset  # data set of one touch
+    touch: Dataset  # data set that holds one touch
     images: Mapping[str, Image] = field(default_factory=dict)
     series: Mapping[str, Series] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()  # (Unix time in s, description)

@@ -42,16 +42,16 @@ started = partial(processes.started, "i2t.emulators.reskin_board")  # takes opti
 class BoardSignal:
     """Signal of an emulated board. Noise and steps are those measured on real boards, at the paper's settings."""
 
-    ambient: tuple[float, float, float] = (18.0, -7.0, -41.0)  # uT in tool axes, about the Earth's field
+    ambient: tuple[float, float, float] = (18.0, -7.0, -41.0)  # uT, ambient field in tool axes, about the Earth's field
     noise: tuple[float, float, float] = (3.1, 3.1, 4.6)  # uT, standard deviation of a sample of x, y and z
-    steps: tuple[float, float, float] = (0.150, 0.150, 0.242)  # uT, steps of the converter
-    temperature: float = 24.6  # degrees Celsius
+    steps: tuple[float, float, float] = (0.150, 0.150, 0.242)  # uT, step of the converter along x, y and z
+    temperature: float = 24.6  # degrees Celsius, mean temperature of the chips
     temperature_noise: float = 0.1
     temperature_step: float = 1 / 45.2
-    temperature_origin: float = 25.0  # degrees Celsius from which the converter counts
+    temperature_origin: float = 25.0  # degrees Celsius, temperature at which the converter counts 0
     press: tuple[tuple[float, float, float], ...] = ((9, 4, -38), (-14, 8, 12), (6, 20, 9), (-5, -16, 7), (11, -9, 13))
     """Change (uT) of a press on successive chips, repeated on larger boards."""
-    press_period: float = 4.0  # s
+    press_period: float = 4.0  # s, time from one press to the next
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if options.link and options.link.exists() and not options.link.is_symlink():
             raise ValueError(f"--link {options.link}: exists and is not a link; give another name")
         if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
-            raise ValueError(f"the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more")
+            raise ValueError(f"--fail takes chips 0 to {board.num_chips - 1}, --empty takes 1 or more; correct them")
         port = BoardPort(options.link)
         try:
             print(port.plug(), flush=True)

@@ -43,11 +43,11 @@ class ContactLine(NamedTuple):
     """Contact of the skin along its own z axis."""
 
     T_b_t: Array  # (4, 4) pose at the beginning of the line
-    first: float  # m from there to first contact; inf if there is none
-    past_contact: Array  # (k,) m past first contact, from 0
-    force: Array  # (k,) N
+    first: float  # m, distance from the beginning of the line to first contact; inf if there is none
+    past_contact: Array  # (k,) m, tabulated travel past first contact, from 0
+    force: Array  # (k,) N, force at each tabulated travel
     centre: Array  # (k, 2) m, centre of pressure in the tool's x and y
-    reading: Array  # (k, 3 chips) uT, without noise
+    reading: Array  # (k, 3 chips) uT, reading at each tabulated travel, without noise
 
     def distance_along(self, position: Array, rotation: Array) -> float | None:
         """Compute the distance of a pose along the line.

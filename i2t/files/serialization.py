@@ -94,7 +94,9 @@ def load(
     try:
         return _build(form, arrays, ""), header["about"]
     except KeyError as error:
-        raise SerializationError(f"{path}: lacks {error}; it was written by another i2t, make it again") from error
+        raise SerializationError(
+            f"{path}: lacks {error}; it was written by another version of i2t; make it again"
+        ) from error
 
 
 def file_kind(path: Path | str) -> str:

@@ -33,7 +33,7 @@ from i2t.files.reading import read_text, read_toml
 from i2t.files.writing import as_path
 from i2t.hardware.protocols import View
 
-DEPTH_UNIT_M = 1e-4  # of the files that `save_views` writes: 16 bits hold up to 6.5 m
+DEPTH_UNIT_M = 1e-4  # m per unit of the files that `save_views` writes: 16 bits hold up to 6.5 m
 DESCRIPTION = "camera.toml"
 NOT_TOML = (
     f"not TOML: write its numbers to {DESCRIPTION}, as KEY = VALUE under the same names (width, height, K, "

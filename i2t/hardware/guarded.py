@@ -98,7 +98,9 @@ class MotionWatch:
         if not state.moving or not np.array_equal(state.T_b_t, before.T_b_t):
             self._change_time = now
         if not now - self._change_time <= self._stall_timeout:
-            raise DeviceError(f"{self._name} reports a motion, but its pose stands still; is its speed slider at 0?")
+            raise DeviceError(
+                f"{self._name} reports a motion, but its pose does not change; check whether its speed slider is at 0"
+            )
         self._newest = state
         force, torque = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
         return "force" if not force <= self._force else "torque" if not torque <= self._torque else None
@@ -139,7 +141,7 @@ def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
     force, torque = (float(norm) for norm in np.linalg.norm(np.reshape(wrench, (2, 3)), axis=1))
     if not (force <= SAFETY.max_start_load * limits.force and torque <= SAFETY.max_start_load * limits.torque):
         raise DeviceError(
-            f"The arm feels {force:.0f} N and {torque:.0f} Nm before it moves: free the tool with the pendant, and "
+            f"The arm measures {force:.0f} N and {torque:.0f} Nm before it moves: free the tool with the pendant, and "
             "check the payload."
         )
     growth = SAFETY.max_retreat_growth
@@ -259,9 +261,9 @@ class GuardedByPolling(DeviceBase):
             The newest state.
 
         Raises:
-            DeviceTimeoutError: The state is older; the arm was told to stop.
+            DeviceTimeoutError: The state is older; a stop was sent to the arm.
             DeviceError: The state is invalid, or a motion that `move` started met something or deviates from the
-                request; the arm was told to stop.
+                request; a stop was sent to the arm.
         """
         if not self._open:
             raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")

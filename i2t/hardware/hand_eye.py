@@ -93,7 +93,7 @@ class CharucoBoard:
         aruco = opencv().aruco
         code = getattr(aruco, f"DICT_{self.dictionary}", None)
         if code is None:
-            raise ValueError(f"OpenCV has no dictionary {self.dictionary!r}; give one as 4X4_50 or APRILTAG_36h11")
+            raise ValueError(f"OpenCV has no dictionary {self.dictionary!r}; give one such as 4X4_50 or APRILTAG_36h11")
         markers = aruco.getPredefinedDictionary(code)
         return aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
 
@@ -194,7 +194,7 @@ class DrawArgs(CharucoBoard):
         """Write the image."""
         suffixes = (".png", ".tif", ".pdf")  # of formats that keep the size on paper
         if self.file.is_dir() or self.file.suffix.lower() not in suffixes:
-            raise ValueError(f"{self.file}: is not a name of a picture; let it end in {' or '.join(suffixes)}")
+            raise ValueError(f"{self.file}: is not the name of a picture; use the ending {' or '.join(suffixes)}")
         with replacing(self.file) as temporary:
             Image.fromarray(self.drawn()).save(temporary, dpi=(300, 300))
         print(f"{self.file}: print it at 100 %; a square must measure {1e3 * self.square:g} mm")

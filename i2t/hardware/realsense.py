@@ -40,7 +40,7 @@ from i2t.hardware.protocols import CameraFeatures, ColourImage, View
 from i2t.types import Array
 
 SIZES_PX = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))
-NEAREST_MM = {  # of each model at the sizes in SIZES_PX
+NEAREST_MM = {  # shortest depth (mm) that each model measures, at each of the sizes in SIZES_PX
     "D405": (40, 45, 55, 70, 70, 100),
     "D415": (160, 180, 240, 310, 310, 450),
     "D435": (105, 120, 150, 175, 195, 280),
@@ -89,8 +89,8 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
         fits = [f", or take {w} x {h} pixels" for w, h in SIZES_PX if nearest(model, w, h) <= distance][-1:]
         others = [f", or mount a {name}" for name in NEAREST_MM if nearest(name, width, height) <= distance][:1]
         raise TooNearError(
-            f"the {model} measures nothing nearer than {1e3 * minimum:.0f} mm at {width} x {height} pixels, and is to "
-            f"look from {1e3 * distance:.0f} mm: look from {1e3 * minimum:.0f} mm{''.join(fits + others)}"
+            f"the {model} measures nothing nearer than {1e3 * minimum:.0f} mm at {width} x {height} pixels, so it "
+            f"cannot look from {1e3 * distance:.0f} mm: look from {1e3 * minimum:.0f} mm{''.join(fits + others)}"
         )
 
 

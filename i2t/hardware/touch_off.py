@@ -47,29 +47,30 @@ from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW
 from i2t.types import Array
 
-CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # signs of x and y of the corners, in their order around
+# signs of x and y of the skin's corners, in their order around the skin
+CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
 @dataclass(frozen=True)
 class TouchOffConfig:
     """Motions of a touch-off, and how the force of a corner is judged."""
 
-    tilt: float = math.radians(6)  # rad, of the tool while it touches
-    clearance: float = 6e-3  # m above the flat, from where the lowest corner is lowered
-    transfer_speed: float = 0.05  # m/s between the corners
-    lowering_speed: float = 0.02  # m/s down to the clearance
-    approach_speed: float = 2e-3  # m/s onto the flat
-    approach_acceleration: float = 0.1  # m/s^2
-    softness_guess: float = 0.8e-3  # m/N^(1/3), of a corner
-    contact_force_share: float = 0.2  # share of the largest force that counts as felt
-    min_contact_samples: int = 5  # samples that must feel the flat
+    tilt: float = math.radians(6)  # rad, tilt of the tool while it touches
+    clearance: float = 6e-3  # m, height of the lowest corner above the flat before it is lowered slowly
+    transfer_speed: float = 0.05  # m/s, speed between the corners
+    lowering_speed: float = 0.02  # m/s, speed down to the clearance
+    approach_speed: float = 2e-3  # m/s, speed from the clearance onto the flat
+    approach_acceleration: float = 0.1  # m/s^2, acceleration onto the flat
+    softness_guess: float = 0.8e-3  # m/N^(1/3), first guess of a corner's softness `a`
+    contact_force_share: float = 0.2  # share of the largest force from which a sample counts as in contact
+    min_contact_samples: int = 5  # smallest number of samples in contact
 
 
 class FittedPlane(NamedTuple):
     """Plane of the skin's face, fitted to the touches of its corners."""
 
-    T_tool_skin: Array  # (4, 4), in the tool's frame of the rig: a shift along z and a tilt
-    flatness_error: float  # m, by which each corner misses the plane
+    T_tool_skin: Array  # (4, 4) pose of the skin in the rig's tool frame: a shift along z and a tilt, m
+    flatness_error: float  # m, distance of each corner from the fitted plane
 
 
 def corner_rotation(side: tuple[int, int], tilt: float = TouchOffConfig.tilt) -> Float[Array, "3 3"]:

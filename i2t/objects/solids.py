@@ -36,8 +36,9 @@ class Object(NamedTuple):
 
     name: str
     mesh: Mesh
-    family: str  # "primitive", "stamp", "tool" or "file"
-    T_file_object: NDArray[np.float64] = np.broadcast_to(np.eye(4), (4, 4))  # to the mesh file's frame, m; read-only
+    family: str  # kind of the object: "primitive", "stamp", "tool" or "file"
+    # (4, 4) pose of the object in the mesh file's frame, m; read-only
+    T_file_object: NDArray[np.float64] = np.broadcast_to(np.eye(4), (4, 4))
     left_out: Mesh | None = None  # pieces of the file that are not touched but obstruct the arm
 
 

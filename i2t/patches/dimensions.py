@@ -6,9 +6,9 @@ WIDE_PIXELS = 72
 WIDE_WINDOW = PATCH_WINDOW * WIDE_PIXELS / PATCH_PIXELS  # 25.5 mm, in pixels of the same size as the patch's
 TWIST_LEVER_M = PATCH_WINDOW / 2  # m, lever that turns the rotation of a twist into a length
 REACH = 4e-3  # m, largest depth of a patch behind its nearest surface point
-STANDOFF = 40e-3  # m, distance behind the tool origin at which rays start
+STANDOFF = 40e-3  # m, distance behind the tool's origin at which rays start
 PAD_WINDOW = 20e-3  # m, edge of the skin
-MAX_SKIN_FORCE_N = 100.0  # a larger force breaks a skin
+MAX_SKIN_FORCE_N = 100.0  # N, largest force on a skin; a larger one breaks it
 # N/m, series stiffness of arm and mount where it was not measured: an assumption for a collaborative arm with a plastic
 # mount. A rig sets its own in `limits.stiffness`, a simulation in `PressLimits.stiffness`.
 ARM_STIFFNESS_N_PER_M = 10e3

@@ -41,7 +41,7 @@ from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.types import Surface
 
 PROPRIOCEPTION = "proprioception"
-VIEW_BATCH = 64  # views rendered and predicted together, so that they compile once
+VIEW_BATCH = 64  # number of views rendered and predicted together, so that they compile once
 
 
 Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects

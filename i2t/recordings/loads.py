@@ -10,7 +10,7 @@ from i2t.recordings.sets import corrected_dataset
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
-ASSUMED_DEPTH_M = 2e-3  # of every press, if neither depth nor force is known
+ASSUMED_DEPTH_M = 2e-3  # m, depth of every press if neither depth nor force is known
 
 
 def loaded_presses(dataset: Dataset, load: Literal["auto", "depth", "force"]) -> LoadedPresses:

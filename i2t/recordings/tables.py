@@ -47,7 +47,7 @@ from i2t.recordings.columns import (
 from i2t.recordings.files import os_errors_as_data_errors
 from i2t.recordings.log import ReadingLog
 
-MAX_TABLE_VALUE = 1e9  # in any unit; larger numbers are damage
+MAX_TABLE_VALUE = 1e9  # largest plausible value in any unit; larger numbers are damage
 COMMENT_MARK = "#"
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
 EMPTY = " \t\r\n\0\x1a\ufeff\u00a0"  # characters of empty cells; \x1a is the end-of-file mark of DOS
@@ -59,7 +59,7 @@ class TextTable(NamedTuple):
 
     header: list[str]
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
-    notes: list[str]  # what was changed, a sentence each
+    notes: list[str]  # what was changed in the table, one sentence each
 
 
 class TableRows(NamedTuple):
@@ -67,7 +67,7 @@ class TableRows(NamedTuple):
 
     header: list[str]
     rows: Iterator[tuple[int, list[str]]]  # number of the line in the file, and its fields
-    notes: list[str]  # what was changed, a sentence each; the last ones are added when the rows end
+    notes: list[str]  # what was changed in the table, one sentence each; the last ones are added when the rows end
 
 
 def read_text_table(path: Path) -> TextTable:
@@ -239,19 +239,19 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
 class _Top(NamedTuple):
     """The lines before the first row of numbers, and the delimiter between fields."""
 
-    names: list[str]  # names of the columns as stated
-    delimiter: str  # a space stands for any number of spaces
-    before: int  # number of lines up to and including the names
-    comments: int  # number of comments among these lines
+    names: list[str]  # names of the columns as written in the file
+    delimiter: str  # delimiter of the columns; a space stands for any number of spaces
+    before: int  # number of lines up to and including that of the names
+    comments: int  # number of comments up to the line of the names
     titles: int  # number of other lines above the names
-    sample: list[str]  # the following lines, which were read already
+    sample: list[str]  # lines after the names that were read already
 
 
 class _Columns(NamedTuple):
     """Names and units of the columns that have a name."""
 
-    header: list[str]  # our names
-    factors: list[float]  # factors from the stated units to ours
+    header: list[str]  # i2t's names of the columns
+    factors: list[float]  # factors from the units in the file to i2t's
     stamps: bool  # whether times are dates or times of day
     texts: Sequence[str] = TEXT_COLUMNS  # columns without numbers
 

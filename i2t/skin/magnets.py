@@ -34,11 +34,12 @@ CYLINDER_NODES = 64  # nodes of the integral around a magnet
 class Magnets(NamedTuple):
     """k hard cylinder magnets."""
 
-    positions: Float[Array, "k 3"]  # m, of the centres
-    rotations: Float[Array, "k 3 3"]  # from a magnet's own axes, in which it is magnetised along z, to tool axes
+    positions: Float[Array, "k 3"]  # m, positions of the magnets' centres
+    # rotations from a magnet's own axes, in which it is magnetised along z, to tool axes
+    rotations: Float[Array, "k 3 3"]
     radii: Float[Array, " k"]  # m
     heights: Float[Array, " k"]  # m
-    magnetizations: Float[Array, " k"]  # A/m; remanence over mu0, negative for a magnet upside down
+    magnetizations: Float[Array, " k"]  # A/m, magnetizations: remanence over mu0, negative for a magnet upside down
 
 
 def cylinder_field(

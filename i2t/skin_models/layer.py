@@ -19,7 +19,8 @@ from i2t.geometry import from_twist, full_precision, inverse
 from i2t.skin.pad import NOMINAL_SKIN, nominal_pad
 from i2t.types import Pad, Surface
 
-MIN_LOAD_N = PressureModelConfig.floor  # smaller loads are within the noise of a wrench sensor
+# N, smallest load that is used; smaller loads are within the noise of a wrench sensor
+MIN_LOAD_N = PressureModelConfig.floor
 
 
 class Layer(NamedTuple):

@@ -29,7 +29,7 @@ class PermutationTest(NamedTuple):
     """An agreement, its mean when touches are paired at random, and the p-values of a one-sided test."""
 
     observed: Agreement
-    chance: Agreement  # mean over the permutations
+    chance: Agreement  # mean of each measure over the permutations
     p: Agreement  # p-value of each measure
     permutations: int
 

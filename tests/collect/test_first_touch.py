@@ -47,7 +47,7 @@ def test_a_right_rig_passes_with_a_report():
     first_touch(procedure, Block(), sentences.append)
     assert "0 % of the object's pixels" in sentences[0]
     assert [line.split(": met the object ")[0] for line in sentences[1:]] == [
-        "first looks: they could not measure the lateral offset of the camera",
+        "first looks: the lateral offset of the camera could not be measured",
         "top",
         "first touches: 0 of 2 sides can be touched; a lateral error may go unnoticed",
     ]
@@ -84,7 +84,7 @@ def test_a_wrong_payload_and_unreachable_sites_are_refused_before_any_motion():
     with pytest.raises(UnreachableError, match="none of 32 sites"):
         first_touch(procedure, sampler)
     procedure.arm.lab.robot.external_wrench = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
-    with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg"):
+    with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg of payload"):
         first_touch(procedure, Block())
     limits = replace(procedure.rig.limits, approach_distance=QUICK.prepare + 1e-3)
     procedure.rig = replace(procedure.rig, limits=limits)

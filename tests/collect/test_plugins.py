@@ -144,8 +144,8 @@ def test_views_of_a_board_are_taken_with_devices_of_another_package(acme, tmp_pa
 @pytest.mark.parametrize(
     ("board", "sentence"),
     [
-        (None, "AcmeSkin: does not state where its chips are; give it an attribute board"),
-        (reskin_board(), "Acme's skin sends 12 values, and a board of 5 chips"),
+        (None, "AcmeSkin: has no positions of its chips; give it an attribute board"),
+        (reskin_board(), "Acme's skin sends 12 values, but a board of 5 chips"),
     ],
 )
 def test_a_skin_without_a_board_is_refused(acme, monkeypatch, tmp_path, capsys, board, sentence):

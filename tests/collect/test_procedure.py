@@ -260,7 +260,7 @@ def test_an_object_too_high_for_the_box_is_refused_and_nothing_moves():
 @pytest.mark.parametrize(("bad", "sentence"), [
     *(({name: value}, "limit") for name, value in
       (("speed", 0.26), ("retreat", 0.3), ("acceleration", 0.6), ("force", 31.0), ("torque", 11.0), ("prepare", 0.2))),
-    ({"approach": 0.1}, "approach is 0.1 m/s: stopped at 8 N, it would end at 73 N"),
+    ({"approach": 0.1}, "approach is 0.1 m/s: a motion that is stopped at 8 N would end at 73 N"),
     ({"press": 0.05}, "press is 0.05 m/s"),
     ({"force": 29.9}, "above the rig's limit, 30 N"),
 ])  # fmt: skip

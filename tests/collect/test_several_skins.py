@@ -183,7 +183,7 @@ def test_a_rig_with_skins_is_read_back_and_an_impossible_one_refused(rig, old, n
 
 @pytest.mark.parametrize(("device", "flags", "sentence"), [
     ("simulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "skins.right.device is simulated"),
-    ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, and feels nothing on this"),
+    ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, which does not work with this"),
     ("nobody's", [], "skins.right.device nobody's is not known; give a name that"),
 ])  # fmt: skip
 def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, sentence):

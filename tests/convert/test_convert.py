@@ -69,7 +69,7 @@ def test_a_layout_without_a_source_is_not_declared_real(tmp_path, capsys):
     write(tmp_path / "src", "star", "1", 2, size=8)
     words = ("imagine2touch", tmp_path / "src")
     assert converted(*words, tmp_path / "unsaid").source == "not stated"
-    assert "say it with --source" in capsys.readouterr().out
+    assert "state it with --source" in capsys.readouterr().out
     assert run("summary", tmp_path / "unsaid") == 0
     assert "2 touches, source not stated" in capsys.readouterr().out
     assert "is **not stated**" in (tmp_path / "unsaid" / "README.md").read_text()
@@ -444,8 +444,8 @@ def test_invalid_options_are_refused_in_one_sentence(intact, tmp_path, capsys):
         (("--indenter", "sphere:0.004"), "smaller than 0.1 mm; give it in mm, not in m"),
         (("--indenter", "spere:4"), "its shape 'spere' is unknown; did you mean sphere?"),
         (("--indenter", "flat"), "its shape 'flat' is unknown; give sphere:RADIUS"),
-        (("--indenter", "tip.stl", "--unit", "mm"), "a mesh is named with its file, as mesh:tip.stl"),
-        (("--indenter", "mesh:", "--unit", "mm"), "a mesh is named with its file, as mesh:FILE"),
+        (("--indenter", "tip.stl", "--unit", "mm"), "a mesh is given by its file, as mesh:tip.stl"),
+        (("--indenter", "mesh:", "--unit", "mm"), "a mesh is given by its file, as mesh:FILE"),
         (("--indenter", "mesh:none.stl", "--unit", "mm"), "none.stl"),
         ((*sphere, "--board", "five"), "--board five: Board 'five' is not known"),
         ((*sphere, "--window-mm", 0.01), "no press lies inside the window of 0.01 mm; widen"),

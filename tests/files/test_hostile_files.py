@@ -68,7 +68,7 @@ def test_a_file_is_read_up_to_its_limit_and_a_device_is_refused(tmp_path):
     path = tmp_path / "a.txt"
     path.write_bytes("grün".encode())
     assert read_text(path, 5) == "grün"
-    with pytest.raises(DataError, match="has 5 bytes where at most 4 bytes are read"):
+    with pytest.raises(DataError, match="has 5 bytes, but at most 4 bytes are read"):
         read_bytes(path, 4)
     os.mkfifo(tmp_path / "pipe")
     for name in ("pipe", ".", "/dev/zero"):

@@ -71,7 +71,7 @@ def test_the_torque_limit_is_kept_where_the_arm_ignores_it():
     [
         ({"too_far": 0.03}, r"moved .* mm instead of 6.5 mm"),
         ({"hasty": 20.0}, r"moves at .* instead of 0.002 m/s"),
-        ({"asks": False}, "did not ask its stop condition"),
+        ({"asks": False}, "did not evaluate its stop condition"),
     ],
 )
 def test_an_arm_that_goes_too_far_or_too_fast_or_asks_nobody_ends_the_touch(change, message):
@@ -244,7 +244,7 @@ def at(time, z=0.0, **changes):
         ([at(0.1, 14.0)], r"moved 14 mm instead of 10 mm"),
         ([at(0.1, 1.0, velocity=np.array([0, 0, -0.2, 0, 0, 0]))], "moves at 0.2 m/s instead of 0.1 m/s"),
         ([at(0.1, 1.0, velocity=np.array([0, 0, 0, 0, 0, 20.0]))], "turns at 20 rad/s"),
-        ([at(0.1 * n, 1.0) for n in range(1, 34)], "its pose stands still"),
+        ([at(0.1 * n, 1.0) for n in range(1, 34)], "its pose does not change"),
     ],
 )
 def test_each_thing_that_is_wrong_with_a_state_is_said(states, message):

@@ -47,7 +47,7 @@ def fail(error):
         (lambda link: fail(OSError(5, "gone")), r"the board is gone \(.*gone\); plug it in"),
         (lambda link: fail(SystemExit(3)), r"the board is gone \(3\)"),
         (lambda link: [sample(values=4)], "do not have 6 values"),
-        (lambda link: [sample(ahead=100.0)], "dates samples in the future"),
+        (lambda link: [sample(ahead=100.0)], "sends samples with times in the future"),
     ],
 )
 def test_whatever_ends_the_thread_every_call_says_why(wrong, message):

@@ -68,7 +68,7 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
     [
         ({"code": np.full(40, ReturnCode.AIR)}, "no press among the training touches was ended by the skin"),
         ({"force": np.full(40, np.nan)}, "no press among the training touches has a measured force, depth and pose"),
-        ({"pad": np.arange(40) % 2}, r"of several skins \(pad b, pad é\), and a pad model is of one"),
+        ({"pad": np.arange(40) % 2}, r"of several skins \(pad b, pad é\), but a pad model describes one skin"),
         ({"session": np.zeros(40)}, "40 usable training touches in 1 sessions are too few"),
         (
             {"code": np.where(np.arange(40) < 12, ReturnCode.SKIN, ReturnCode.AIR)},

@@ -121,7 +121,7 @@ def test_only_swept_space_is_free_and_an_invalid_pose_is_refused():
     lost = from_above(0.0)
     lost[0, 3] = np.nan
     for pose, swept in ((lost, 0.1), (from_above(0.0), np.nan)):
-        with pytest.raises(ValueError, match=r"T_o_t: is not a rigid motion|swept: is nan; give a way in metres"):
+        with pytest.raises(ValueError, match=r"T_o_t: is not a rigid motion|swept: is nan; give a distance in metres"):
             contact_evidence(pose, swept=swept)
     with pytest.raises(ValueError, match="is not a rigid motion"):
         contact_evidence(np.diag([-1.0, 1, 1, 1]))

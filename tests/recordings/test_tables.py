@@ -204,7 +204,7 @@ def test_conversions_and_omissions_are_noted(tmp_path):
     both = np.column_stack([VALUES, VALUES[:, 0] + 5, VALUES[:, 0]])
     (recording,) = read_recordings(write_table(tmp_path / "c.csv", [*NAMES, "x_mm", "humidity"], both))
     assert any("x_mm appear twice: the first" in note for note in recording.notes)
-    assert any("humidity, which have no meaning" in note for note in recording.notes)
+    assert any("humidity, which are not used" in note for note in recording.notes)
     np.testing.assert_allclose(recording.targets["position"], SKIN.targets["position"])
 
 
@@ -233,7 +233,7 @@ def test_presses_with_force_but_no_depth_are_converted(tmp_path, capsys):
     np.testing.assert_allclose(touches.force, 9.80665 * SKIN.targets["depth"][:, 0], rtol=1e-6)
     assert np.isnan(touches.depth).all()
     np.testing.assert_allclose(touches.T_w_o[:, :2, 3], SKIN.targets["position"], atol=1e-8)
-    assert "known by their force" in capsys.readouterr().out
+    assert "described by their force" in capsys.readouterr().out
     presses = loaded_presses(dataset, "auto")
     assert presses.by_force
     assert len(presses.load) == 40

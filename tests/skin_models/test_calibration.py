@@ -74,7 +74,7 @@ def depths(position=POSITIONS, load=DEPTH, readings=READINGS, **given):
         (lambda *_: depths(POSITIONS[:4]), "do not belong together"),
         (lambda _, unknown: depths(previous_session=unknown), "other channels or another kind of load"),
         (lambda *_: depths(board=boards.grid_board(4, 4)), "16 chips"),
-        (lambda *_: calibrate(None, None, READINGS, load_kind="none"), "say nothing about another press"),
+        (lambda *_: calibrate(None, None, READINGS, load_kind="none"), "cannot predict another press"),
         (lambda _, unknown: unknown.predict(POSITIONS[:4], DEPTH[:4]), "loads do not match this calibration"),
     ],
 )

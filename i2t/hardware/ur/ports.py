@@ -23,7 +23,7 @@ class Port(NamedTuple):
 
     number: int
     name: str
-    service: str  # its name in the security settings of PolyScope 5
+    service: str  # name of the service in the security settings of PolyScope 5
 
     def __str__(self) -> str:
         return f"{self.number} ({self.name})"

@@ -48,10 +48,10 @@ class WorkerLimits(NamedTuple):
     watchdog_rate: float  # Hz, minimum rate of the heartbeats
     state_timeout: float  # s, maximum time for which a connection may receive nothing
     braking: float  # m/s^2, deceleration of a stop
-    standing_speed: float  # m/s and rad/s, below which the tool stands
-    brake_settling: float  # s of the controller's clock after a brake, in which states from before it may arrive
-    start_timeout: float  # s, in which a requested motion shows in the state
-    exit_timeout: int  # s to end the program on the controller, after which this process ends in any case
+    standing_speed: float  # m/s and rad/s, speed below which the tool counts as standing
+    brake_settling: float  # s, time on the controller's clock after a brake in which states from before it may arrive
+    start_timeout: float  # s, time in which a requested motion must show in the state
+    exit_timeout: int  # s, time for the program on the controller to end, after which this process ends in any case
 
 
 class Channel:

@@ -14,8 +14,8 @@ from i2t.objects.polygons import triangulate
 class ParsedMesh(NamedTuple):
     """The triangles of a file, not yet cleaned."""
 
-    vertices: NDArray[np.float64]  # (n, 3), in the file's unit; all finite, and all used
-    faces: NDArray[np.int64]  # (m, 3)
+    vertices: NDArray[np.float64]  # (n, 3) vertices in the file's unit; all are finite and used
+    faces: NDArray[np.int64]  # (m, 3) indices of the faces' corners
     left_out: tuple[str, ...]  # counts of elements that are not faces, such as "2 lines"
 
 

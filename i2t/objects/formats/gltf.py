@@ -37,8 +37,8 @@ class SceneLimits:
     """Bounds on a scene, since nodes of a small file may repeat a mesh many times."""
 
     max_nodes: int = 10_000
-    max_faces: int = 2**23  # of all instances of all meshes, and likewise of vertices
-    box_tolerance: float = 1e-4  # error of a mesh's stated bounding box, relative to its longest side
+    max_faces: int = 2**23  # largest number of faces over all instances of all meshes, and likewise of vertices
+    box_tolerance: float = 1e-4  # largest error of a mesh's stated bounding box, relative to its longest side
 
 
 def read_scene(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from i2t.errors import DataError
 from i2t.objects.formats.text import PADDING, parse_numbers, plain_text
 
-HEADER_BYTES = 84  # of binary STL: any text, and the number of facets in the last four bytes
+HEADER_BYTES = 84  # size of a binary STL's header: any text, and the number of facets in the last four bytes
 FACET_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 

@@ -63,18 +63,18 @@ class StageConfig:
 class _SkinModel(NamedTuple):
     """Motion of the dipoles in a press, and noise."""
 
-    gap: float  # m, height of the dipoles over the chips
+    gap: float  # m, height of the dipoles above the chips
     reach: float  # m, length scale of the motion around a press
-    sideways: float  # sideways motion relative to the downward one
-    noise: float  # variance, relative to the readings' mean square
+    sideways: float  # lateral motion relative to the downward motion
+    noise: float  # variance of the noise, relative to the readings' mean square
 
 
 class _Sample(NamedTuple):
     """Presses that the evidence is computed on."""
 
-    position: np.ndarray  # (n, 2) m
-    growth: np.ndarray  # (n,) motion of the skin, with mean 1
-    readings: np.ndarray  # (n, chips, 3), with mean square 1
+    position: np.ndarray  # (n, 2) m, positions of the presses
+    growth: np.ndarray  # (n,) motion of the skin at each press, with mean 1
+    readings: np.ndarray  # (n, chips, 3) readings with mean square 1
 
 
 def find_board(
