@@ -128,7 +128,7 @@ def test_a_surface_grows_under_touches():
 
 
 @pytest.mark.full
-def test_a_press_tells_of_the_surface():
+def test_a_press_narrows_the_posterior_of_the_surface():
     after, before = _load(9).main()  # with fewer patches none of them may be like what was met
     assert after < 0.9 * before
 
@@ -146,7 +146,7 @@ def test_the_paper_in_one_page(capsys):
     assert "of 6 after 2 touches (chance 33%; simulated)" in capsys.readouterr().out
 
 
-def test_a_predictor_of_one_s_own_is_trained_compared_kept_and_loaded_like_any_other(tmp_path, capsys):
+def test_a_user_defined_predictor_is_trained_compared_saved_and_loaded(tmp_path, capsys):
     """One file and one line; a network's options are one line each too."""
     rng = np.random.default_rng(0)
     slope, n = rng.uniform(-1, 1, (80, 2)), 80
@@ -174,7 +174,7 @@ def test_a_predictor_of_one_s_own_is_trained_compared_kept_and_loaded_like_any_o
 
 
 @pytest.mark.full
-def test_a_saved_predictor_of_one_s_own_is_loaded_once_its_module_is_imported(tmp_path, monkeypatch):
+def test_a_user_defined_predictor_loads_once_its_module_is_imported(tmp_path, monkeypatch):
     example = _load(12)
     predictor = example.main(str(tmp_path / "p"), 36)
     again = i2t.load_predictor(tmp_path / "p")

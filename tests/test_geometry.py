@@ -150,7 +150,7 @@ def test_products_of_poses_keep_all_digits_on_every_device():
         assert all("precision=(Precision.HIGHEST, Precision.HIGHEST)" in product[:300] for product in products)
 
 
-def test_rigid_motions_are_told_from_others():
+def test_rigid_motions_are_distinguished_from_others():
     for rotation in Rotation.random(5, rng=0).as_matrix():
         T = geometry.transform(rotation, np.array([0.1, -2, 3])).astype(np.float32)
         assert geometry.is_rigid(jnp.asarray(T))

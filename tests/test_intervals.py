@@ -45,7 +45,7 @@ def test_crossed_factors_give_the_t_interval_of_the_variances_of_their_clusters_
     assert (found.mean - found.low, found.high - found.mean) == pytest.approx((half, half), rel=0.02)
 
 
-def test_seed_interval_covers_as_often_as_it_says():
+def test_seed_intervals_have_their_stated_coverage():
     draws = np.random.default_rng(1).normal(3, 2, (4000, 5))
     _, low, high = np.array([student_interval(list(row)) for row in draws]).T
     # Student's interval is exact for normal values: a binomial proportion, 4.5 deviations.
@@ -121,7 +121,7 @@ def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():
         ("nearly always right", 5, 4, 3.0, (1.0, 1.0)),
     ],
 )
-def test_it_covers_clustered_rates_where_binomial_intervals_do_not(name, pads, pools, middle, spread):
+def test_the_interval_covers_clustered_rates_unlike_binomial_ones(name, pads, pools, middle, spread):
     """Accuracies of clusters differ by a logit of `spread` (pads, pools), as they do in recognition."""
     covered, naive, trials = 0, 0, 150
     nodes = np.random.default_rng(9).normal(size=20_000) * np.hypot(*spread)
@@ -140,7 +140,7 @@ def test_it_covers_clustered_rates_where_binomial_intervals_do_not(name, pads, p
 
 
 @pytest.mark.full
-def test_it_covers_crossed_pads_and_objects():
+def test_the_interval_covers_crossed_pads_and_objects():
     covered, trials = 0, 200
     for trial in range(trials):
         rng = np.random.default_rng(trial)
@@ -218,7 +218,7 @@ def coverage(rate: float, alike: float, labels: int, repeats: int, draws: int) -
     return float(np.mean((interval.low <= rate) & (rate <= interval.high)))
 
 
-def test_it_covers_rates_near_certainty_of_a_few_labels():
+def test_the_interval_covers_rates_near_certainty_of_a_few_labels():
     assert coverage(0.97, 0.6, 10, 30, 500) > 0.93  # 0.51 of intervals that trust the spread of such labels
     assert coverage(0.99, 0.6, 20, 30, 500) > 0.93  # 0.38
 
@@ -228,11 +228,11 @@ def test_it_covers_rates_near_certainty_of_a_few_labels():
 @pytest.mark.parametrize("repeats", [5, 30])
 @pytest.mark.parametrize("alike", [0.02, 0.2, 0.6])
 @pytest.mark.parametrize("rate", [0.97, 0.99, 0.998])
-def test_it_covers_rates_near_certainty(labels, repeats, alike, rate):
+def test_the_interval_covers_rates_near_certainty(labels, repeats, alike, rate):
     assert coverage(rate, alike, labels, repeats, 3000) > 0.94
 
 
-def test_clusters_that_are_alike_by_chance_are_no_certainty():
+def test_clusters_with_equal_means_do_not_narrow_the_interval():
     label, values = np.repeat(np.arange(3), 50), np.tile([0.0] * 45 + [1.0] * 5, 3)
     found = mean_interval(values, [label])
     assert found.high - found.mean == pytest.approx(stats.t.ppf(0.975, 2) * values.std() / np.sqrt(150))

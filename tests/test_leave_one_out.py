@@ -80,7 +80,7 @@ def test_inverses_of_small_and_large_matrices(rows):
     np.testing.assert_allclose(inverses(matrices, failed=1.0) @ matrices, np.stack([np.eye(rows)] * 2), atol=1e-8)
 
 
-def test_a_matrix_that_is_not_positive_definite_says_nothing():
+def test_a_matrix_that_is_not_positive_definite_predicts_with_a_huge_variance():
     matrices = np.stack([-np.eye(60), drawn(8, 60)[0]])
     inverse = inverses(matrices, failed=7.0)
     np.testing.assert_array_equal(inverse[0], 7 * np.eye(60))

@@ -33,7 +33,7 @@ def test_ready_models_are_small_and_part_of_the_package():
         assert all((folder / part).exists() for part in parts)
 
 
-def test_a_folder_of_the_users_own_is_meant_before_a_ready_model(tmp_path, monkeypatch):
+def test_a_user_s_folder_takes_precedence_over_a_ready_model(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert ready_path("nominal", "predictor").is_dir()
     assert ready_path("runs/train", "predictor") == Path("runs/train")
@@ -114,7 +114,7 @@ def test_the_board_is_the_one_that_the_predictor_was_trained_on(capsys):
     assert "does not name its board; its readings are drawn at the chips of eflesh" in capsys.readouterr().out
 
 
-def test_a_slip_in_the_name_of_a_ready_model_is_named(tmp_path, monkeypatch):
+def test_a_misspelt_ready_model_gets_a_suggestion(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for load, name, meant in (
         (i2t.load_pad_model, "Nominal", "did you mean nominal?"),
@@ -126,7 +126,7 @@ def test_a_slip_in_the_name_of_a_ready_model_is_named(tmp_path, monkeypatch):
 
 
 @pytest.mark.full
-def test_the_ready_predictor_imagines_touches(tmp_path, monkeypatch, capsys):
+def test_the_ready_predictor_predicts_touches(tmp_path, monkeypatch, capsys):
     """As a newcomer calls it: where no run was made before, so that there is no folder for its picture."""
     monkeypatch.chdir(tmp_path)
     assert imagine.main(["star", "--sites", "2"]) == 0

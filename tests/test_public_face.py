@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 FUNCTIONS = sorted(name for name in i2t.__all__ if inspect.isfunction(getattr(i2t, name)))
 
 
-def test_all_names_are_there_and_only_these():
+def test_all_public_names_exist_and_no_others():
     assert [name for name in i2t.__all__ if not hasattr(i2t, name)] == []
     assert set(i2t.__all__) == set(dir(i2t))
     with pytest.raises(AttributeError, match="i2t attribute render"):
@@ -87,7 +87,7 @@ DATA = {
 }
 
 
-def test_after_the_data_arguments_are_named():
+def test_arguments_after_the_data_are_keyword_only():
     given = {name: inspect.signature(getattr(i2t, name)).parameters.values() for name in FUNCTIONS}
     positional = {
         name: tuple(each.name for each in parameters if each.kind is each.POSITIONAL_OR_KEYWORD)
@@ -116,7 +116,7 @@ def test_a_function_that_is_called_again_compiles_nothing(caplog):
         caplog.clear()
 
 
-def test_what_it_gives_is_shown_in_one_line_without_numbers_of_arrays():
+def test_results_print_in_one_line_without_array_values():
     calibration, predictor = i2t.load_calibration("eflesh"), i2t.load_predictor("nominal")
     for value in (i2t.make_object("star"), CUBE, i2t.nominal_pad(), predictor, predictor.model, calibration,
                   i2t.press(i2t.nominal_pad(), _dome(), 0.3e-3)):  # fmt: skip
@@ -194,7 +194,7 @@ CALLS = [
 ]  # fmt: skip
 
 
-def test_what_nobody_means_is_refused_in_one_sentence_that_names_it():
+def test_implausible_options_are_refused_in_one_sentence_that_names_them():
     code = MISUSE.replace("{CALLS}", repr(CALLS))
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     wrong = []

@@ -111,7 +111,7 @@ def test_every_sample_is_published_once_in_tesla_with_its_time(example):
 
 
 @pytest.mark.parametrize("from_the_beginning", [False, True])
-def test_a_board_that_is_gone_is_said_and_looked_for_again(example, from_the_beginning):
+def test_an_unplugged_board_is_reported_and_searched_again(example, from_the_beginning):
     skin = FakeSkin()
     skin.gone = from_the_beginning
     node = example.SkinNode(skin)

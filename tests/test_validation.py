@@ -89,7 +89,7 @@ def test_masked_numbers_are_not_a_number():
         validation.numbers("depth", np.ma.masked_greater(np.array([1, 5]), 3), "metres")
 
 
-def test_what_is_no_path_is_refused():
+def test_values_that_are_not_paths_are_refused():
     """Without the tests' own check of types, which users do not have."""
     for function, *others in (
         (ready_path, "predictor"), (read_depth, "mm"), (read_mesh, "mm"),

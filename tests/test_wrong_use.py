@@ -295,7 +295,7 @@ PATCHES: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("given", "said"), PATCHES, ids=[said for _, said in PATCHES])
-def test_a_patch_that_is_none_is_refused_in_one_sentence(predictor, given, said):
+def test_an_impossible_patch_is_refused_in_one_sentence(predictor, given, said):
     with pytest.raises(ValueError, match=re.escape(said)) as refused:
         predictor.predict(**given)
     assert "\n" not in str(refused.value)
@@ -317,7 +317,7 @@ def test_a_force_beyond_the_largest_of_training_is_warned_of_and_four_times_that
         trained.predict(FLAT, force=-1.0)
 
 
-def test_the_whole_patch_says_as_much_as_its_parts(predictor):
+def test_the_whole_patch_is_as_informative_as_its_parts(predictor):
     """One, many, or a list of them; a distance that is unknown is none."""
     depth = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
     mask, wide = np.arange(48 * 48).reshape(48, 48) < 2000, WIDE.copy()
@@ -344,7 +344,7 @@ def test_the_whole_patch_says_as_much_as_its_parts(predictor):
 
 
 @pytest.mark.parametrize("unit", [1e-4, 1e-3])
-def test_a_depth_image_in_another_unit_is_no_touch(predictor, unit):
+def test_a_depth_image_in_another_unit_is_refused(predictor, unit):
     """The surface lies where the skin is; ten times as far, which the message says with the unit."""
     camera, stored = Camera(424, 240, 215.0, 215.0, 211.5, 119.5), np.full((240, 424), 1040, np.uint16)
     T_w_c, T_w_t = np.eye(4), np.eye(4)
@@ -362,7 +362,7 @@ def seen(height: float) -> WideView:
     return WideView(Patch(FLAT, np.float32(height)), np.zeros((WIDE_PIXELS, WIDE_PIXELS), np.float32))
 
 
-def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
+def test_the_position_of_the_skin_is_judged_by_the_faces_before_and_behind_it(box):
     corners = Surface(np.asarray(box.vertices)[box.faces])
     for pose, height in ((on_top(), 0.0), (on_top(0.9e-3), 0.9e-3), (on_top(-3e-3), -3e-3)):
         user_input.check_in_front(corners, pose, seen(height), 17e-3)
@@ -400,7 +400,7 @@ def test_a_pose_on_the_surface_is_taken_and_one_without_contact_refused_in_one_s
 
 
 @pytest.mark.full
-def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box, tmp_path):
+def test_meshes_and_files_are_accepted_in_the_frame_of_load_mesh(predictor, box, tmp_path):
     solid = trimesh.Trimesh(1e3 * (box.vertices + np.array([0.5, 0.2, 0.1])), box.faces)
     solid.export(tmp_path / "box.stl")
     loaded = i2t.load_mesh(tmp_path / "box.stl", "mm")

@@ -231,7 +231,7 @@ def test_the_expected_view_is_the_block_s_top_above_the_table():
 
 
 @pytest.mark.parametrize(("aside", "wrong"), [(0, 0.0), (6, 0.0), (8, 1.0)])
-def test_a_thin_wall_may_be_displaced_by_the_radius_and_no_more(aside, wrong):
+def test_a_thin_wall_is_displaced_by_at_most_the_radius(aside, wrong):
     expected = np.full((20, 60), 0.16)
     expected[:, 30:33] = 0.1
     seen = np.roll(expected, aside, axis=1)

@@ -83,7 +83,7 @@ def test_contact_with_an_edge_a_corner_and_with_a_tilted_skin_on_a_flat_top():
             assert float(T[2, 3]) == pytest.approx(30e-3 + HALF * np.abs(R[2, :2]).sum(), abs=DELTA)
 
 
-def test_air():
+def test_a_press_beyond_the_maximum_distance_misses():
     surface = prepare_surface(make_object("square").mesh)
     above = pose(DOWN, [0, 0, 60e-3])
     for max_distance, expected in ((30e-3 - 2 * DELTA, False), (30e-3 + 2 * DELTA, True)):

@@ -44,7 +44,7 @@ def excess(pad: Pad, height: jax.Array, depths: jax.Array) -> jax.Array:
 
 @pytest.mark.full
 @pytest.mark.parametrize("name", SHAPES)
-def test_it_ends_at_the_first_crossing(name, pad):
+def test_a_press_ends_at_the_first_crossing(name, pad):
     height = jnp.float32(SHAPES[name])
     end = stop(pad, height, 0.0)
     found = excess(pad, height, end.indentation * jnp.append(jnp.geomspace(0.02, 0.99, 14), 1.0))
@@ -53,7 +53,7 @@ def test_it_ends_at_the_first_crossing(name, pad):
     assert end.code == ReturnCode.SKIN
 
 
-def test_a_dull_skin_ends_by_force_a_senseless_one_at_the_deepest_and_an_overshoot_raises_the_limit(pad):
+def test_insensitive_skins_end_by_force_or_depth_and_overshoot_raises_the_limit(pad):
     ball = jnp.float32(SHAPES["ball"])
     # Bonded, so that it does not sink away: 8 N long before the deepest.
     dull = pad._replace(magnetization=1e-3 * pad.magnetization, young=6 * pad.young, mount_compliance=jnp.zeros(()))
@@ -88,7 +88,7 @@ def test_the_final_press_is_that_of_all_its_dipoles(name, pad):
     assert error < max(0.05, 3e-3 * np.linalg.norm(whole.reading))
 
 
-def test_a_response_worked_out_before_changes_nothing(pad):
+def test_a_precomputed_response_gives_the_same_result(pad):
     ball, response = jnp.float32(SHAPES["ball"]), pad_response(pad)
     given = jax.jit(lambda pad, height, response: press_to_stop(pad, height, LIMITS, response=response))
     end, wanted = given(pad, ball, response), stop(pad, ball, 0.0)

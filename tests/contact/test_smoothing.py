@@ -17,7 +17,7 @@ def plane(down: float, right: float) -> np.ndarray:
     return (1e-3 + down * ROW + right * COLUMN).astype(np.float32)
 
 
-def test_a_plane_stays():
+def test_a_plane_stays_unchanged():
     seen = plane(-2e-4, 1.5e-4)
     inside = slice(RADIUS, N - RADIUS)
     # Weights are symmetric there, so the value is a mean: wrong by the rounding of sums of 121 heights below 17 mm.

@@ -702,7 +702,7 @@ def tactile_of(values, ambient, folder):
 @pytest.mark.parametrize(
     ("chips", "sentence"), [([2], "chip 2 does not answer in any"), (range(5), "no chip answers in any")]
 )
-def test_a_dead_chip_is_named_and_not_the_order_of_values(tmp_path, capsys, chips, sentence):
+def test_a_dead_chip_is_reported_instead_of_a_wrong_order_of_values(tmp_path, capsys, chips, sentence):
     write(tmp_path / "src", "star", "1", 8, size=8)
     field = np.random.default_rng(0).normal(0, 400, (8, 5, 3))
     field[:, list(chips)] = 0

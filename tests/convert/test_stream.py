@@ -171,7 +171,7 @@ def test_rows_of_a_silent_board_neither_make_nor_end_a_press(tmp_path, silence):
     np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
 
 
-def test_a_board_that_never_answers_is_named(tmp_path):
+def test_a_board_that_never_answers_is_reported_by_name(tmp_path):
     for chips, sentence in ((slice(6, 9), "chip 2 does not answer"), (slice(None), "no chip answers")):
         rows, _ = silent_log(1.1, chips=chips)
         with pytest.raises(DataError, match=sentence):
@@ -335,7 +335,7 @@ CUT_PRESSES = {
 
 
 @pytest.mark.parametrize("name", CUT_PRESSES)
-def test_a_cut_press_loses_no_other(tmp_path, name):
+def test_a_cut_press_does_not_affect_other_presses(tmp_path, name):
     time, rows, lost = CUT_PRESSES[name]
     table = presses_of(tmp_path, time, rows)
     distance = np.linalg.norm(numbers(table)[:, None] - TOLD[:, 4:], axis=2).min(0)

@@ -72,7 +72,7 @@ def test_a_recorded_touch_reads_back_exactly(tmp_path):
                 np.testing.assert_array_equal(mine, yours)
 
 
-def test_what_could_not_be_read_is_not_written(tmp_path):
+def test_unreadable_values_are_not_written(tmp_path):
     with pytest.raises(DataError, match="2 touches, not 1"):
         write_touch(tmp_path, Record(make(2)))
     bad = Series(np.zeros(3), np.zeros((4, 2)), ("a", "b"), "N")
@@ -128,7 +128,7 @@ def test_a_file_of_the_first_schema_is_read(tmp_path):
     assert_equal(load_dataset(path), dataset)
 
 
-def test_a_newer_schema_is_told_apart_from_damage_and_a_broken_one_is_named(packed, tmp_path):
+def test_a_newer_schema_is_distinguished_from_damage_and_a_broken_one_is_named(packed, tmp_path):
     (tmp_path / "newer.h5").write_bytes(packed.replace(b"i2t-touches 2 ", b"i2t-touches 3 ", 1))
     with pytest.raises(DataError, match=r"newer\.h5: written in schema version 3, .* newer i2t"):
         load_dataset(tmp_path / "newer.h5")
@@ -239,7 +239,7 @@ RESKIN = boards.reskin_board()
         (replace(make(3), board=RESKIN._replace(rotations=np.ones((5, 3, 3)))), "board/rotations is neither"),
     ],
 )
-def test_what_no_touch_can_be_is_refused_in_one_sentence(tmp_path, dataset, problem):
+def test_impossible_touches_are_refused_in_one_sentence(tmp_path, dataset, problem):
     with pytest.raises(DataError, match=r"set\.h5: .*" + problem) as error:
         save_dataset(tmp_path / "set.h5", dataset)
     assert "\n" not in str(error.value)
@@ -319,7 +319,7 @@ def grid(T_w_o):
     return replace(dataset, touches=dataset.touches._replace(**poses, object=one, session=one))
 
 
-def test_blocks_follow_the_object_whichever_way_it_lies_and_tell_objects_and_runs_apart():
+def test_blocks_follow_the_object_in_any_pose_and_separate_objects_and_runs():
     """The grid meets blocks of 6 mm in 3, 6, 6, 6, 6 and 4 lines, edges going up."""
     lines = np.array([3, 6, 6, 6, 6, 4])
     T_w_o = np.eye(4)

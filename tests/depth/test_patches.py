@@ -235,7 +235,7 @@ def test_a_hole_is_not_seen_for_every_marker(marker):
         assert abs(float(real.patch.nearest)) < FLAT
 
 
-def test_hidden_surface_is_not_invented():
+def test_hidden_surface_is_not_filled_in():
     """A camera from the side does not see the table behind a block, and the space above it does not count as seen."""
     block = trimesh.creation.box((0.02, 0.04, 0.003)).apply_translation([0, 0, 0.0015])
     table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])

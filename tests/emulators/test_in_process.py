@@ -70,7 +70,7 @@ def stand(model, x, z, turned=DOWN):
 
 
 @pytest.mark.full
-def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
+def test_there_is_no_contact_next_to_the_object_or_off_the_line(scene):
     line = scene.ahead(pose(0.5, 0.0, 0.07))
     assert line.first == np.inf
     assert line.contact_at(0.1)[0] == 0.0
@@ -97,7 +97,7 @@ def test_an_object_is_met_from_where_the_tool_stands_next(scene):
 
 
 @pytest.mark.full
-def test_a_contact_model_in_a_thread_finds_the_same(scene):
+def test_a_contact_model_in_a_thread_gives_the_same_contacts(scene):
     waits, threaded = ContactModel(scene), ContactModel(scene, wait=False)
     for model in (waits, threaded):
         stand(model, 0.4, 0.07)

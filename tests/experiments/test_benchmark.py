@@ -134,12 +134,12 @@ def test_the_start_of_a_command_is_timed_with_nothing_compiled_and_once_more(
     assert "python -m i2t.imagine" in capsys.readouterr().out
 
 
-def test_a_command_that_fails_is_no_time(tmp_path: Path) -> None:
+def test_a_failed_command_gives_no_time(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError, match=r"-m i2t.imagine nothing ended with exit code 2: .*nothing"):
         startup._run(startup.TimedCommand("-m i2t.imagine nothing", 1, 1), tmp_path, tmp_path / "compiled")
 
 
-def test_every_program_is_told_with_its_size_and_the_line_that_asked_for_it(tmp_path: Path) -> None:
+def test_every_compiled_program_is_listed_with_its_size_and_the_calling_line(tmp_path: Path) -> None:
     script, out = tmp_path / "small.py", tmp_path / "programs.json"
     script.write_text(
         "import jax\nfrom i2t.geometry import inverse\n@jax.jit\ndef twice(x):\n    return inverse(x) @ x\n"

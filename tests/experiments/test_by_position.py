@@ -44,7 +44,7 @@ def test_both_rows_predict_the_touches_that_validate_and_test():
 
 
 @pytest.mark.parametrize("change", ["two objects", "off the skin", "no load"])
-def test_nothing_is_said_of_touches_that_are_not_of_one_tip_at_known_places(change):
+def test_touches_without_one_tip_at_known_positions_give_no_findings(change):
     dataset = recording()
     touches = dataset.touches
     if change == "two objects":
@@ -57,7 +57,7 @@ def test_nothing_is_said_of_touches_that_are_not_of_one_tip_at_known_places(chan
     assert position_readings(replace(dataset, touches=touches), thirds(), 0) == {}
 
 
-def test_the_run_says_where_a_position_tells_more_than_any_method():
+def test_the_run_reports_where_position_alone_beats_every_method():
     level = Lead(0.1, 0.0, 0.2)
     choice = MethodChoice("GP", {"GP": 0.93, "mean": 0.0, PLAIN: 0.92, CALIBRATED: 0.95}, "mean", level, "GP", level)
     [note] = position_note(choice, [PLAIN, CALIBRATED])

@@ -145,7 +145,7 @@ def test_many_presses_in_one_block_are_held_out_without_it(place):
     assert "other places" in held.sentences[0] or "farther from them" in held.sentences[0]
 
 
-def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
+def test_unusable_presses_are_neither_trained_on_nor_held_out():
     usable = np.arange(24) != 5
     held = held_out_of(SPREAD, usable)
     assert not any(5 in np.r_[split.pool, *split.tests.values()] for split in held.splits)
@@ -153,7 +153,7 @@ def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
     assert "predicted from the 22 others" in held.sentences[0]
 
 
-def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough():
+def test_too_few_or_equal_presses_are_refused_with_the_number_needed():
     with pytest.raises(ValueError, match=r"7 usable presses, too few .* 8 are enough .* some 20"):
         held_out_of(SPREAD[:7])
     alike = LoadedPresses(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), load_kind="depth")
@@ -194,7 +194,7 @@ def test_few_presses_are_calibrated_from_the_command_line(tmp_path, capsys, one_
 
 
 @pytest.mark.parametrize(("n", "pads", "message"), [(400, 2, "several skins"), (7, 1, "8 are enough")])
-def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message):
+def test_unusable_data_are_refused_for_calibration(tmp_path, capsys, n, pads, message):
     data.save_dataset(tmp_path / "set.h5", recording(n, pads))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
     assert command.main(args) == 2
@@ -230,7 +230,7 @@ NO_DEPTH = {"depth": np.full(60, np.nan)}
         ({"force": np.r_[-1.0, np.linspace(1, 3, 59)]} | NO_DEPTH, "1 presses with a negative force"),
     ],
 )
-def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, said):
+def test_irregular_loads_are_reported_before_anything_is_computed(change, said):
     found = loaded_presses(recording(60, **change), "auto")
     assert said in found.notes[0]
     assert (found.load >= 0).all()
@@ -244,7 +244,7 @@ def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, sai
         ({"force": np.zeros(60)} | NO_DEPTH, "every force is zero"),
     ],
 )
-def test_loads_that_say_nothing_are_refused_at_once(change, said):
+def test_uninformative_loads_are_refused_at_once(change, said):
     with pytest.raises(ValueError, match=said):
         loaded_presses(recording(60, **change), "auto")
 
@@ -321,7 +321,7 @@ def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
         assert set(metrics["cases"]["lattice, depth"]["r2"]) == {*methods.BASELINES, methods.CALIBRATED}
 
 
-def test_a_split_of_too_few_touches_says_what_each_part_needs_and_what_to_add():
+def test_a_split_of_too_few_touches_is_refused_with_the_numbers_needed():
     """For training: six presses in time leave one to test, of two that each part needs."""
     with pytest.raises(DataError, match=r"of 6 usable touches, splitting by time leaves 1 to .*, which needs 2; .*"):
         split_dataset(recording(6), TRAINING["debug"], "time", 0)

@@ -47,7 +47,7 @@ UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e
         (np.where(np.arange(200) % 2, 1.0, np.nan), UNKNOWN, None, "force is missing at 100 and depth at 200 of 200"),
     ],
 )
-def test_what_a_load_is_taken_from_is_said_before_anything_is_computed(force, depth, control, said):
+def test_the_source_of_loads_is_reported_before_anything_is_computed(force, depth, control, said):
     found = press_load(recording(force=force, depth=depth).touches)
     assert found.control == (control if "1 N" not in said else found.control)
     assert said in "".join(found.notes[:1])
@@ -74,7 +74,7 @@ def test_late_labels_are_found(lag):
         assert f"shifted by {lag:+d} rows" in found.sentence
 
 
-def test_a_data_set_is_told_what_was_found_and_what_was_not(tmp_path):
+def test_findings_and_omissions_are_recorded_in_the_data_set(tmp_path):
     """As a section of the report of fidelity: of real touches, which were split as for training."""
     made = recording(400)
     sessions = tuple(f"run {i}" for i in range(20))

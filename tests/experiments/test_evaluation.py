@@ -28,7 +28,7 @@ def test_the_best_on_validation_touches_is_kept_a_baseline_too(best):
     assert (lead.r2 > 0) == (best in ("network", "GP"))
 
 
-def test_what_is_not_finite_is_never_kept():
+def test_non_finite_results_are_never_saved():
     truth, groups, predicted = predictions({MEAN: 1.0, "GP": 0.1})
     predicted["GP"][3, 2] = np.nan
     choice = choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",))
@@ -39,7 +39,7 @@ def test_what_is_not_finite_is_never_kept():
         choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",))
 
 
-def test_a_loss_by_chance_is_none():
+def test_a_difference_within_chance_is_not_a_loss():
     """Half a per cent of the variance is no loss; nor is a larger one that groups cannot tell from chance."""
     truth, groups, predicted = predictions({MEAN: 0.300, "GP": 0.305})
     assert not choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",)).pressure_loses

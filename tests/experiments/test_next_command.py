@@ -32,7 +32,7 @@ RECORDED = {"dataset": Path("DATA")}
         (CalibrateArgs, RECORDED),
     ],
 )  # fmt: skip
-def test_what_is_suggested_can_be_typed(options, given, tmp_path):
+def test_suggested_commands_can_be_typed(options, given, tmp_path):
     """Of a calibration with a known tip, a pad of the same presses; without presses nothing."""
     (tmp_path / METRICS).write_text('{"tip": "sphere:4"}')
     suggested = options(out=tmp_path, **given).next_command

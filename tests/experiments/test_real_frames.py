@@ -33,7 +33,7 @@ def test_summary_of_known_differences():
     assert values["sites"] == 20
 
 
-def test_it_refuses(tmp_path):
+def test_missing_data_sets_are_refused(tmp_path):
     with pytest.raises(ValueError, match="ycbvideo is missing"):
         run(FramesArgs(tmp_path, tmp_path / "out"))
     for folder in ("ycbvideo", "ycb_meshes", "apc_depth"):

@@ -66,7 +66,7 @@ def test_intervals_are_over_pads_and_wider_than_over_independent_episodes(scores
     assert accuracy["high"][-1] - accuracy["low"][-1] > 2 * independent
 
 
-def test_what_is_on_disk_is_what_was_made(tmp_path):
+def test_saved_files_equal_the_results(tmp_path):
     save_part(tmp_path / "part.npz", report.to_part(PARTS[0]))
     back = report.from_part(load_part(tmp_path / "part.npz"))["primitives"]
     assert (back.names, back.pad, back.episodes) == (NAMES, "pad 0", None)
@@ -75,7 +75,7 @@ def test_what_is_on_disk_is_what_was_made(tmp_path):
     np.testing.assert_array_equal(back.beliefs["fused"], PARTS[0]["primitives"].beliefs["fused"])
 
 
-def test_only_the_papers_methods_stand_beside_its_figures(scores, capsys):
+def test_only_the_papers_methods_are_next_to_its_figures(scores, capsys):
     summary = {
         "source": "simulated",
         **report.pads_of(PARTS),

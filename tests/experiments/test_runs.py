@@ -96,7 +96,7 @@ def test_a_run_that_is_refused_leaves_no_folder_that_was_made_for_it(tmp_path):
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["note.txt"]
 
 
-def test_a_folder_of_something_else_is_never_replaced(tmp_path, monkeypatch):
+def test_a_folder_with_foreign_files_is_never_replaced(tmp_path, monkeypatch):
     """Neither one with another program's config.json, nor that of another experiment, nor the one we are in."""
     (tmp_path / "web").mkdir()
     (tmp_path / "web" / "config.json").write_text('{"port": 80}')

@@ -62,7 +62,7 @@ def part(study: str) -> dict:
     return PLAN | {"fused, first": beliefs(10), "fused, other": beliefs(10), "position and presence": beliefs(10)}
 
 
-def test_every_study_names_the_tables_that_the_documents_may_ask_for():
+def test_every_study_lists_the_tables_that_the_documents_use():
     assert set(STUDY_TABLES) == set(STUDIES)
     assert all(TABLES[study].keys() >= set(names) for study, names in STUDY_TABLES.items())
 
@@ -91,7 +91,7 @@ def test_settings_are_compared_with_the_first_and_counted_as_by_hand():
         report.report_settings([one, {name: one[name] for name in one if name != "fused, usual"}], ["0", "1"])
 
 
-def test_a_world_differs_in_what_its_name_says():
+def test_each_world_differs_in_the_property_of_its_name():
     lab = SimpleNamespace(size=StudySize(1, debug=False), cfg=PRESETS["paper"])
     made = mismatch.worlds(lab)
     assert next(iter(made)) == "matched"

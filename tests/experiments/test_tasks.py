@@ -41,7 +41,7 @@ def test_workers_make_what_this_process_makes_and_log_what_they_print(tmp_path, 
     assert "part-2: finished" in capsys.readouterr().out
 
 
-def test_a_killed_worker_ends_the_study_in_a_sentence_and_it_can_go_on(tmp_path, capsys):
+def test_a_killed_worker_ends_the_study_in_one_sentence_and_it_can_resume(tmp_path, capsys):
     tasks = numbered(tmp_path, 3, small_tasks.die_at_first)
     assert exit_code_of_run(partial(run_tasks, tasks, WORKERS)) == 1
     said = capsys.readouterr().err
@@ -53,7 +53,7 @@ def test_a_killed_worker_ends_the_study_in_a_sentence_and_it_can_go_on(tmp_path,
     assert made(tmp_path) == {f"part-{i}": f"{i}\n" for i in range(3)}
 
 
-def test_what_a_task_raises_a_worker_raises(tmp_path):
+def test_a_worker_raises_the_error_of_its_task(tmp_path):
     tasks = [Task(f"part-{i}", tmp_path / f"part-{i}", partial(small_tasks.refuse, tmp_path / "part")) for i in (0, 1)]
     with pytest.raises(ValueError, match="part cannot be made"):
         run_tasks(tasks, WORKERS)

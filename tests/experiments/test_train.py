@@ -51,7 +51,7 @@ def numbers(out):
 
 
 @pytest.mark.full
-def test_the_run_leaves_what_it_promises(trained_run):
+def test_the_run_writes_the_promised_files(trained_run):
     metrics = json.loads((trained_run / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
     assert metrics["counts"] == {"train": 36, "validation": 8, "test": 16}
@@ -251,7 +251,7 @@ def small_recording(board: Board, **columns) -> dataset.Dataset:
 
 
 @pytest.mark.full
-def test_whatever_is_wrong_with_a_load_the_run_ends_with_a_predictor_and_says_so(tmp_path, capsys):
+def test_a_run_with_faulty_loads_ends_with_a_predictor_and_a_message(tmp_path, capsys):
     """On any board, and what it keeps is no worse than a baseline on test touches, within its interval over groups."""
     said = "negative in 100 %"
     pulled = small_recording(grid_board(2, 2), force=np.linspace(-3, -6, 160))

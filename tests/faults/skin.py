@@ -1,7 +1,7 @@
 """What breaks between a skin's board and its driver: a long stream, flipped bits, silence, an unplugged cable, a chip
 that dies and a board that freezes.
 
-What else bad lines do to the bytes is tested in tests/hardware/test_frames.py.
+Other effects of bad lines on the bytes are tested in tests/hardware/test_frames.py.
 """
 
 import math

@@ -137,7 +137,7 @@ def test_chunks_do_not_matter_and_no_damage_gives_an_implausible_frame(form, see
 
 @settings(max_examples=40, deadline=None)
 @given(st.binary(max_size=3000), st.sampled_from(list(Format)))
-def test_noise_is_no_board(data, form):
+def test_noise_is_not_recognised_as_a_board(data, form):
     decoder, delivered_frames = decoded(data, form)
     assert not delivered_frames
     assert adds_up(decoder, len(data))
@@ -149,7 +149,7 @@ def test_noise_is_no_board(data, form):
     [(Format.BINARY, 0.0, 2e-4, 0.04), (Format.FRAMED, 0.01, 0.0, 0.01), (Format.FRAMED, 0.0, 0.01, 0.01),
      (Format.CRC, 0.01, 0.0, 0.03), (Format.CRC, 0.0, 0.01, 0.03)],
 )  # fmt: skip
-def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
+def test_damage_loses_only_the_damaged_frames(form, substitute, drop, missed):
     count, rng = 2500, np.random.default_rng(7)
     truth, celsius = rest(count)
     whole = sent(truth, celsius, form)
@@ -174,7 +174,7 @@ def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_line_ends_within_numbers_do_not_mislead(noise):
+def test_line_ends_within_numbers_do_not_split_frames(noise):
     """With 34.513 degrees on five chips there are six line ends in a frame."""
     (celsius,) = struct.unpack("<f", bytes.fromhex("980d0a42"))
     data = b"".join(stream(6, noise=noise, temperature=celsius))
@@ -185,7 +185,7 @@ def test_line_ends_within_numbers_do_not_mislead(noise):
 
 
 @pytest.mark.parametrize("start", [0, 3])
-def test_two_alignments_are_one_too_many(start):
+def test_two_alignments_are_refused(start):
     """A frame that repeated is just as plausible three bytes later."""
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
     assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE]) is not None
@@ -199,7 +199,7 @@ def test_two_alignments_are_one_too_many(start):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-6])
-def test_a_value_that_cannot_be_condemns_its_frame_and_a_jump_is_true(value):
+def test_an_impossible_value_rejects_its_frame_but_a_jump_is_kept(value):
     readings, celsius = rest(20)
     readings[5, 7] = value
     readings[12:] += 500.0  # a magnet came
@@ -232,7 +232,7 @@ def test_flipped_bits_pass_an_exclusive_or_and_no_crc():
 
 
 @pytest.mark.parametrize("form", CHECKED)
-def test_a_counter_tells_what_is_missing(form):
+def test_a_counter_shows_how_many_frames_are_missing(form):
     readings, celsius = rest(300)
     gone = {5, 6, 7, 100, *range(200, 270)}
     whole = sent(readings, celsius, form)
@@ -263,7 +263,7 @@ def test_frames_without_any_chip_are_counted_and_not_delivered():
     assert np.isfinite([frame.reading for frame in delivered_frames]).all()
 
 
-def test_what_is_wrong_is_said():
+def test_each_wrong_stream_is_diagnosed():
     readings, celsius = rest(20)
     cold = np.where(np.arange(5) == 3, -998.1, celsius)  # what the firmware makes of a chip that does not answer
     for data, why in (

@@ -66,7 +66,7 @@ def board_view(T_b_t, rng, noise, told=None):
     return BoardView(T_b_t if told is None else told, corners, rays)
 
 
-def test_without_noise_it_is_exact():
+def test_the_estimate_is_exact_without_noise():
     rng = np.random.default_rng(0)
     board_views = [board_view(T, rng, 0.0) for T in tools(6, rng)]
     for seen in board_views:
@@ -78,7 +78,7 @@ def test_without_noise_it_is_exact():
 
 
 @pytest.mark.full
-def test_the_error_it_states_is_the_error_it_makes():
+def test_the_stated_error_equals_the_true_error():
     """Over 8 calibrations: the stated standard error is a root mean square, so are the errors made. A mean of 8
     squares of three independent parts each scatters by sqrt(2 / 24) = 29 %, by 50 % where one part rules, so its root
     by 15 to 25 %, and the jackknife of 12 views by some 20 % of its own: within a factor of two they must agree.
@@ -95,7 +95,7 @@ def test_the_error_it_states_is_the_error_it_makes():
     assert (errors < [1e-3, math.radians(0.5)]).all()
 
 
-def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused():
+def test_wrong_corners_are_outvoted_and_uninformative_views_refused():
     rng = np.random.default_rng(1)
     board_views = [board_view(T, rng, 0.1) for T in tools(10, rng)]
     clean = pose_difference(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0]
@@ -180,7 +180,7 @@ def test_the_command_writes_the_camera_into_the_rig(taken, tmp_path, capsys):
     assert hand_eye.main(["estimate", str(path), "--write"]) == 2
 
 
-def test_what_is_missing_is_said(taken, tmp_path, capsys):
+def test_damaged_views_are_refused_with_the_reason(taken, tmp_path, capsys):
     shutil.copytree(taken[0], copy := tmp_path / "views")
     for file, text, why in (
         ("images/000.png", "no image", "000.png: cannot be read"),
@@ -191,7 +191,7 @@ def test_what_is_missing_is_said(taken, tmp_path, capsys):
         refused(capsys, hand_eye.main, "estimate", copy, why=why)
 
 
-def test_boards_are_drawn_and_found_again(tmp_path):
+def test_drawn_boards_are_detected(tmp_path):
     file = tmp_path / "board.png"
     assert hand_eye.main(["board", str(file), "--dictionary", "APRILTAG_36h11"]) == 0
     with Image.open(file) as image:

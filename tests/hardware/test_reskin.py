@@ -77,7 +77,7 @@ def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
             assert np.all(np.diff(skin.since(-1).time) >= 0)
 
 
-def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_board(monkeypatch):
+def test_silence_is_detected_and_a_busy_computer_not_blamed_on_the_board(monkeypatch):
     with started("--silent-after", "0.4", "--silent-for", "2.0") as (port, _), ReSkin(port) as skin:
         assert "check its cable" in failure(skin, "has been silent for")
         skin.read(20, PATIENCE)
@@ -87,13 +87,13 @@ def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_boar
 
 
 @pytest.mark.full
-def test_a_wrong_baud_rate_is_said():
+def test_a_wrong_baud_rate_is_reported():
     search = BoardSearch(first_frame_timeout=0.3, startup_time=0.0)
     with started("--baud", "460800") as (port, _), pytest.raises(DeviceError, match=r"at 9600 baud .* the baud rate"):
         ReSkin(port, 9600, search=search).connect()
 
 
-def test_what_cannot_be_opened_says_why(tmp_path):
+def test_a_failed_opening_states_its_reason(tmp_path):
     (tmp_path / "file").write_bytes(b"")
     with started() as (port, _), ReSkin(port):
         calls = [
@@ -128,7 +128,7 @@ while True:
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for other programs in /proc")
-def test_a_port_that_another_program_reads_is_not_said_to_be_unplugged(tmp_path):
+def test_a_port_read_by_another_program_is_not_reported_as_unplugged(tmp_path):
     link = tmp_path / "skin"  # of another name, as udev gives
     with started("--link", str(link)) as (port, _):
         for lock, problem in (False, r"is read by \S+ \(process %d\) too"), (True, r"in use by \S+ \(process %d\)"):
@@ -156,7 +156,7 @@ def test_a_second_reader_that_the_system_does_not_show_is_named_as_a_cause(tmp_p
     assert "is gone" in str(ReSkin(str(port))._lost_error(OSError(errno.EIO, "Input/output error")))
 
 
-def test_a_real_port_is_kept_from_programs_that_open_it_later(monkeypatch):
+def test_a_real_port_is_locked_against_other_programs(monkeypatch):
     fcntl = pytest.importorskip("fcntl")
     if sys.platform != "linux":
         pytest.skip("only Linux tells whether a terminal is exclusive")
@@ -190,7 +190,7 @@ def test_a_real_port_is_kept_from_programs_that_open_it_later(monkeypatch):
         ([20], ["ada"], "may not be opened by your group, dialout; allow it: sudo chmod g+rw"),
     ],
 )
-def test_a_forbidden_port_names_its_group_and_what_is_missing(monkeypatch, groups, members, words):
+def test_a_forbidden_port_is_reported_with_its_group_and_remedy(monkeypatch, groups, members, words):
     monkeypatch.setenv("USER", "ada")
     monkeypatch.setattr(serial_port.os, "getgroups", lambda: groups)
     monkeypatch.setattr(serial_port.os, "getegid", lambda: 1000)
@@ -234,7 +234,7 @@ def test_a_late_read_is_dated_back_and_the_reader_does_not_die_quietly():
     assert (np.diff(times) >= 0).all()
 
 
-def test_it_can_be_closed_from_anywhere_and_at_once():
+def test_a_stream_can_be_closed_from_any_thread_at_once():
     with started() as (port, process):
         skin = ReSkin(port)
         skin.connect()
@@ -253,7 +253,7 @@ def usb(device: str, vid: int | None, serial_number: str | None = None) -> Simpl
     return SimpleNamespace(device=device, vid=vid, pid=1, description="QT Py", serial_number=serial_number)
 
 
-def test_ports_are_found_by_who_made_the_board_and_a_board_under_another_name_is_known(monkeypatch):
+def test_ports_are_found_by_vendor_and_a_board_under_another_name_is_recognised(monkeypatch):
     skin = ReSkin()
     there: list[SimpleNamespace] = [usb("/dev/ttyS0", None)]
     monkeypatch.setattr(skin, "_comports", lambda: there)
@@ -280,7 +280,7 @@ def feel(process, field) -> None:
         out.sendto(np.asarray(field, "<f4").tobytes(), (host, int(number)))
 
 
-def test_what_was_sent_to_nobody_is_not_read():
+def test_bytes_sent_before_connecting_are_not_read():
     """A board that talked for a second to a port that nobody read has filled its buffer with the past."""
     with started("--field", "--noise", "0") as (port, process):
         holder = os.open(port, os.O_RDWR | os.O_NOCTTY)

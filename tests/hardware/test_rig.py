@@ -24,7 +24,7 @@ small = st.lists(st.floats(-0.4, 0.4), min_size=3, max_size=3)
 
 @given(small, small, small, st.floats(0, 20), st.floats(0.02, 2))
 @settings(max_examples=30, deadline=None)
-def test_what_is_written_is_read(tmp_path_factory, turn, at, centre, mass, distance):
+def test_written_values_are_read_back(tmp_path_factory, turn, at, centre, mass, distance):
     path = tmp_path_factory.mktemp("rig") / "lab.toml"
     written = Rig(
         pose(turn, at),
@@ -95,7 +95,7 @@ TOOL, CAMERA = IDENTITY + "0.05]", IDENTITY + "-0.064]"
         ("[tool]", "[tool", r"is not TOML"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, old, new, why):
+def test_impossible_arguments_are_refused_in_one_sentence(tmp_path, old, new, why):
     path = tmp_path / "lab.toml"
     text = Rig().text()
     assert old in text
@@ -106,7 +106,7 @@ def test_what_cannot_be_is_refused_in_one_sentence(tmp_path, old, new, why):
     assert "\n" not in str(caught.value)
 
 
-def test_files_that_are_none(tmp_path, capsys):
+def test_files_that_are_not_rigs_are_refused(tmp_path, capsys):
     file = tmp_path / "lab.toml"
     file.write_bytes(b"\xff\xfe\x00")
     nowhere = (tmp_path / "nowhere.toml",)
@@ -117,7 +117,7 @@ def test_files_that_are_none(tmp_path, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
-def test_an_object_outside_the_box_and_what_is_nearly_always_a_mistake_are_doubted(capsys, tmp_path):
+def test_an_object_outside_the_box_and_probable_mistakes_are_doubted(capsys, tmp_path):
     for rig, code, doubt in (
         (Rig(), 0, ""),
         (Rig(T_world_object=pose([0, 0, 0], [1, 0, 0])), 1, "OUTSIDE"),

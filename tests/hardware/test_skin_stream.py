@@ -50,7 +50,7 @@ def fail(error):
         (lambda link: [sample(ahead=100.0)], "sends samples with times in the future"),
     ],
 )
-def test_whatever_ends_the_thread_every_call_says_why(wrong, message):
+def test_every_call_states_why_the_thread_ended(wrong, message):
     sent = []
     skin = Board(lambda link: sent.append(link) or ([sample()] if len(sent) < 3 else wrong(link)))
     skin.connect()
@@ -59,7 +59,7 @@ def test_whatever_ends_the_thread_every_call_says_why(wrong, message):
     refuse(DeviceError, [(*call, message) for call in calls])
 
 
-def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection():
+def test_a_hung_old_thread_does_not_affect_the_new_connection():
     hangs, outcomes = threading.Event(), iter([lambda: [sample(), sample()], lambda: fail(OSError("late"))])
 
     def receive(link):
@@ -85,7 +85,7 @@ def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection():
     skin.close()
 
 
-def test_a_board_that_cannot_be_opened_or_says_nothing_leaves_nothing_open():
+def test_a_failed_connection_leaves_no_port_open():
     silent = Board(lambda link: [])
     silent.stream_config = StreamConfig(first_sample_timeout=0.1)
     with pytest.raises(DeviceTimeoutError, match="has been silent"):

@@ -42,7 +42,7 @@ LOOKS = np.arange(0.0, 8e-3, 2e-3 / 125)  # m: 125 looks a second at 2 mm/s
 
 
 @pytest.mark.parametrize(("soft", "stiff"), [(0.9e-3, 1e4), (0.5e-3, 3e3), (1e-6, 4e3)], ids=["skin", "hard", "spring"])
-def test_where_a_press_began_is_found_and_in_noise_as_well_as_can_be(soft, stiff):
+def test_the_onset_of_a_press_is_found_within_the_limit_of_the_noise(soft, stiff):
     """As well as the Cramer-Rao bound says, 0.07 and 0.1 mm at 0.1 N, within what 16 trials scatter by: 18 % of one
     standard deviation, of which three. A spring's first parameter is at the end of its range, where there is no bound.
     """
@@ -95,7 +95,7 @@ def test_an_arm_finds_its_skin(z, rx, ry):
     assert len(messages) == 4
 
 
-def test_what_is_no_press_and_no_flat_is_said():
+def test_forces_without_a_press_and_missed_flats_are_reported():
     few, falling = (np.array([0, 1e-3]), np.array([0, 1.0])), (np.arange(6.0), 6 - np.arange(6.0))
     lost = np.arange(8.0), np.where(np.arange(8) == 5, np.nan, np.arange(8.0))
     calls = [(contact_onset, few, "in at least 5 samples"), (contact_onset, falling, "did not rise with")]

@@ -133,7 +133,7 @@ LIBRARY = {  # answers of the part of ur_rtde that a motion needs
 }  # fmt: skip
 
 
-def test_a_motion_is_made_under_a_fed_watchdog_only():
+def test_motions_require_a_running_watchdog():
     ours, theirs = (rtde_worker.Channel(end) for end in socket.socketpair())
     library = Mock(**{f"{name}.return_value": value for name, value in LIBRARY.items()})
     library.getAsyncOperationProgressEx.return_value = library
@@ -238,7 +238,7 @@ def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start
         assert 0.09 < status(host)["fastest"] <= 0.1 * (1 + 1e-9)
 
 
-def test_what_is_beyond_the_limits_is_refused_before_anything_is_sent(above):
+def test_motions_beyond_the_limits_are_refused_before_anything_is_sent(above):
     host, arm = above
     commands = status(host)["commands"]
     goals = (arm.go, (pose(0.7, 0.0, 0.3),), "outside the box"), (arm.move, (pose(np.nan, 0.0, 0.3),), "finite")
@@ -278,7 +278,7 @@ def test_a_motion_that_meets_something_is_stopped_and_may_back_out(above):
     arm.go(BEGIN, 0.1)
 
 
-def test_a_force_above_its_limit_where_the_tool_arrives_is_told_and_forgotten(above):
+def test_a_force_above_its_limit_at_the_goal_is_reported_but_not_kept(above):
     host, arm = above
     force = STIFFNESS * 5e-4
     done = arm.approach(5.5e-3, 0.005, lambda state: None, force=0.999 * force)
@@ -292,14 +292,14 @@ def test_a_force_above_its_limit_where_the_tool_arrives_is_told_and_forgotten(ab
     arm.zero_wrench()
 
 
-def test_a_paused_motion_is_waited_for(above):
+def test_a_paused_motion_is_awaited(above):
     host, arm = above
     ask(host, "speed 0")
     threading.Timer(4.0, ask, (host, "speed 1")).start()  # s; at full speed it may take 2.8
     np.testing.assert_allclose(arm.go(pose(0.4, 0.02, 0.3), 0.1).T_b_t[1, 3], 0.02, atol=1e-6)
 
 
-def test_an_approach_that_nobody_watches_is_stopped(above):
+def test_an_unwatched_approach_is_stopped(above):
     host, arm = above
     with pytest.raises(DeviceError, match="was not watched"):
         arm.approach(0.02, 0.002, lambda state: time.sleep(3 * STATE_TIMEOUT))
@@ -361,7 +361,7 @@ BROKEN = f"TimeoutError: .*({NO_NEWS}|The connection to the controller .* broke)
     ],
     ids=["stall", "stall-control", "drop-control", "drop-state", "SIGSEGV", "SIGKILL", "SIGSTOP", "kill-program"],
 )
-def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_asked(above, fault, message):
+def test_a_fault_in_a_motion_stops_the_arm_until_it_is_reconnected(above, fault, message):
     """The controller's streams and program, and a client library that crashes or hangs."""
     host, arm = above
     worker, uploads = arm.connection._process.pid, status(host)["uploads"]
@@ -392,7 +392,7 @@ def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_as
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("guarded", [False, True], ids=["go", "approach"])
-def test_a_state_that_cannot_be_stops_the_arm(above, forged, guarded):
+def test_an_impossible_state_stops_the_arm(above, forged, guarded):
     """NaN, infinite, frozen and absurd values of every number on which a motion depends."""
     host, arm = above
     message = ""
@@ -421,7 +421,7 @@ def test_a_killed_controller_is_noticed(start):
 
 
 @pytest.mark.parametrize("fault", ["stall", "stall-control"])
-def test_a_controller_that_sends_no_states_is_given_up_also_at_rest(start, fault):
+def test_a_controller_without_states_is_disconnected_even_at_rest(start, fault):
     """Nobody asks, and no motion is under way; its program ends all the same."""
     host = start()
     with connected(host) as arm:

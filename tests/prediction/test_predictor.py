@@ -235,7 +235,7 @@ def test_a_network_predicts_the_same_as_its_model(network, patches):
 
 
 @pytest.mark.full
-def test_a_mesh_and_a_pose_are_a_patch(process, tmp_path):
+def test_a_mesh_and_a_pose_give_a_patch(process, tmp_path):
     """`predict_touch` renders just what `render_view` does, whoever brings the mesh."""
     ball = catalogue.make_object("dome")
     top = float(ball.mesh.vertices[:, 2].max())

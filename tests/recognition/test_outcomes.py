@@ -102,7 +102,7 @@ def test_slopes_are_differences_of_approach_distances():
         assert np.abs(contacts.jacobian).max() > 0.5
 
 
-def test_a_miss_is_all_zeros_without_nan():
+def test_a_miss_reads_zero_and_not_nan():
     # Beside the block; above it by a little more and a little less than the overtravel; below it, where an approach
     # that begins a millimetre below the bottom leads away from it.
     places = [60e-3, 0, TOP], *([0, 0, TOP + PAST + off] for off in (4 * DELTA, -4 * DELTA)), [0, 0, -STANDOFF - 1e-3]

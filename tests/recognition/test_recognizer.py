@@ -142,7 +142,7 @@ def test_only_sites_are_chosen_that_are_safe_as_the_object_stands(leaning):
     assert cautious.choose_touch(leaning.init()) is None
 
 
-def test_it_stops_when_certain_but_not_before_the_minimum_number_of_touches(leaning):
+def test_an_episode_stops_when_certain_after_the_minimum_number_of_touches(leaning):
     three = copy(leaning)
     three.config = replace(leaning.config, max_touches=5, min_touches=3)
     state = three.init()._replace(probability=np.array([1.0, 0.0]))

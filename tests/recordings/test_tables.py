@@ -426,7 +426,7 @@ def test_only_one_of_two_clocks_is_the_time(tmp_path):
     assert read_text_table(path).header == ["timestamp_ms", "time_s", "b0x_uT"]
 
 
-def test_a_bad_first_stamp_does_not_decide(tmp_path):
+def test_a_damaged_first_stamp_does_not_condemn_later_ones(tmp_path):
     path = tmp_path / "a.csv"
     for bad, good in (("0", "1760961600.25"), ("n/a", "2025-10-20 12:00:00.25")):
         path.write_text(f"timestamp,b0x_uT\n{bad},1\n" + f"{good},2\n" * 5)

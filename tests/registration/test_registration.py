@@ -158,7 +158,7 @@ def test_touches_in_air_keep_the_prior():
 
 
 @pytest.mark.full
-def test_a_wrong_touch_does_not_pull():
+def test_an_outlying_touch_does_not_shift_the_estimate():
     """One contact 5 mm too early weighs 5 / (4 + 50^2) = 0.002 and so pulls like one of 10 um, a tenth of the noise."""
     contacts, hit = (part[0] for part in draw(jax.random.split(jax.random.key(7), RUNS), SURFACES[0])[1:])
     wrong = contacts.at[4, 2, 3].add(5e-3)
@@ -305,7 +305,7 @@ def test_errors_of_the_camera_move_the_object():
     np.testing.assert_array_equal(camera_covariance(before, T_c_o, 0.0, 0.0), before)
 
 
-def test_what_cannot_be_registered_is_refused():
+def test_touches_that_cannot_be_registered_are_refused():
     rng, mesh = np.random.default_rng(0), make_object("hexagon").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 30)
     depth = noisy_image(mesh, T_w_c, rng)

@@ -27,7 +27,7 @@ def put(*place, value) -> np.ndarray:
 
 
 @pytest.mark.full
-def test_bad_poses_spoil_their_own_rows_only():
+def test_non_finite_poses_affect_their_own_rows_only():
     """Scaled, singular, mirrored, sheared, transposed and without a number: no image; places far away see nothing."""
     bad = [LOOK @ np.diag(scale).astype(np.float32) for scale in ([2, 2, 2, 1], [1, 1, 0, 1], [1, 1, -1, 1])]
     bad += [0 * LOOK, LOOK.T, LOOK @ (np.eye(4) + 0.01 * np.eye(4, k=1)).astype(np.float32), np.nan * LOOK]

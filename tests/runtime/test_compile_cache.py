@@ -36,7 +36,7 @@ def test_the_folder_is_in_the_users_cache_and_bounded(no_settings, tmp_path):
     assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_CACHE_BYTES
 
 
-def test_it_can_be_disabled_and_respects_settings_of_jax(no_settings, tmp_path):
+def test_the_cache_can_be_disabled_and_respects_settings_of_jax(no_settings, tmp_path):
     no_settings.setenv("XDG_CACHE_HOME", str(tmp_path))
     no_settings.setenv(CACHE_VARIABLE, "OFF")
     assert use_compile_cache() is None

@@ -14,7 +14,7 @@ FLAT = np.zeros((world.CELLS, world.CELLS))
 TOUCHES = 20  # of each object
 
 
-def test_it_shares_no_code_with_i2t():
+def test_the_second_world_shares_no_code_with_i2t():
     nodes = ast.walk(ast.parse(Path(world.__file__).read_text()))
     imported = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
     names = [alias.name for node in imported for alias in node.names]
@@ -22,7 +22,7 @@ def test_it_shares_no_code_with_i2t():
     assert not [name for name in names if name.startswith(("i2t", "experiments", "jax"))]
 
 
-def test_a_flat_sinks_as_its_springs_say_and_a_dipole_has_its_field():
+def test_a_flat_sinks_like_its_springs_and_a_dipole_has_its_field():
     """On the axis of a dipole: mu0 m / (2 pi r^3)."""
     depth, given = world.press(SKIN, FLAT, 3.0)
     np.testing.assert_allclose(given, depth, rtol=1e-3)

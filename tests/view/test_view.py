@@ -109,7 +109,7 @@ def test_a_data_set_without_series_is_shown_too(tmp_path):
 
 
 @pytest.mark.full
-def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, capsys, monkeypatch):
+def test_a_missing_rerun_is_reported_with_what_to_install(session, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().err.strip()
@@ -118,7 +118,7 @@ def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, caps
     assert (tmp_path / "out" / "session.html").exists()
 
 
-def test_what_cannot_be_looked_at_is_said(session, tmp_path, capsys):
+def test_wrong_options_of_the_view_are_refused(session, tmp_path, capsys):
     for options, why in (
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
         ([str(session), "--unit", "cm"], "no effect without --mesh"),

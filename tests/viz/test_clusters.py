@@ -21,7 +21,7 @@ def test_components_keep_distances_and_order_variances():
     assert (np.diff(c.var(0)) <= 1e-9).all()
 
 
-def test_clusters_far_apart_are_found_again_at_every_seed():
+def test_distant_clusters_are_recovered_with_every_seed():
     x, label = blobs()
     clustering = clusters.cluster(x, seed=3)
     assert clusters.rand_index(clustering.label, label) == 1

@@ -67,7 +67,7 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
     assert not any("(true)" in text for text in shown)
 
 
-def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
+def test_drawing_is_probed_in_another_process(monkeypatch):
     scene.why_no_scene.cache_clear()
     with monkeypatch.context() as broken:
         broken.setattr(scene, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
@@ -78,7 +78,7 @@ def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
     scene.why_no_scene.cache_clear()
 
 
-def test_without_a_scene_the_page_is_written_all_the_same(meshes, tmp_path, monkeypatch, capsys):
+def test_the_page_is_written_without_a_scene(meshes, tmp_path, monkeypatch, capsys):
     for module in (episode_report, scene):
         monkeypatch.setattr(module, "why_no_scene", lambda: scene.NO_GL)
     written = viz.write_episode_report(record(meshes), tmp_path / "a")

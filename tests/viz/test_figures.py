@@ -31,7 +31,7 @@ import i2t, i2t.viz.clusters, i2t.viz.agreement, i2t.types, i2t.dataset
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_field_vectors_have_one_round_scale_and_the_length_it_says(simulated):
+def test_field_vectors_share_one_round_scale_and_have_its_length(simulated):
     felt = np.zeros((2, 15))
     felt[0, 2], felt[1, 2] = 40.0, 20.0  # z of chip 0, whose axes are the tool's
     figure = viz.plot_readings(BOARD, {"felt": felt, "imagined": felt / 2}, ["one", "two"], "Touches", simulated)
@@ -79,7 +79,7 @@ def test_every_other_figure_can_be_written(tmp_path):
     assert ["simulated" in titles(figure) for figure in made] == 4 * [True] + 3 * [False]
 
 
-def test_without_gl_a_picture_says_what_to_install(monkeypatch):
+def test_a_missing_gl_is_reported_with_what_to_install(monkeypatch):
     monkeypatch.setattr(scene, "why_no_scene", lambda: scene.NO_GL)
     vertices, faces = np.eye(3), np.array([[0, 1, 2]])
     figure = viz.plot_object(vertices, faces, np.eye(4)[None], "An object", True)
@@ -90,7 +90,7 @@ def test_without_gl_a_picture_says_what_to_install(monkeypatch):
 
 
 @pytest.mark.full
-def test_a_scene_shows_the_object_and_the_skin_and_a_surface_grows_from_nowhere():
+def test_a_scene_shows_object_and_skin_and_an_unknown_surface():
     """Before any touch there may be no surface at all: that is drawn as nothing."""
     if scene.why_no_scene():
         pytest.skip(scene.why_no_scene())
