@@ -164,7 +164,7 @@ class Pad(NamedTuple):
 
 @in_one_line
 class Truth(NamedTuple):
-    """Error-free values of a simulated touch, which only the simulation knows."""
+    """Error-free values of a simulated touch; a real lab cannot measure them."""
 
     wide: Float[Any, "*n w w"]  # m, 72 x 72 view of the surface that the skin met, without camera or pose error
     nearest: Float[Any, "*n"]  # m, position of the nearest surface point along tool z at the end of the press

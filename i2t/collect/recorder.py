@@ -6,7 +6,7 @@ last complete entry. Each entry is a line of JSON that begins with its kind: `["
 rows]` (without a name for the pressing skin) and `["arm", row]`.
 
 Devices count seconds that never jump, and files hold Unix time. Both clocks are read when a touch begins, and their
-difference dates everything in that touch. If the difference has changed at the end, somebody has set the clock: the
+difference dates everything in that touch. If the difference has changed at the end, the clock was set: the
 touch is saved with the old difference, and the session ends, because later files would sort before earlier ones.
 
 A nearly full disk, a folder without write permission and a clock that was set back are found before a touch begins,

@@ -7,7 +7,7 @@ A view is smoothed to robust local planes (`i2t.contact.smoothing`), resampled t
 the measured force into a layer of nominal stiffness. The camera does not observe the tilt between looking and pressing,
 so it is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the two tilts. One degree over
 20 mm is as much as a press is deep, and a single guess would put the whole load on the wrong edge. The resulting
-pressure map says where and how hard the skin is touched. The reading that follows from it depends on the magnetisation
+pressure map shows where and how hard the skin is touched. The reading that follows from it depends on the magnetisation
 of the pad and is learned from its touches (`i2t.skin_models.pressure_gp`).
 
 Views include the surroundings of the patch if they were recorded; the outermost pixels of a cropped view are repeated.

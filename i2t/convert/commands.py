@@ -57,7 +57,7 @@ class Reading:
             raise DataError(f"{self.source}: no such file or folder; check the path")
 
     def _load(self, skin_name: str | None = None) -> "Dataset":
-        """Read a data set in which chips may be missing, unless such touches are to be left out."""
+        """Read a data set. Touches in which a chip is missing are kept unless --skip-bad leaves them out."""
         from i2t.dataset import load_dataset
 
         return load_dataset(self.source, skip_bad=self.skip_bad, missing_chips=not self.skip_bad, skin=skin_name)
@@ -171,7 +171,7 @@ class FromImagine2touch(Recording):
     tool_forces: bool = False  # forces are given in the tool's axes, not in those of the robot base
 
     def run(self) -> None:
-        """Convert."""
+        """Convert the recordings and write the data set."""
         self._require()
         shared = self._shared_options()
         from i2t.convert import imagine2touch
@@ -196,7 +196,7 @@ class FromEflesh(Recording):
     pad: str | None = None  # name of the skin for all sessions; by default, each session has its own
 
     def run(self) -> None:
-        """Convert."""
+        """Convert the sessions and write the data set."""
         self._require()
         shared = self._shared_options()
         from i2t.convert import eflesh
@@ -229,7 +229,7 @@ class FromPresses(_FromTable):
     """
 
     def run(self) -> None:
-        """Convert."""
+        """Convert the table and write the data set."""
         self._require()
         options = self._indenter_options("")
         from i2t.convert import presses
@@ -279,7 +279,7 @@ class Pack(Writing):
     skin_name: str | None = None  # name of the skin to pack; required if each touch has readings of several skins
 
     def run(self) -> None:
-        """Pack."""
+        """Pack the touches into one file."""
         self._require()
         self._write(self._load(self.skin_name))
 
@@ -291,7 +291,7 @@ class ToLeRobot(Writing):
     written: ClassVar[tuple[str, ...]] = ("data", "meta", "README.md")
 
     def run(self) -> None:
-        """Write."""
+        """Write the LeRobot data set."""
         self._require_source()
         require_extra("pyarrow", "LeRobot's format")
         self._require()

@@ -74,7 +74,7 @@ def convert(
         The data set, with notes on assumptions and omissions.
 
     Raises:
-        DataError: If the folder cannot be read as such a recording.
+        DataError: If the folder cannot be read as a recording in the authors' layout.
     """
     notes = ReadingLog(skip_bad, unit="touches")
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")

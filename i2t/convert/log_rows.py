@@ -180,7 +180,7 @@ class _Stamps:
     rows: int = 0
 
     def counted(self, rows: LogRows, clock: RowClock) -> TimedRows:
-        """Space rows evenly, whatever their stamps; each session may be another recording."""
+        """Space rows evenly, ignoring their time stamps; each session may be another recording."""
         n = len(rows.time)
         time = clock.step * np.arange(self.rows, self.rows + n)
         codes = rows.labels[:, LabelColumn.NAMES]

@@ -70,7 +70,7 @@ def check_session(
         board: Board as described.
         notes: Log that receives the sentences.
         stated_zero: Height (m) of first contact that the recording states.
-        keep_zero: Whether that height is kept, whatever the readings show.
+        keep_zero: Whether that height is kept even if the readings contradict it.
 
     Returns:
         Findings to apply to the session.

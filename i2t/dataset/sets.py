@@ -14,7 +14,7 @@ from i2t.errors import DataError
 from i2t.patches.dimensions import PATCH_WINDOW, REACH, WIDE_PIXELS
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 
-NOT_STATED = "not stated"  # source of recordings whose format does not tell whether they are real
+NOT_STATED = "not stated"  # source of recordings whose format does not state whether they are real
 SOURCES = ("simulated", "mixed", "real", NOT_STATED)
 INDEX_FIELDS = ("object", "pad", "session", "code")
 REQUIRED_FIELDS = tuple(name for name in Touches._fields if name not in Touches._field_defaults)

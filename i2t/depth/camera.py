@@ -555,7 +555,7 @@ def other_size(shape: tuple[int, ...], camera: Camera) -> str:
         camera: The camera.
 
     Returns:
-        A sentence without its subject, which says what is wrong and what to do.
+        A sentence without its subject that states the problem and its remedy.
     """
     text = f"has the shape {tuple(shape)} where the camera's image is {(camera.height, camera.width)}; "
     if len(shape) != 2 or not all(shape):

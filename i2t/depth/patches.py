@@ -4,7 +4,7 @@ Every ray of the patch runs along tool z, as in the renderer, and is followed th
 neighbours form a triangle of surface. On it inverse depth is linear in the pixel, as on any plane seen by a pinhole.
 Along a ray inverse depth is linear in the image as well, so the ray meets the surface where the two are equal.
 Triangles seen at a grazing angle span a depth edge and are not surface. This also leaves out flying pixels, since a
-pixel between two surfaces has such an edge on both sides.
+pixel between two surfaces has a depth edge on both sides.
 
 A camera measures free space as well as surface: everything in front of the surface is free. A ray that gets behind the
 image without meeting a triangle, because it started there or came in through a hole, is lost, and what it meets later
@@ -258,7 +258,7 @@ def _cells(depth: Array, camera: Camera, tracing: SurfaceTracing) -> Float[Array
     """Describe every square of four pixels, as ((h - 1)(w - 1), 6).
 
     The first four columns are the pixels' inverse depths (1/m): upper left, upper right, lower left, lower right. The
-    last two say whether the triangles at the upper left and at the lower right corner are surface.
+    last two are whether the triangles at the upper left and at the lower right corner are surface.
     """
     x, y = pixel_rays(camera)
     measured = measured_mask(depth) & jnp.isfinite(x) & jnp.isfinite(y)

@@ -4,7 +4,7 @@
     python -m i2t.hardware.reskin --port /tmp/skin
 
 The first line of output is the port's path (the link, if there is one). With `--field`, the second line is the address
-for fields. Like a real board, it waits until somebody opens the port. At rest, it sends a uniform ambient field in the
+for fields. Like a real board, it waits until the port is opened. At rest, it sends a uniform ambient field in the
 axes of its chips (`i2t.skin.boards`), with noise and steps as measured on real boards. Presses can be added. Times of
 faults count from when the port is first opened. The emulator runs on Linux and macOS, without JAX.
 """
@@ -162,7 +162,7 @@ class BoardPort:
         self._unlink()
 
     def is_open(self) -> bool:
-        """Test whether somebody has the port open."""
+        """Test whether a program has the port open."""
         if self.master is None:
             return False
         poll = select.poll()

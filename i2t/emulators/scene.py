@@ -36,7 +36,7 @@ from i2t.types import Array, Board, Pad, Surface
 LINE_LENGTH_M = 0.12  # length of the line on which the object is searched
 LINE_TOLERANCE_M = 20e-6  # maximum distance of a tool that counts as on its line
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
-ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # base axes: about the Earth's field in its southern half
+ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # uT in base axes: about the Earth's field on the southern hemisphere
 
 
 class ContactLine(NamedTuple):

@@ -145,7 +145,7 @@ def check_arrays(path: Path | str, tree: Any, shapes: Mapping[str, tuple[int, ..
         path: The path of the file that the arrays come from.
         tree: The NamedTuple that `load` returned.
         shapes: The required shape of each array to check, by the array's dotted name.
-        remedy: The end of the message, which says what to do.
+        remedy: The end of the message, which states the remedy.
 
     Raises:
         SerializationError: An array has another shape or a non-finite value.

@@ -200,7 +200,7 @@ def _is_part(value: Any, whole: tuple[Any, ...]) -> bool:
 def _use_projection(own: dict[str, Any], matrix: list[float]) -> None:
     """Take the lens of a rectified image if the file has no other.
 
-    Refuse a file with a different lens or a distortion for the raw image, because it does not say which of the two
+    Refuse a file with a different lens or a distortion for the raw image, because it does not show which of the two
     images the depth belongs to.
     """
     names, rectified = ("fx", "fy", "cx", "cy"), _pinhole("P", matrix)

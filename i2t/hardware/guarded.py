@@ -469,7 +469,7 @@ class GuardedByPolling(DeviceBase):
     def _halt(self, ended: threading.Event | None = None) -> None:
         """Brake until the arm stands, repeatedly if the driver fails.
 
-        Give up after the stop timeout, or when `ended` says that the motion is over.
+        Give up after the stop timeout, or when `ended` returns that the motion is over.
         """
         deadline = self.clock.now() + SAFETY.stop_timeout_s
         while self.clock.now() <= deadline and not (ended and ended.is_set()):
@@ -481,7 +481,7 @@ class GuardedByPolling(DeviceBase):
                 return
 
     def _call(self, method: Callable[..., T], *arguments: Any) -> T:
-        """Call a method of the driver, and turn whatever it raises into a DeviceError."""
+        """Call a method of the driver, and turn every exception that it raises into a DeviceError."""
         try:
             return method(*arguments)
         except DeviceError:

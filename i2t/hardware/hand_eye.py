@@ -191,7 +191,7 @@ class DrawArgs(CharucoBoard):
     file: tyro.conf.Positional[Path]  # image to write
 
     def run(self) -> None:
-        """Write the image."""
+        """Write the image of the board."""
         suffixes = (".png", ".tif", ".pdf")  # of formats that keep the size on paper
         if self.file.is_dir() or self.file.suffix.lower() not in suffixes:
             raise ValueError(f"{self.file}: is not the name of a picture; use the ending {' or '.join(suffixes)}")
@@ -215,7 +215,7 @@ class CaptureArgs(CharucoBoard):
     rig: Path | None = None  # the lab's calibration file; required for devices of other packages
 
     def run(self) -> None:
-        """Take the views."""
+        """Take the views and save them."""
         rig = Rig.read(self.rig) if self.rig is not None else None
         check_device("camera", self.camera, {"size": self.size})
         if rig is None and self.camera != REALSENSE:

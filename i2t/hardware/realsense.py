@@ -82,7 +82,7 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
         distance: Distance in m from which the camera is to look.
 
     Raises:
-        TooNearError: The camera measures nothing as near; the message says what to change.
+        TooNearError: The camera measures nothing as near; the message states the remedy.
     """
     minimum = nearest(model, width, height)
     if distance < minimum:

@@ -1,7 +1,7 @@
 """Columns of tables: the names, quantities and units that all readers of recordings understand.
 
-A column is named by its stem and our unit, such as x_mm, force_N or b0x_uT. Other spellings and units of the same stems
-are converted to these.
+A column is named by its stem and i2t's unit, such as x_mm, force_N or b0x_uT. Other spellings and units of the same
+stems are converted to these.
 """
 
 import re
@@ -27,7 +27,7 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a
     "slip": ("slip",),
 }
 PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["depth"])
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, instead of a depth
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # columns that hold the height of the tip instead of a depth
 FORCE, TIME, SOURCE_COLUMN = "force_N", "time_s", "source"
 NAME_COLUMNS = ("pad", "session")
 TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)

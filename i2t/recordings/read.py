@@ -327,7 +327,7 @@ def read_tables(path: Path) -> list[SkinRecording]:
         A recording for each pad.
 
     Raises:
-        DataError: The file is not such a table, or no row has a finite reading.
+        DataError: The file is not a table of readings, or no row has a finite reading.
     """
     table = _LooseTable.read(path)
     names, notes = _reading_columns(table, path), list(table.text.notes)

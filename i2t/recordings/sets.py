@@ -14,7 +14,7 @@ from i2t.recordings.diagnose import Finding, correction_of, find_depth_sign, fin
 from i2t.recordings.presses import dataset_presses
 from i2t.types import ReturnCode
 
-MIN_DEPTH_M = 10e-6  # depth from which a touch counts as a press
+MIN_DEPTH_M = 10e-6  # m, depth from which a touch counts as a press
 
 
 def corrected_dataset(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:

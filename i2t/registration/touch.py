@@ -79,7 +79,8 @@ def register_by_touch(
         surface: The object, in its own frame.
         T_w_o: Believed pose of the object.
         T_w_contact: `(n, 4, 4)` poses of the tool at first contact, such as from `contact_poses`.
-        weight: `(n,)` weights of the touches. 0 or false leaves a touch out, whatever its pose, such as a touch in air.
+        weight: `(n,)` weights of the touches. 0 or false leaves a touch out even if its pose is not
+            finite, such as a touch in air.
         translation_std: Standard deviation (m) of the believed position along each axis.
         rotation_std: Standard deviation (rad) of the believed orientation about each axis.
         contact_std: Standard deviation (m) of a contact. It includes errors of the arm, of the object's shape, and of

@@ -13,7 +13,7 @@ import numpy as np
 
 from i2t.types import Surface
 
-CLUSTERS_PER_GROUP = 32  # a machine word holds a bit for each cluster of a group
+CLUSTERS_PER_GROUP = 32  # number of clusters in a group, one for each bit of a machine word
 EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of an empty box, which nothing meets
 
 

@@ -16,7 +16,7 @@ Properties of a board, in contrast to those of a session, are drawn from `board_
 chips' own drifts and the place where the board is used. Softening continues over the sessions of a pad.
 
 Default sizes are those of real boards if a recording exists, and otherwise from the literature. Each docstring names
-the source, and says if a size is an assumption. Readings are microtesla in the board's order and the chips' own axes;
+the source, and states if a size is an assumption. Readings are microtesla in the board's order and the chips' own axes;
 W is the world, z up. Functions of one reading are lifted by `vmap`.
 """
 

@@ -42,7 +42,7 @@ from i2t.types import Pad
 
 
 class Shear(NamedTuple):
-    """State of friction."""
+    """Traction and slip of the skin's surface under friction."""
 
     traction: Float[Array, "2 n n"]  # Pa, traction on the skin along x and y
     displacement: Float[Array, "2 n n"]  # m, displacement of the skin's surface along x and y

@@ -255,7 +255,7 @@ def test_an_overflow_of_a_counter_is_continued(tmp_path):
     time = [float(cells[0]) for _, cells in table.rows]
     even = [float(cells[0]) for _, cells in presses_of(tmp_path).rows]
     np.testing.assert_allclose(np.diff(time), np.diff(even), atol=0.05)
-    assert any("a 32-bit counter of microseconds is full" in note for note in table.notes)
+    assert any("a 32-bit counter of microseconds overflows" in note for note in table.notes)
 
 
 def test_useless_stamps_are_noted_and_a_rate_can_be_stated(tmp_path):

@@ -37,7 +37,7 @@ def test_objects_without_a_mesh_are_left_out_or_named():
     assert list(touches.surfaces) == ["star"]
     assert len(touches.dataset) == 40
     nameless = recorded_presses(objects=("mug", "cup"))
-    with pytest.raises(DataError, match="there is no mesh of cup, mug; give them"):
+    with pytest.raises(DataError, match="there is no mesh of cup, mug; give their files"):
         recorded_touches(nameless, np.ones(40, bool), {}, "DATA")
 
 

@@ -198,7 +198,7 @@ class RtdeConnection:
         raise self.give_up(f"The arm at {self.host} was not seen to stop within {timeout:g} s.")
 
     def start_motion(self, goal: Array, *, speed: float, acceleration: float, bounds: tuple[float, float]) -> None:
-        """Start a straight motion; on return the newest state says that the arm moves.
+        """Start a straight motion; on return, the newest state shows the arm moving.
 
         Args:
             goal: (4, 4) pose of the tool in the base, m.
@@ -231,7 +231,7 @@ class RtdeConnection:
         """Give up the arm: end the heartbeats, send "stop" to the dashboard, and end the process.
 
         Args:
-            sentence: Message that says what happened.
+            sentence: Message that states what happened.
 
         Returns:
             The error to raise; the first one if the arm had been given up already.

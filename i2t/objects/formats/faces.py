@@ -52,8 +52,8 @@ def triangulate_polygons(
         name: Names the polygon of a given number, counted from 1, in an error.
 
     Returns:
-        The vertices, `(k, 3)` triangles, and a text that says how many polygons were left out because they have fewer
-        than three corners; empty if there are none.
+        The vertices, `(k, 3)` triangles, and a text with the number of polygons that were left out because they have
+        fewer than three corners; empty if there are none.
 
     Raises:
         DataError: A polygon refers to a vertex that does not exist or cannot be triangulated.

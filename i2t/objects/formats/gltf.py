@@ -24,7 +24,8 @@ from i2t.files.reading import parse_json, read_bytes
 from i2t.files.writing import file_in
 from i2t.objects.polygons import strip_triangles
 
-COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # glTF 2.0, 3.6.2.2
+# NumPy types of the component types of glTF 2.0 (3.6.2.2).
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 COMPRESSION_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
 DECOMPRESS = "export it again without compression, or decompress it, for instance with gltf-transform"
 

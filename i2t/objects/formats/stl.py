@@ -87,7 +87,7 @@ def _text_facets(path: Path, text: bytes) -> NDArray:
 
 
 def _without_titles(text: bytes) -> tuple[bytes, list[bool]]:
-    """Remove the lines that begin or end a solid from STL as text, and tell for each of them whether it ends one."""
+    """Remove the lines that begin or end a solid from STL as text, and return whether each of them ends one."""
     first, *others = text.split(b"solid")
     facets, ends, in_title = [first], [], False
     for part in others:
