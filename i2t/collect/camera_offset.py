@@ -37,8 +37,8 @@ def matching_shifts(
         expected: Depth (m) of object and table at their poses in the rig.
         on_object: Mask of the pixels that show the object. The pixels around them count too.
         pixel: Width and height (m) of a pixel at the object's distance.
-        tolerance: Bound (m) to which differences of depth are clipped, since a distant background adds no information
-            than a near one. Shifts up to twice this distance are tried.
+        tolerance: Bound (m) to which differences of depth are clipped, since a distant background is no more
+            informative than a near one. Shifts up to twice this distance are tried.
         max_steps: Maximum number of steps in which shifts are tried in either direction.
         fit_margin: Mean difference (m) over a view's pixels by which the true shift may fit worse than the best. The
             default is a third of the noise of a pixel's depth. The mean over thousands of pixels has little noise, but

@@ -81,7 +81,7 @@ class StopCondition:
             The outcome, with force or torque as its reason if the arm itself did not stop at them.
 
         Raises:
-            DeviceError: If the arm did not call the condition on its way, still moves, or is where it should not be.
+            DeviceError: If the arm did not call the condition as it moved, still moves, or is in a wrong place.
         """
         above = self._watch(result.state)
         if result.state.moving:

@@ -37,7 +37,7 @@ from i2t.types import Pad, ReturnCode
 
 # Function (pad, height, indentation, *, grid, start) -> press, such as `i2t.skin.pad.press`.
 PressLaw = Callable[..., Press]
-FINE_SHEETS = 2  # upper sheets of dipoles that are as fine as a fine final grid, for readings within 0.04 uT
+FINE_SHEETS = 2  # number of upper dipole sheets that are as fine as a fine final grid; readings are within 0.04 uT
 
 
 @dataclass(frozen=True)

@@ -260,7 +260,7 @@ def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Readin
 
 
 def _strokes(name: str, states: np.ndarray) -> np.ndarray:
-    """Name the session of each row: one for a session of single presses. If the probe was recorded all the way, each
+    """Name the session of each row: one for a session of single presses. If the probe was recorded throughout, each
     stroke down and up is one.
     """
     if states.shape[1] == 4:

@@ -78,7 +78,7 @@ class Distortion(StrEnum):
     BROWN_CONRADY = "brown_conrady"
 
 
-# The same models by the names of ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV. None stands for a fisheye lens.
+# Lens models by their names in ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV. None marks a fisheye lens.
 MODEL_NAMES: dict[str, Distortion | None] = {
     **dict.fromkeys(("", "pinhole", "perspective", "no_distortion"), Distortion.NONE),
     **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential", "opencv", "brown", "rational_polynomial"),

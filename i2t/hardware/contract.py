@@ -239,7 +239,7 @@ def at_rest(arm: GuardedArm, state_timeout: float, patience: float) -> tuple[Arm
         patience: Maximum wait, s.
 
     Returns:
-        The state at rest, and the highest speed on the way (m/s).
+        The state at rest, and the highest speed during the motion (m/s).
     """
     fastest, end = 0.0, time.monotonic() + patience
     while True:

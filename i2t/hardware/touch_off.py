@@ -93,7 +93,7 @@ def contact_onset(
     """Estimate the distance to first contact in a press of a corner.
 
     Args:
-        distance: (n,) distance of each sample on the way, m.
+        distance: (n,) distance of the tool from the start at each sample, m.
         force: (n,) force of each sample, N.
         config: Thresholds of the force.
 

@@ -68,7 +68,7 @@ def episodes_from_dataset(
 
     A recording contains the ends of presses, so the site of a press with contact is its end, and its advance is zero. A
     press without contact ended `overtravel` beyond its site. Its site is placed that far back, so that the belief
-    learns that the way was free, and not that nothing lies farther on.
+    contains that the path was free, but not that there is nothing beyond it.
 
     Args:
         recorded: Touches with measured forces.

@@ -2,7 +2,7 @@
 
   points   points whose signed distance is given: zero on the surface, negative behind it
   pad      points of the pad, at least one of them on the surface, because the pad met it there
-  free     points of free space with a lower bound of the signed distance: space that a pad swept on its way, or that a
+  free     points of free space with a lower bound of the signed distance: space that a pad swept on its path, or that a
            camera looked through
 
 A touch without its reading only shows that its pad met the surface somewhere; the reading shows where. Lengths are in
@@ -55,7 +55,7 @@ _CONFIG = EvidenceConfig()
 
 
 class Sweep(NamedTuple):
-    """Space that a pad swept on a straight way to a pose."""
+    """Space that a pad swept on a straight path to a pose."""
 
     T_o_t: Float[np.ndarray, "4 4"]  # (4, 4) pose of the tool at first contact, or at the end of a sweep through air
     length: float  # m, length of the path to `T_o_t`
@@ -125,15 +125,15 @@ def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: flo
     """Build the evidence of a touch from its pose alone.
 
     Args:
-        T_o_t: Pose of the tool at first contact, or where the way through air ended.
+        T_o_t: Pose of the tool at first contact, or at the end of the path through air.
         hit: Whether there was a contact.
-        swept: Length (m) of the straight way to that pose.
+        swept: Length (m) of the straight path to that pose.
 
     Returns:
         Evidence that the surface lies somewhere on the pad's square and that the swept space is free.
 
     Raises:
-        ValueError: The pose is not rigid and finite, or the way is not between 0 and 10 m.
+        ValueError: The pose is not rigid and finite, or the path is not between 0 and 10 m long.
     """
     T_o_t = validation.pose("T_o_t", T_o_t)
     if not 0 < swept < _CONFIG.max_swept:
@@ -155,14 +155,14 @@ def reading_evidence(
     Args:
         T_o_t: Pose of the tool at first contact.
         posterior: Posterior of the patch that the pad met, from `infer_patch`.
-        swept: Length (m) of the straight way to that pose.
+        swept: Length (m) of the straight path to that pose.
 
     Returns:
         Evidence that the centre of pressure lies on the surface and that the space which nearly all patches leave free
         is free.
 
     Raises:
-        ValueError: The pose is not rigid and finite, or the way is not between 0 and 10 m.
+        ValueError: The pose is not rigid and finite, or the path is not between 0 and 10 m long.
     """
     touch = contact_evidence(T_o_t, swept=swept)
     centre = np.append(np.asarray(posterior.centre, float), 0.0)

@@ -90,7 +90,7 @@ def choose_touch(
     Args:
         model: The prior knowledge of the surface.
         state: The evidence so far.
-        config: The policy, the limits of safe sites, and the way in which sites are proposed.
+        config: The policy, the limits of safe sites, and how sites are proposed.
         seed: Seed of the random numbers; the same seed gives the same proposals.
         estimate: The estimated surface of this state; computed if it is not given.
 

@@ -140,10 +140,10 @@ def unix_unit(number: float) -> float | None:
     """Determine the unit of a Unix time of this century by its size.
 
     Args:
-        number: The stamp.
+        number: The time stamp.
 
     Returns:
-        Seconds in the unit, or None if the number cannot be such a time.
+        Length of the unit in seconds, or None if the number cannot be a Unix time of this century.
     """
     units = ((1e9, 1.0), (1e12, 1e-3), (1e15, 1e-6), (1e18, 1e-9))
     return next((unit for smallest, unit in units if smallest <= number < 10 * smallest), None)

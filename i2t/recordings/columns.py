@@ -12,7 +12,7 @@ from i2t.errors import DataError
 from i2t.recordings.cells import parse_number
 
 NEWTONS_PER_GRAM = 9.80665e-3  # standard gravity, times one gram
-UNITS: dict[str, tuple[str, dict[str, float]]] = {  # our unit of each quantity, and factors from other units to ours
+UNITS: dict[str, tuple[str, dict[str, float]]] = {  # i2t's unit of each quantity, and factors from other units to it
     "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
     "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": NEWTONS_PER_GRAM, "kg": 9.80665}),
@@ -32,8 +32,8 @@ FORCE, TIME, SOURCE_COLUMN = "force_N", "time_s", "source"
 NAME_COLUMNS = ("pad", "session")
 TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
 UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
-FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
-FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # column of a chip's value under our name
+FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # name, without its unit, of the column of a chip's value or ambient field
+FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # name of the column of a chip's value
 QUANTITY_OF_STEM = {"time": "time"}
 QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "depth", "height"), "length")
 QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
@@ -135,7 +135,7 @@ def is_ours(name: str) -> bool:
         name: Name of a column as stated.
 
     Returns:
-        True for our name of the quantity and for other spellings and units.
+        True for i2t's name of the quantity and for other spellings and units.
     """
     stem, _, unit = our_name(name)[0].rpartition("_")
     quantity = _quantity_of(stem)
@@ -181,7 +181,7 @@ def plain_name(name: str) -> str:
 
 
 def our_name(name: str) -> tuple[str, float]:
-    """Find our name of a column, and the factor from its unit to ours.
+    """Find i2t's name of a column, and the factor from its unit to i2t's.
 
     Args:
         name: Name of a column as stated.

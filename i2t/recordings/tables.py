@@ -55,7 +55,7 @@ EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count
 
 
 class TextTable(NamedTuple):
-    """Texts of a table, with our names and units."""
+    """Texts of a table, with i2t's names and units."""
 
     header: list[str]
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
@@ -77,7 +77,7 @@ def read_text_table(path: Path) -> TextTable:
         path: Path of the file, plain or gzipped.
 
     Returns:
-        The texts of the table, with our names and units.
+        The texts of the table, with i2t's names and units.
 
     Raises:
         DataError: The file cannot be read, or is not a table.
@@ -311,7 +311,7 @@ def _converted(
     changes: list[tuple[list[int], Callable[[str], str]]],
     notes: list[str],
 ) -> Iterator[tuple[int, list[str]]]:
-    """Yield rows with decimal points, in our units."""
+    """Yield rows with decimal points, in i2t's units."""
     width, all_named, before = len(top.names), len(named) == len(top.names), signs.sign
     scaled = columns.where(lambda _, factor: factor != 1)
     for line, cells in rows:
@@ -372,7 +372,7 @@ def _read_top(lines: Iterator[str], texts: Sequence[str]) -> _Top:
 
     The names are on the first line that is not a comment. If that line holds only numbers, the names are in the comment
     before it, as `numpy.savetxt` writes them. Below titles, the names are on the first line with all of `texts`, or
-    with two of our columns.
+    with two of i2t's columns.
     """
     before, comments, stated, comment, first = 0, 0, "", "", ""
     for line in lines:
@@ -446,7 +446,7 @@ def _notes_on(encoding: str, top: _Top) -> list[str]:
 
 
 def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str]) -> _Columns:
-    """Find our names and units of the columns, from the stated names and the non-empty cells of the first rows."""
+    """Find i2t's names and units of the columns, from the stated names and the non-empty cells of the first rows."""
     ours = _one_clock(stated, [our_name(name) for name in stated])
     header, factors = [name for name, _ in ours], [factor for _, factor in ours]
     bare = next((i for i, name in enumerate(stated) if plain_name(name).lstrip("%") in STAMPS), None)

@@ -253,7 +253,7 @@ def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid 
 
 
 def clamped_load(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, ""]:
-    """Compute the load on a skin clamped at its edge: the sum of w p over the pad.
+    """Compute the load on a skin clamped at its edge: the pressure, weighted by the shape in which the skin sinks.
 
     Args:
         pressure: `(n, n)` pressure (Pa).

@@ -140,7 +140,7 @@ def friction_response(
     """Compute friction's part in the reading of a press whose surface slides evenly on its way.
 
     The part is not zero without a slide, because friction also holds material that the pressure would spread; see
-    `i2t.skin.friction`. The default tolerances on the way change the result by about 5 nT.
+    `i2t.skin.friction`. The default tolerances of the intermediate steps change the result by about 5 nT.
 
     Args:
         pad: The skin.
@@ -150,7 +150,7 @@ def friction_response(
         grid: Grid of the contact.
         increments: Number of equal steps of the path.
         pressed: `press` of the same pad, height, indentation and grid, if it is available.
-        pressure_tolerance: Tolerance of the contacts on the way, as of `contact.solve`.
+        pressure_tolerance: Tolerance of the contacts in intermediate steps, as of `contact.solve`.
         traction_tolerance: Tolerance of the tractions, relative to the largest displacement.
 
     Returns:

@@ -224,7 +224,7 @@ class RtdeConnection:
         self._wait(self._send("zero_wrench"), timeout)
 
     def end_program(self) -> None:
-        """End our program on the controller; raise DeviceError if that fails."""
+        """End i2t's program on the controller; raise DeviceError if that fails."""
         self._wait(self._send("end_program"), SAFETY.command_timeout_s)
 
     def give_up(self, sentence: str) -> DeviceTimeoutError:

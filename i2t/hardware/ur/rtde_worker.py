@@ -307,7 +307,7 @@ class Worker:
         self.bounds = force * (1 + 1e-9), torque * (1 + 1e-9)
 
     def brake(self) -> None:
-        """Brake to a stand, if our program runs."""
+        """Brake to a standstill, if i2t's program runs."""
         self.bounds = self.pending = None
         state = self.state
         if state is not None and state["program"] and state["safe"]:
