@@ -15,7 +15,7 @@ from i2t.errors import did_you_mean
 from i2t.patches.dimensions import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORCE_N, ORTHOGONALITY_TOLERANCE
 
 ROUND_TIPS = ("sphere", "cylinder")
-MIN_TIP_RADIUS_MM = 0.1  # a smaller radius was probably given in metres
+MIN_TIP_RADIUS_MM = 0.1  # mm, smallest accepted radius; a smaller one was probably given in metres
 MAX_TIP_RADIUS_MM = 100.0  # on a skin of 20 mm, a larger tip is flat to 0.5 mm
 
 

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from i2t.dataset import Dataset
     from i2t.types import Board
 
-PACKED_FILE = "touches.h5"
+PACKED_FILE = "touches.h5"  # name of the file that a converter writes
 
 
 @dataclass(kw_only=True)

@@ -27,7 +27,7 @@ from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-FRAME_RATE_HZ = 1
+FRAME_RATE_HZ = 1  # nominal rate: a frame is a touch
 NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "wide": "observation.wide"}
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # names of a pose's numbers: position (m) and unit quaternion
 

@@ -35,8 +35,8 @@ from i2t.files.writing import replacing, unwritable
 
 SCHEMA = "i2t-touches"
 SCHEMA_VERSION = 2  # version 1, which is still read, called sessions runs
-ENDING = ".h5"
-HEADER_BYTES = 512
+ENDING = ".h5"  # ending of the names of packed data sets
+HEADER_BYTES = 512  # size of the header in front of the HDF5 data
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path, replacing
 
 FORMAT_VERSION = 1
-HEADER_ENTRY = "about"
+HEADER_ENTRY = "about"  # name of the archive's entry that holds kind and version of the file
 
 Tree = TypeVar("Tree")
 

@@ -212,7 +212,7 @@ class GuardedByPolling(DeviceBase):
         raise NotImplementedError
 
     def brake(self) -> None:
-        """Brake without waiting for the stand."""
+        """Brake without waiting until the arm stands."""
         raise NotImplementedError
 
     def zero_sensor(self) -> None:

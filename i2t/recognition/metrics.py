@@ -23,7 +23,7 @@ from i2t.intervals import (
 )
 from i2t.types import Array
 
-PROBABILITY_FLOOR = 1e-6  # smaller probabilities are raised to it before logarithms
+PROBABILITY_FLOOR = 1e-6  # smallest probability in a logarithm; smaller ones are raised to it
 
 
 def to_json(values: Any) -> Any:

@@ -26,7 +26,7 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a
     "contact": ("contact",),
     "slip": ("slip",),
 }
-PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["depth"])
+PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["depth"])  # columns of the position and the depth of a press
 HEIGHT_COLUMNS = ("z_mm", "height_mm")  # columns that hold the height of the tip instead of a depth
 FORCE, TIME, SOURCE_COLUMN = "force_N", "time_s", "source"
 NAME_COLUMNS = ("pad", "session")
@@ -34,11 +34,13 @@ TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
 UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
 FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # name, without its unit, of the column of a chip's value or ambient field
 FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # name of the column of a chip's value
+# quantity of a column, whose units are in UNITS, by the stem of its name
 QUANTITY_OF_STEM = {"time": "time"}
 QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "depth", "height"), "length")
 QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
-STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
-MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # the last is that of cp850, read as cp1252
+# names of a time column without a unit
+STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")
+MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # spellings of micro; the last is that of cp850, read as cp1252
 
 
 def value_columns(chips: Iterable[int]) -> list[str]:

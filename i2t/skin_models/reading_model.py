@@ -49,7 +49,7 @@ from i2t.skin_models.layer import MIN_LOAD_N, NOMINAL_LAYER, Layer
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.types import Board, in_one_line
 
-LOADS_N = (0.3, 0.9, 2.7)  # the outer loads enclose the end of most presses to 25 uT
+LOADS_N = (0.3, 0.9, 2.7)  # N, loads of predicted touches; the outer ones enclose the end of most presses to 25 uT
 # From stiff to soft: Poisson's ratio and Young's modulus (Pa). At nu = 0 a bonded layer yields most to a flat press.
 LAYERS = tuple(
     Layer(poisson, factor * NOMINAL_SKIN.young)

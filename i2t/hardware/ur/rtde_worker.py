@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, TypeAlias
 Message: TypeAlias = dict[str, Any]
 
 POLL_S = 0.01  # time between two polls of the state
-STATE_RATE_HZ = 125.0
+STATE_RATE_HZ = 125.0  # rate at which states are requested from the controller
 RTDE_PORT = 30004
 PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2  # runtime state; bits of the safety status
 TCP_LAST_RECEIVED = struct.Struct("52xI")  # field tcpi_last_data_recv of Linux's struct tcp_info, ms

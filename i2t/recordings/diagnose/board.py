@@ -25,7 +25,7 @@ from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.presses import Presses
 from i2t.types import Board
 
-AS_RECORDED = "as recorded"
+AS_RECORDED = "as recorded"  # name of the stage axes that need no correction
 STAGES: dict[str, np.ndarray] = {  # maps from the stage's x and y to the board's
     AS_RECORDED: np.array([[1, 0], [0, 1]]),
     "x mirrored": np.array([[-1, 0], [0, 1]]),
