@@ -22,7 +22,7 @@ from i2t.types import Surface
 
 State = TypeVar("State")  # state of the episodes
 
-TOUCHES = 10  # touches of an episode in the paper
+TOUCHES = 10  # number of touches of an episode in the paper
 
 
 class LoopResult(NamedTuple):

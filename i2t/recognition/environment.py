@@ -65,8 +65,8 @@ class EnvironmentConfig:
 
     @property
     def press_errors(self) -> SimulationErrors:
-        """Errors of a press, without those of the sensor. Environments that differ in the latter alone share compiled
-        programs, even if whole numbers differ.
+        """Errors of a press, without those of the sensor. Environments that differ only in the sensor's errors share
+        compiled programs.
         """
         none = SimulationErrors.none()
         return replace(self.errors, noise=none.noise, faults=none.faults)

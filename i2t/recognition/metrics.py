@@ -309,7 +309,7 @@ def of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> Float[Ar
     """Select the values of the true classes.
 
     Args:
-        values: (episodes, touches, classes).
+        values: (episodes, touches, classes) values of all classes.
         truth: (episodes,) true classes.
 
     Returns:

@@ -40,7 +40,8 @@ QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "depth", "height"), "length")
 QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
 # names of a time column without a unit
 STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")
-MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # spellings of micro; the last is that of cp850, read as cp1252
+# signs for micro, which are read as u; the last is that of cp850, read as cp1252
+MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))
 
 
 def value_columns(chips: Iterable[int]) -> list[str]:

@@ -32,7 +32,7 @@ from i2t import geometry
 from i2t.runtime.compiling import traced_floats
 from i2t.types import Board
 
-RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
+RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
 
 
 @dataclass(frozen=True)
