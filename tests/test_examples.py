@@ -147,7 +147,7 @@ def test_the_paper_in_one_page(capsys):
 
 
 def test_a_user_defined_predictor_is_trained_compared_saved_and_loaded(tmp_path, capsys):
-    """One file and one line; a network's options are one line each too."""
+    """It needs one file and one line; each option of a network is one more line."""
     rng = np.random.default_rng(0)
     slope, n = rng.uniform(-1, 1, (80, 2)), 80
     at = np.linspace(0, 1, 48)

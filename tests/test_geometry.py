@@ -40,7 +40,7 @@ def test_rotations_are_scipy_s_and_the_inverse_undoes(rotvec, translation, point
 
 @pytest.mark.full
 def test_derivatives_are_right_at_rest():
-    """There the exponential of a twist is the identity plus its generator, so the chain of both is the identity."""
+    """At rest, the exponential of a twist is the identity plus its generator, so the chain of both is the identity."""
     generators = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(2, 1, 0)  # d R_ij / d r_k
     np.testing.assert_allclose(jax.jacfwd(geometry.so3_exp)(jnp.zeros(3)), generators, atol=ROUNDING)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(there_and_back))(jnp.zeros(6)), np.eye(6), atol=ROUNDING)

@@ -58,8 +58,8 @@ def test_seed_intervals_have_their_stated_coverage():
 
 @pytest.mark.parametrize("groups", [4, 30])
 def test_grouped_interval_covers_where_rows_of_a_group_agree(groups):
-    """Of a mean of normal groups it is Student's, exact but for the draws, whose variance is off by a few in
-    a hundred. Five rows that say the same are one: taken apart, the interval is sqrt(5) too short.
+    """For a mean of normal groups, the interval is Student's, exact except for the draws, whose variance is off by a
+    few per cent. Five equal rows count as one: as separate rows, the interval would be sqrt(5) too short.
     """
     rng, repeats = np.random.default_rng(2), 120
     members = np.repeat(np.arange(groups), 5)
@@ -102,7 +102,7 @@ def test_p_values_of_intervals_are_those_of_the_t_test_and_holm_adjusts_them_ste
 
 
 def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():
-    """Two say nothing about others: the interval is over the pools, as if the pads were fixed."""
+    """Two pads say nothing about others: the interval is over the pools, as if the pads were fixed."""
     rng = np.random.default_rng(1)
     pad, pool, _ = _episodes(5, 4, 1, 10)
     values = rng.normal(size=20)[pool] + rng.normal(size=len(pad))
@@ -247,7 +247,7 @@ def test_one_fraction_everywhere_is_as_many_trials_as_there_are_episodes(fractio
 
 
 def test_any_statistic_of_weights_where_no_factor_means_independent_episodes():
-    """A ratio of sums."""
+    """The statistic is a ratio of sums."""
     a, b = np.array([1.0, 2.0, 3.0, 4.0] * 10), np.array([2.0, 2.0, 4.0, 6.0] * 10)
     found = bootstrap_clusters(lambda w: (w @ a) / (w @ b), [], 40, draws=4000)
     residual = (a - a.sum() / b.sum() * b) / b.mean()

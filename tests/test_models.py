@@ -127,7 +127,7 @@ def test_a_misspelt_ready_model_gets_a_suggestion(tmp_path, monkeypatch):
 
 @pytest.mark.full
 def test_the_ready_predictor_predicts_touches(tmp_path, monkeypatch, capsys):
-    """As a newcomer calls it: where no run was made before, so that there is no folder for its picture."""
+    """A new user calls it where no run was made before, so that the folder for its picture does not exist."""
     monkeypatch.chdir(tmp_path)
     assert imagine.main(["star", "--sites", "2"]) == 0
     assert "+-" in capsys.readouterr().out
@@ -137,7 +137,7 @@ def test_the_ready_predictor_predicts_touches(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.full
 def test_the_ready_predictor_is_as_good_as_its_card_says():
-    """On new simulated touches of an object that it has not seen, with the pad and the errors of its training."""
+    """It is tested on new simulated touches of an unseen object, with the pad and the errors of its training."""
     surface = i2t.prepare_surface(i2t.make_object("hammer").mesh)
     made = i2t.simulate_touches(jax.random.key(7), [surface], numbered_pad(0), SimulationErrors(), 36)
     given = {"force": made.force, "nearest": made.nearest, "depth": made.depth, "wide": made.wide}

@@ -52,7 +52,7 @@ def begin(model: ModelConfig, cfg: TrainConfig, n: int) -> TrainState:
 def fit(
     state: TrainState, model: ModelConfig, cfg: TrainConfig, train: Batch, validation: Batch | None
 ) -> tuple[TrainState, list[EpochInfo]]:
-    """Epochs up to the last."""
+    """Train up to the last epoch."""
     epoch, infos = training.compiled(learner(model), cfg), []
     while not training.finished(state, cfg):
         state, info = epoch(state, train, validation)

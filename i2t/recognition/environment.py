@@ -66,7 +66,7 @@ class EnvironmentConfig:
     @property
     def press_errors(self) -> SimulationErrors:
         """Errors of a press, without those of the sensor. Environments that differ only in the sensor's errors share
-        compiled programs.
+        compiled programs, even if whole numbers in these errors differ.
         """
         none = SimulationErrors.none()
         return replace(self.errors, noise=none.noise, faults=none.faults)

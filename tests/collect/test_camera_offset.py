@@ -14,7 +14,7 @@ RANDOM = np.random.default_rng(0)
 
 
 def _seen(block):
-    """Depth of the table with a block 20 mm high on it, which spans those rows and columns."""
+    """Depth of the table with a block 20 mm high on it, which covers the given rows and columns."""
     depth = TABLE.copy()
     depth[block] -= 20e-3
     return depth

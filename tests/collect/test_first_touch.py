@@ -23,7 +23,7 @@ QUICK = TouchSettings(prepare=0.015, clearance=0.03, approach=0.04, settle=0.02)
 
 
 class Block:
-    """A sampler of sites on a block that is as high as the plane; its sides are out of reach, as a plane has none."""
+    """A sampler of sites on a block as high as the plane; its sides cannot be reached, like those of a plane."""
 
     limits = SiteLimits(clearance=0.1)
 
@@ -37,7 +37,7 @@ class Block:
 
 
 def _looked(site, missed):
-    """A look at a site that contradicts nothing, and tells no shift."""
+    """A look at a site that contradicts nothing and shows no shift."""
     shifts = 12e-3 * np.array([[x, y, 0.0] for x in (-1, 0, 1) for y in (-1, 0, 1)])
     return Look(0.0, missed, shifts, site.T_w_t[:3, :3])
 
@@ -94,7 +94,7 @@ def test_a_wrong_payload_and_unreachable_sites_are_refused_before_any_motion():
 
 
 def _unsure():
-    """A procedure whose rig says that its object's place is known to 5 mm."""
+    """A procedure whose rig gives its object's position with an error of 5 mm."""
     procedure = make(settings=QUICK)
     covariance = np.diag(np.r_[np.full(3, 5e-3**2), np.full(3, 1e-8)])
     procedure.rig = replace(procedure.rig, object_covariance=covariance)
@@ -115,7 +115,7 @@ def test_the_slow_touch_goes_as_far_as_the_object_s_position_is_uncertain():
 
 
 def test_the_slow_touch_stays_within_reach():
-    """An arm that plans is asked of both ends of the line; where it forbids them the touch begins and ends nearer."""
+    """An arm that plans checks both ends of the line; if it forbids them, the touch begins and ends nearer."""
     procedure = _unsure()
     lowest, highest, asked = HEIGHT - 7e-3, HEIGHT + 16e-3, []
 
@@ -142,7 +142,7 @@ def test_the_slow_touch_stays_within_reach():
 
 
 def _turn(pair):
-    """Degrees by which the tool is turned about its own axis between a site and the same turned."""
+    """Degrees by which the tool turns about its own axis between a site and the turned site."""
     site, turned = (pose.T_w_t for pose in pair)
     np.testing.assert_allclose(site[:3, 2:], turned[:3, 2:], atol=1e-12)
     return Rotation.from_matrix(site[:3, :3].T @ turned[:3, :3]).as_euler("zyx", degrees=True)[0]
@@ -258,7 +258,7 @@ def test_a_displaced_object_is_found_at_a_side_and_a_displaced_tcp_by_the_turned
 
 @pytest.mark.full
 def test_nine_of_ten_plausible_mistakes_are_refused_or_shown_and_right_rigs_pass():
-    """A sixth of the list, and labs with the usual errors."""
+    """A sixth of the list is tried, in labs with the usual errors."""
     tried = MISTAKES[1::6]
     accepted = [mistake.name for mistake in tried if try_mistake(mistake, "star").where == "accepted"]
     assert len(accepted) <= len(tried) * 5 / 53

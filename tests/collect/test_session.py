@@ -72,7 +72,7 @@ def rig(tmp_path_factory):
 
 @pytest.mark.full
 def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
-    """A hexagon 30 mm high: the patch lies where the arm and the rig say, within their errors of a millimetre."""
+    """A hexagon is 30 mm high: the patch is where arm and rig report it, within their errors of a millimetre."""
 
     def run(*more, touches):
         words = ["--out", str(tmp_path / "set"), "--rig", str(rig), "--touches", str(touches), *more]
@@ -180,7 +180,7 @@ def test_sigterm_stops_a_collection_and_keeps_everything(tmp_path, rig, capsys):
 
 
 def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
-    """Speeds beyond what the rig can stop, another seed, another pad, and devices that are not known."""
+    """They are speeds beyond what the rig can stop, another seed, another pad, and unknown devices."""
     args = CollectArgs(out=tmp_path)
     folder_notes.write_notes(tmp_path, begin(args).notes)
     wrong = {

@@ -34,7 +34,7 @@ STIFFNESS = 10e3
 
 
 def beside(out_by: float) -> np.ndarray:
-    """T_tool_skin of a skin that lies so far (m) before the one at the tool."""
+    """T_tool_skin of a skin that protrudes by this distance (m) in front of the one at the tool."""
     return pose_from_vector([ASIDE_M, 0.0, out_by, 0.0, 0.0, 0.0])
 
 
@@ -60,7 +60,7 @@ def info_of(procedure):
 
 
 def touched(folder, procedure, touches=1):
-    """The last of some touches."""
+    """The last of several touches."""
     with Recorder(folder, info_of(procedure), procedure.clock) as recording:
         outcomes = list(procedure.run(listed(*map(site, range(touches))), recording))
     return outcomes[-1].touch
@@ -86,7 +86,7 @@ def test_the_skin_that_protrudes_stops_the_press_and_has_its_force(tmp_path, out
 
 
 def test_the_force_of_a_press_that_two_skins_feel_is_unknown(tmp_path):
-    """Two springs side by side: the arm measures their sum, and the torque of the one that lies aside."""
+    """For two springs in parallel, the arm measures their sum, and the torque of the one that is off the axis."""
     touch = touched(tmp_path, two(0.0))
     right = touch.skins["right"]
     assert touch.code == right.code == ReturnCode.SKIN
@@ -120,7 +120,7 @@ def test_a_second_skin_that_falls_silent_ends_the_press_and_its_samples_are_kept
 
 
 def test_a_set_keeps_each_skin_with_its_board_and_is_loaded_by_its_name(tmp_path):
-    """The skin at the tool is where every version reads it; a set without a name of a skin has none to name."""
+    """The skin at the tool is where every version reads it; a set without a skin's name has no further skins."""
     both = tmp_path / "both"
     touch = touched(both, two(2e-3), 2)
     record = dataset.read_touch(touches_in(both)[-1])

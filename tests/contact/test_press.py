@@ -37,7 +37,7 @@ def pad() -> Pad:
 
 @jax.jit
 def excess(pad: Pad, height: jax.Array, depths: jax.Array) -> jax.Array:
-    """Of presses to `depths` (m): skin change or force over its limit, whichever is more."""
+    """Skin change or force of presses to `depths` (m), relative to its limit, whichever is larger."""
     pressed = jax.lax.map(lambda depth: press(pad, height, depth), depths)
     return jnp.maximum(jnp.linalg.norm(pressed.reading, axis=1) / LIMITS.skin_change, pressed.force / LIMITS.force)
 

@@ -158,7 +158,7 @@ def test_newtons_and_centre_of_a_pressure_do_not_depend_on_its_grid(grid):
 
 
 def test_presses_of_several_loads_need_no_start_from_the_load_before():
-    """Steps from nowhere meet the tolerance as steps from the next smaller load do."""
+    """Steps from any start meet the tolerance as well as steps from the next smaller load."""
     height = jnp.float32(((AT[0] - 3e-3) ** 2 + AT[1] ** 2) / 20e-3)
     height, start = height - height.min(), None
     for load in (0.25, 0.8, 2.5, 8.0):

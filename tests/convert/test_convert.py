@@ -78,7 +78,7 @@ def test_a_layout_without_a_source_is_not_declared_real(tmp_path, capsys):
 
 
 def test_a_chip_that_sends_zeros_loses_only_its_samples(tmp_path, capsys):
-    """Ten samples a touch: in one of them every chip is silent, in another touch one chip is in all of them."""
+    """Of ten samples a touch, in one every chip is silent; in another touch one chip is silent in all samples."""
     write(tmp_path / "src", "star", "1", 8, size=8)
     field = np.random.default_rng(0).normal(0, 400, (8, 10, 5, 3))
     field[2, 3] = 0
@@ -179,7 +179,7 @@ class Hostile:
 
 
 def test_hostile_pickles_are_refused_and_not_executed(tmp_path):
-    """Each would leave a file behind if anything in it were executed."""
+    """Each pickle would leave a file if any part of it were executed."""
     marker = tmp_path / "executed"
     touch = f"touch {marker}"
     command = touch.encode()
@@ -357,7 +357,7 @@ LEFT = {"imagine2touch": (3, 3 + 11), "eflesh": (20, 20 + 19)}  # another run, a
 
 
 def made_up_session(folder, n=20, ending="csv"):
-    """A spatial session in eFlesh's layout: its places (n, 3) mm and values (n, 15) uT."""
+    """A spatial session in eFlesh's layout with positions (n, 3) mm and values (n, 15) uT."""
     rng = np.random.default_rng(3)
     place = np.column_stack([rng.uniform(270, 300, n), rng.uniform(-110, -90, n), rng.uniform(141, 145, n)])
     values = rng.normal(0, 100, (n, 15))
@@ -579,7 +579,7 @@ def test_presses_of_a_silent_board_are_left_out_and_counted(tmp_path, capsys):
 
 
 def test_a_small_difference_that_was_rounded_to_zero_is_a_press(tmp_path):
-    """Rounded negative numbers are -0.0, which no chip sends; and coarse steps make two zeros oftener than three."""
+    """Rounded negative numbers are -0.0, which no chip sends; coarse steps give two zeros more often than three."""
     columns = presses_table(tmp_path / TABLE, n=60)
     columns |= {name: np.where(np.arange(60) == 3, -0.0, columns[name]) for name in READING_NAMES[:3]}
     steps = np.random.default_rng(0).integers(-1, 2, (60, 3))
@@ -690,7 +690,7 @@ def test_nothing_is_overwritten_or_mixed_by_default(tmp_path, capsys):
 
 
 def tactile_of(values, ambient, folder):
-    """Write samples (n, 5, 3) uT with their temperature, and ambient samples likewise, in place of those of a run."""
+    """Write samples (n, 5, 3) uT with their temperature, and ambient samples, in place of those of a run."""
     tactile = folder / "star/star_tactile/experiment_1_reskin"
     for path, field in ((tactile, values), (tactile.with_name(tactile.name + "_ambient"), ambient)):
         warm = np.where(

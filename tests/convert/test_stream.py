@@ -210,7 +210,7 @@ def test_a_damaged_stamp_loses_only_its_row_and_is_named(tmp_path, bad):
 
 
 def full_after(unit, bits, signed=False):
-    """Stamps of a counter that is full in the middle of the log."""
+    """Time stamps of a counter that overflows in the middle of the log."""
     counts = np.round(LOG[:, 0] / unit).astype(np.int64)
     counts += 2**bits // (1 + signed) - counts[len(counts) // 2]
     return (counts + signed * 2 ** (bits - 1)) % 2**bits - signed * 2 ** (bits - 1)
@@ -308,7 +308,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path, monkeypatch):
 
 
 def cut(seconds, before):
-    """The log without the rows of some seconds before a moment of its fourth press, by the press's rows in the skin."""
+    """The log without the rows of some seconds before a row of its fourth press."""
     moment = int(np.flatnonzero(np.diff(np.sign(LOG[:, 3])) < 0)[3]) + before
     kept = np.ones(len(LOG), bool)
     kept[moment - int(seconds * RATE) : moment] = False

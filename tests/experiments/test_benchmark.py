@@ -31,7 +31,7 @@ def run(section: str, turns: int = 1, out: Path | None = None) -> list[Benchmark
 
 
 def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The section itself checks that both trainings have the same losses, and fails where they have not."""
+    """The section itself checks that both trainings have the same losses, and fails otherwise."""
     pytest.importorskip("torch", reason="the extra bench is not installed")
     rows = run("training", 2, tmp_path / "out")
     assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch"] * 2
@@ -73,7 +73,7 @@ def test_contenders_take_turns_and_a_row_has_the_median_of_the_ratios_of_turns()
 
 
 def test_rendering_section_against_ray_casters() -> None:
-    """The section itself checks that all see the same, and fails where they do not."""
+    """The section itself checks that all see the same, and fails otherwise."""
     pytest.importorskip("open3d", reason="the extra bench is not installed", exc_type=ImportError)
     rows = run("rendering")
     assert [row.peer_name for row in rows] == [*["Open3D", "embreex", "Open3D, rays given"] * 3, "rays and distances"]
@@ -81,7 +81,7 @@ def test_rendering_section_against_ray_casters() -> None:
 
 @pytest.mark.full
 def test_skin_section_against_contact_mechanics() -> None:
-    """The section itself checks that both find the same pressures, and fails where they do not."""
+    """The section itself checks that both find the same pressures, and fails otherwise."""
     assert [row.peer_name for row in run("skin")] == ["ContactMechanics"] * 3 + ["the contact alone"]
 
 
@@ -95,7 +95,7 @@ def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
 
 @pytest.mark.full
 def test_patches_of_another_mesh_are_not_compared() -> None:
-    """A ray caster that needs no system package, and a sphere a centimetre smaller."""
+    """The peer is a ray caster that needs no system package, with a sphere a centimetre smaller."""
     ball = trimesh.creation.icosphere(3, 0.03)
     surface = rendering.prepare_surface(ball)
     poses = rendering.random_poses(surface, 4)

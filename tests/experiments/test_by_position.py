@@ -15,7 +15,7 @@ TOUCHES = 150
 
 
 def recording() -> Dataset:
-    """Presses at places of a skin whose reading grows with the depth and bends over the place."""
+    """Presses at positions of a skin whose reading grows with the depth and is curved over the position."""
     rng = np.random.default_rng(0)
     place, depth = rng.uniform(-8e-3, 8e-3, (TOUCHES, 2)), rng.uniform(0.5e-3, 2e-3, TOUCHES)
     maps = np.sin(place @ rng.uniform(-400, 400, (2, 15)) + rng.uniform(0, 6, 15))

@@ -36,7 +36,7 @@ from i2t.skin_models.tip_gp.prior import PRIOR_KIND, KernelPrior, load_prior
 
 
 def recording(n: int, pads: int = 1, **columns) -> Dataset:
-    """Presses of one tip on a generated skin, some columns of which may be other ones."""
+    """Presses of one tip on a generated skin, some of whose columns may be replaced."""
     rng = np.random.default_rng(0)
     place, depth = rng.uniform(-12e-3, 12e-3, (n, 2)), rng.uniform(0.5e-3, 4e-3, n)
     centres = rng.uniform(-15e-3, 15e-3, (20, 2))
@@ -50,7 +50,7 @@ def recording(n: int, pads: int = 1, **columns) -> Dataset:
 
 @pytest.mark.full
 def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
-    """On presses at few depths, of which `i2t.calibrate` makes no less than neighbours or the plain process."""
+    """For presses at few depths, `i2t.calibrate` is no worse than neighbours or the plain process."""
     depth = 1e-3 * np.round(1e3 * recording(400).touches.depth)
     data.save_dataset(tmp_path / "set.h5", recording(400, depth=depth, nearest=-depth))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
@@ -99,7 +99,7 @@ GRID = np.stack(np.meshgrid(*2 * [np.linspace(-8e-3, 8e-3, 5)]), -1).reshape(-1,
 
 
 def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
-    """Presses at these places to many depths, held out as `experiments.calibrate` does it."""
+    """Presses at these positions to many depths, held out as in `experiments.calibrate`."""
     n = len(place)
     presses = LoadedPresses(place, np.linspace(1e-3, 3e-3, n), np.zeros((n, 15)), load_kind="depth")
     return hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(n, bool) if usable is None else usable, "set")
@@ -119,7 +119,7 @@ def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
     ],
 )
 def test_few_presses_are_left_out_in_turn_wherever_they_lie(place, also, says):
-    """Each press is predicted once from all others, and each block or place from all that are not of it."""
+    """Each press is predicted once from all others, and each block or position from all presses outside it."""
     held, every = held_out_of(place), np.arange(len(place))
     assert held.in_turn
     assert any(says in sentence for sentence in held.sentences), held.sentences
@@ -136,7 +136,7 @@ def test_few_presses_are_left_out_in_turn_wherever_they_lie(place, also, says):
 
 @pytest.mark.parametrize("place", [np.zeros((100, 2)), np.random.default_rng(2).uniform(0, 5e-3, (100, 2))])
 def test_many_presses_in_one_block_are_held_out_without_it(place):
-    """At one place no place is left out; at many places of one block some of these are."""
+    """With one position, no position is left out; with many positions in one block, some of these are."""
     held = held_out_of(place)
     assert not held.in_turn
     assert list(held.tests) == ([RANDOM, "places"] if place.any() else [RANDOM])
@@ -162,7 +162,7 @@ def test_too_few_or_equal_presses_are_refused_with_the_number_needed():
 
 
 def test_presses_left_out_in_turn_are_scored_as_one_test(monkeypatch):
-    """The mean of the others misses each press by n / (n - 1) times what it is from the mean of all."""
+    """The mean of the others misses each press by n / (n - 1) times its distance from the mean of all."""
     monkeypatch.setattr("experiments.calibrate.evaluate.BASELINES", {methods.MEAN: methods.mean})
     simple = lambda r, rows, test: (methods.mean(r, rows, test), np.ones((len(test), 15)))  # noqa: E731
     monkeypatch.setattr("experiments.calibrate.evaluate.calibrated", simple)
@@ -322,6 +322,6 @@ def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
 
 
 def test_a_split_of_too_few_touches_is_refused_with_the_numbers_needed():
-    """For training: six presses in time leave one to test, of two that each part needs."""
+    """For training, six presses in order of time leave one to test, but each part needs two."""
     with pytest.raises(DataError, match=r"of 6 usable touches, splitting by time leaves 1 to .*, which needs 2; .*"):
         split_dataset(recording(6), TRAINING["debug"], "time", 0)

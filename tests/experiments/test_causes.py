@@ -21,7 +21,7 @@ FORCED = PressureModelConfig(pitch=1e-3)
 
 
 def recording(n=200, force=None, depth=None, seed=0):
-    """A round tip at random places of a skin, whose readings go with the load and the place."""
+    """A round tip at random positions of a skin, whose readings depend on load and position."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(-6e-3, 6e-3, (n, 2))
     load = rng.uniform(0.5, 2.0, n)
@@ -75,7 +75,7 @@ def test_late_labels_are_found(lag):
 
 
 def test_findings_and_omissions_are_recorded_in_the_data_set(tmp_path):
-    """As a section of the report of fidelity: of real touches, which were split as for training."""
+    """The findings are a section of the report of fidelity, on real touches that were split as for training."""
     made = recording(400)
     sessions = tuple(f"run {i}" for i in range(20))
     late = made.touches._replace(reading=np.roll(made.touches.reading, -1, axis=0), session=np.arange(400) // 20)
@@ -106,7 +106,7 @@ def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch
 
 @pytest.mark.full
 def test_a_changed_sign_or_height_is_found_by_trying_it():
-    """The Gaussian process on predicted pressures says which change explains the readings."""
+    """The Gaussian process on predicted pressures shows which change explains the readings."""
     made = recording(160)
     every, groups = np.ones(160, bool), np.arange(160) // 8
     sound = causes.tried_changes(

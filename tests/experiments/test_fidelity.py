@@ -83,7 +83,7 @@ FAST = ("nothing but readings", "one press", "a dead board")
 
 @pytest.fixture(autouse=True)
 def _labels_alone(monkeypatch):
-    """What a recording does not say of itself takes seconds to estimate, and is tested where it lives."""
+    """Skip findings that are not about labels; they take seconds and are tested with their module."""
     monkeypatch.setattr(describe, "diagnose", lambda presses, board=None: diagnose_labels(presses))
 
 
@@ -179,7 +179,7 @@ def test_injected_mistakes_are_found():
 
 @pytest.mark.full
 def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
-    """Labels of another row and positions in millimetres: as good as the sound recording, and said."""
+    """Labels of another row and positions in millimetres score as well as the sound recording, and are reported."""
     for part in ("noise", "hysteresis", "ceilings"):
         monkeypatch.setattr(dynamics, part, lambda *args: None)
     tiny = replace(TINY, counts=(40,))
@@ -198,7 +198,7 @@ def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
 
 
 def test_too_few_rows_are_refused_with_the_number_needed():
-    """24 rows of which a fifth is held out leave 19 to a head or a calibration that needs 20; 25 are enough."""
+    """With a fifth held out, 24 rows leave 19 for a head or a calibration that needs 20; 25 are enough."""
     few, share = presses_of_a_skin(24), 0.2
     assert heads.rows_enough(share) == 25
     with pytest.raises(ValueError, match=r"knows position of 24 rows, too few .*; 25 are enough"):

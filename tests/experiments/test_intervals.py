@@ -29,7 +29,7 @@ def test_an_interval_is_printed_where_there_is_one(numbers, options, said):
 
 
 def test_the_stated_number_of_clusters_is_the_smallest_that_narrows_the_interval():
-    """Clusters of unit variance, six at first."""
+    """The clusters have unit variance; at first there are six."""
 
     def half(number):
         values = np.resize([-1.0, 1.0], number)

@@ -109,7 +109,7 @@ def test_labels_of_few_rows_and_groups_of_one_label_are_refused(tmp_path):
 
 
 def test_one_table_given_twice_is_refused_and_copied_rows_are_reported(tmp_path):
-    """By another name too; either would be taught and tested."""
+    """A copy under another name counts too, because its rows would be both trained and tested on."""
     first = written(tmp_path / "t.csv", "what,u\nb,1\na,2\nb,3\n")
     (tmp_path / "link.csv").symlink_to(first)
     for again in (first, tmp_path / "." / "t.csv", tmp_path / "link.csv"):

@@ -81,7 +81,7 @@ def test_the_product_is_that_of_the_touches():
 
 
 def shared_errors(seed: int, labels: int = 6, episodes: int = 300, count: int = 8) -> Fold:
-    """Log likelihoods of touches with unit noise whose episodes share an error as large."""
+    """Log likelihoods of touches with unit noise whose episodes share an error of the same size."""
     rng = np.random.default_rng(seed)
     truth = rng.integers(labels, size=episodes)
     shared = rng.normal(size=(episodes, 1, labels))

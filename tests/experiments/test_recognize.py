@@ -104,7 +104,7 @@ def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained
 
 @pytest.mark.full
 def test_recorded_touches_are_trained_on_and_recognised(trained_run, tmp_path, capsys):
-    """As a lab does with its own data set: the belief must find the object more often than guessing would."""
+    """As with a lab's own data set, the belief must find the object more often than guessing."""
     data, run, out = trained_run / "data.h5", tmp_path / "run", tmp_path / "recognized"
     assert train.main(["--preset", "debug", "--epochs", "2", "--dataset", str(data), "--out", str(run)]) == 0
     assert "pad model of" in capsys.readouterr().out
@@ -161,7 +161,7 @@ def test_figures_of_the_gallery_are_drawn(trained_run):
 
 @pytest.mark.full
 def test_an_arm_stops_with_a_message_if_no_site_is_safe(trained_run, tmp_path, capsys, monkeypatch):
-    """Other candidates are drawn first, as often as is said; then no touch is made."""
+    """Other candidates are drawn first, up to the stated number of draws; then no touch is made."""
     draws = []
 
     def none_is_safe(self, state, key):

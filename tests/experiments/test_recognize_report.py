@@ -17,7 +17,7 @@ METHODS = (f"{MASK}, votes", f"{RULES_GP}, votes", f"{PROPRIOCEPTION}, votes", "
 
 
 def results(pad: str, run: str, hit: np.ndarray) -> EpisodeResults:
-    """Episodes (e, t) of the two objects in turn, right where `hit`, each two with a pool of their own."""
+    """Episodes (e, t) of the two objects in turn, correct where `hit`; each two share a pool of their own."""
     truth = np.arange(len(hit)) % 2
     decided = np.where(hit, truth[:, None], 1 - truth[:, None])
     p = np.where(decided[..., None] == np.arange(2), 0.9, 0.1).astype(np.float32)
@@ -130,7 +130,7 @@ def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_indepe
 
 
 def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_own():
-    """In the documents' table, where a name that was shortened too far would stand for two rows."""
+    """In the documents' table, a name that is shortened too far would match two rows."""
     last = {"mean": 0.1, "low": 0.0, "high": 0.2}
     pairs = [f"{one} - {other}" for one, other in COMPARED if ", " in one and ", " in other]
     paired = {pair: {"last": last, "pads_needed": 3} for pair in pairs}

@@ -68,7 +68,7 @@ def test_a_run_does_not_go_on_with_other_data_under_the_same_name(tmp_path):
 
 
 def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):
-    """Nothing made: no folder that blocks the next run; an earlier run stays as it was, also with --overwrite."""
+    """No new folder blocks the next run, and an earlier run stays as it was, also with --overwrite."""
     out = tmp_path / "run"
     refused = ValueError("the data set is damaged")
     assert exit_code_of_run(partial(begun, out, raises=refused), out) == 2
@@ -97,7 +97,7 @@ def test_a_run_that_is_refused_leaves_no_folder_that_was_made_for_it(tmp_path):
 
 
 def test_a_folder_with_foreign_files_is_never_replaced(tmp_path, monkeypatch):
-    """Neither one with another program's config.json, nor that of another experiment, nor the one we are in."""
+    """This includes a folder with another program's config.json, one of another experiment, and the current one."""
     (tmp_path / "web").mkdir()
     (tmp_path / "web" / "config.json").write_text('{"port": 80}')
     with pytest.raises(ValueError, match="holds no run of this experiment"):

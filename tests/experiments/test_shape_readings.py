@@ -77,7 +77,7 @@ def test_a_mean_path_has_equal_steps_whatever_the_pace():
 
 
 def test_a_perfect_score_has_the_certainty_that_its_number_of_rows_allows():
-    """As if half a row more had been of any label (Jeffreys), whatever the classifier claims."""
+    """The certainty is as if half a row more had been of any label (Jeffreys), for any claim of the classifier."""
     label = np.tile([0, 1], 20)
     train, test = np.arange(30), np.arange(30, 40)
     told = readings.told_by(lambda _, rows: np.eye(2)[label[rows]], label, train, test)
@@ -100,7 +100,7 @@ def test_training_rows_of_a_label_precede_its_test_block():
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
-    """Strokes along one line in either direction, or there and back, in the field of the hour."""
+    """Strokes along one line in either direction, or to and fro, in the ambient field of the hour."""
     rng = np.random.default_rng(0)
     time = np.linspace(0, 1, SAMPLES)
     columns = ",".join(f"t{i:02d}_{c}" for i in range(SAMPLES) for c in range(VALUES))

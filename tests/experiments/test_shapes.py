@@ -101,7 +101,7 @@ def test_the_hysteresis_of_a_chip_is_found():
 
 @pytest.mark.full
 def test_designs_are_linear_readings_of_the_pad_itself():
-    """A skin that is known exactly reads what its designs say."""
+    """A skin that is known exactly reads what its designs predict."""
     dataset, where = pressed(), presses_on(pressed(), 0)
     benchmark = StampClassificationBenchmark(where, dataset.board, world.SHAPES, CFG.methods, 0)
     train = np.arange(40)

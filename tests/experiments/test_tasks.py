@@ -99,7 +99,7 @@ if __name__ == "__main__":
 @pytest.mark.full
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_workers_end_with_the_process_that_began_them_and_leave_what_is_finished(tmp_path, how):
-    """After Ctrl-C, which reaches the workers too, as after a kill, which does not."""
+    """This holds after Ctrl-C, which reaches the workers too, and after a kill, which does not."""
     (tmp_path / "study.py").write_text(HANGING)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     words = [sys.executable, str(tmp_path / "study.py"), str(tmp_path)]
@@ -121,6 +121,6 @@ def test_workers_end_with_the_process_that_began_them_and_leave_what_is_finished
 
 
 def _members(session: int) -> list[str]:
-    """Processes of a session that still run."""
+    """Processes of a session that are still running."""
     stats = [path.read_text().rpartition(")")[2].split() for path in Path("/proc").glob("[0-9]*/stat") if path.exists()]
     return [fields[0] for fields in stats if int(fields[3]) == session and fields[0] != "Z"]

@@ -25,7 +25,7 @@ CHEAP = [
 
 
 def refusal(label, path, answer):
-    """Explain what is wrong with the answer to a hostile file; empty if nothing is."""
+    """Explain what is wrong with the response to a hostile file; empty if nothing is."""
     message = answer["said"]
     named = path.name in message or "theirs" in message
     right = answer["user"] and named and "\n" not in message and len(message) <= 800

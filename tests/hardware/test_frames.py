@@ -44,13 +44,13 @@ def decoded(data: bytes, form: Format = Format.BINARY) -> tuple:
 
 
 def numbers(delivered_frames, size: int = SIZE) -> list[int]:
-    """Which frames of a stream of frames of one size were found."""
+    """Numbers of the frames of one size that were found in a stream."""
     assert not any(frame.end % size for frame in delivered_frames)
     return [frame.end // size - 1 for frame in delivered_frames]
 
 
 def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
-    """What arrives over a line that changes and drops bytes with these probabilities."""
+    """Bytes that arrive over a line that changes and drops bytes with these probabilities."""
     data = np.frombuffer(chunk, np.uint8)
     changed = rng.random(data.size) < substitute
     data = data + np.where(changed, rng.integers(1, 256, data.size), 0).astype(np.uint8)
@@ -186,7 +186,7 @@ def test_line_ends_within_numbers_do_not_split_frames(noise):
 
 @pytest.mark.parametrize("start", [0, 3])
 def test_two_alignments_are_refused(start):
-    """A frame that repeated is just as plausible three bytes later."""
+    """A repeated frame is equally plausible three bytes later."""
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
     assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE]) is not None
     data = (20 * frame)[start:]

@@ -27,7 +27,7 @@ NUMBERS = np.array([np.nan, np.inf, -np.inf, 1e6])
 
 
 def foreign(stiffness=STIFFNESS, **settings):
-    """A procedure with such an arm just above a plane, whose skin feels nothing."""
+    """A procedure with a foreign arm just above a plane, whose skin measures nothing."""
     settings = TouchSettings(prepare=2e-3, near=5e-4, settle=0.0, ambient=2, **settings)
     procedure = make(stiffness=stiffness, gain=np.zeros(15), settings=settings)
     procedure.arm.lab.robot.position = np.array([0.4, 0.0, HEIGHT + 3e-3])
@@ -38,12 +38,12 @@ def foreign(stiffness=STIFFNESS, **settings):
 
 
 def press(procedure, log=None):
-    """The outcome of a press from where the tool is."""
+    """The outcome of a press from the tool's present pose."""
     return procedure.press(log or MemoryLog()).result
 
 
 def pushed(procedure, stiffness=STIFFNESS):
-    """N, with which the plane pushes back now."""
+    """Force (N) with which the plane pushes back now."""
     return stiffness * max(0.0, HEIGHT - procedure.arm.read_state().T_b_t[2, 3])
 
 
@@ -84,7 +84,7 @@ def test_an_arm_that_overshoots_or_ignores_its_stop_condition_ends_the_touch(cha
 
 
 def forged(name, value):
-    """Lies about one number of a state, about the pose also in its rotation."""
+    """Replace one number of a state; for the pose, also one of its rotation."""
 
     def lie(state, first):
         wrong = np.array(getattr(state, name), float)
@@ -109,7 +109,7 @@ LIES = {  # what becomes of a state, by the first of which that is so
 @pytest.mark.parametrize("lie", LIES)
 @pytest.mark.parametrize("own", [True, False], ids=["its own approach", "guarded by polling"])
 def test_an_impossible_state_ends_a_press(lie, own):
-    """NaN, infinite, frozen and absurd values of every number that stops or allows a motion."""
+    """The states are NaN, infinite, frozen and absurd values of every number that stops or allows a motion."""
     procedure, arm = foreign()
     if not own:
         procedure.arm = arm = SimulatedArm(arm.lab, arm.limits)
@@ -267,7 +267,7 @@ def test_force_before_torque_is_what_is_above_its_limit(force, torque, above):
 
 
 def slow_arm(**broken):
-    """An arm in this machine's time, half a metre from anything, some of whose methods are others."""
+    """An arm in real time, half a metre from any obstacle, with some methods replaced."""
     arm = SimulatedArm(SimulatedLab(make().arm.lab.scene, MonotonicClock()), make().rig.limits)
     for name, method in broken.items():
         setattr(arm, name, method)

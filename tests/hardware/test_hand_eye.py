@@ -53,7 +53,7 @@ def tools(count, rng, tilt=0.45, distance=0.2):
 
 
 def reported(T, rng):
-    """What the arm says of a pose."""
+    """The pose that the arm reports."""
     return T @ pose(ARM[1] * rng.standard_normal(3), ARM[0] * rng.standard_normal(3))
 
 
@@ -144,7 +144,7 @@ def view(T_b_t, drawing, rng):
 
 @pytest.fixture(scope="module")
 def taken(tmp_path_factory):
-    """A folder that `capture` has made of nine views, from a camera and an arm that report what they would."""
+    """A folder that `capture` made of nine views, from a camera and an arm that report their true poses."""
     rng = np.random.default_rng(4)
     drawing = Image.fromarray(BOARD.drawn(EDGE / (1e3 * BOARD.square)))
     T_c_colour = pose([0.0, 0.01, 0.0], [0.015, 0.0, 0.0])

@@ -91,7 +91,7 @@ def test_exposures_are_dated_where_the_clock_is_the_computers(file):
 
 
 def test_an_unplugged_camera_is_noticed_before_the_timeout(file):
-    """The SDK then gives no frames and says nothing, and its pipeline cannot be stopped."""
+    """The SDK then gives neither frames nor an error, and its pipeline cannot be stopped."""
     camera = RealSense(file=file, size=(64, 48))
     camera.connect()
     camera._pipe.stop()
@@ -123,7 +123,7 @@ for camera in (
 
 
 def test_a_failed_connection_states_its_reason(file, tmp_path):
-    """In a process of its own: the SDK sometimes crashes the one in which it could not play a file."""
+    """The test runs in its own process, because the SDK sometimes crashes one in which it could not play a file."""
     torn = tmp_path / "torn.db3"
     torn.write_bytes(file.read_bytes()[:5000])
     words = [sys.executable, "-c", REFUSED, str(file), str(torn), str(tmp_path / "nowhere.db3")]

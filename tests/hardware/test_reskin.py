@@ -112,7 +112,7 @@ def test_a_failed_opening_states_its_reason(tmp_path):
 
 @contextlib.contextmanager
 def reader_of(port: str, lock: bool = False):
-    """Another program that reads a port, with or without a lock; what is yielded is its process id."""
+    """Another program that reads a port, with or without a lock; yields its process id."""
     code = f"""import fcntl, os
 line = os.open({port!r}, os.O_RDONLY | os.O_NOCTTY)
 fcntl.flock(line, fcntl.LOCK_EX) if {lock} else None
@@ -281,7 +281,7 @@ def feel(process, field) -> None:
 
 
 def test_bytes_sent_before_connecting_are_not_read():
-    """A board that talked for a second to a port that nobody read has filled its buffer with the past."""
+    """A board that has sent for a second to an unread port has filled its buffer with old samples."""
     with started("--field", "--noise", "0") as (port, process):
         holder = os.open(port, os.O_RDWR | os.O_NOCTTY)
         tty.setraw(holder)

@@ -25,7 +25,7 @@ def at_rest(seed=0, count=200, chips=5, rate=400.0):
 
 
 def harmed(*harms):
-    """Samples of which parts (samples, chips, axes) are changed."""
+    """Samples in which given parts (samples, chips, axes) are changed."""
     samples = at_rest()
     by_chip = samples.reading.reshape(200, 5, 3)
     for part, change in harms:

@@ -19,7 +19,7 @@ def sample(ahead=0.0, values=3 * CHIPS):
 
 
 class Board(StreamedSkin):
-    """A board whose `receive` is what a test gives: a function of the number of the connection."""
+    """A board whose `receive` is given by the test as a function of the number of the connection."""
 
     def __init__(self, receive):
         super().__init__("the board", CHIPS, rate=400.0)

@@ -49,7 +49,7 @@ def status(host):
 
 @contextlib.contextmanager
 def emulators():
-    """Start emulated controllers that end with the block; what is yielded starts one and returns its address."""
+    """Start emulated controllers that end with the block; yields a function that starts one and returns its address."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
 
     def begin(*options):
@@ -201,7 +201,7 @@ def touching():
 
 @pytest.fixture
 def above(touching):
-    """The same, with the tool back where it began."""
+    """The arm of `touching`, with the tool back at its start."""
     host, arm = touching
     ask(host, "wrench 0 0 0 0 0 0")
     for attempt in range(4):  # a busy machine does not feed the watchdog while the arm is left alone
@@ -336,7 +336,7 @@ def amid(host, speed, fault):
 
 
 def in_motion(arm, host, fault) -> tuple[str, float]:
-    """Do something in the middle of a motion of 0.05 m/s; what it is ended with, and how far along y it was."""
+    """Do something in the middle of a motion of 0.05 m/s; return the error that ended it, and the position along y."""
     with amid(host, 0.04, fault) as began, pytest.raises(DeviceError) as caught:
         arm.go(pose(0.4, 0.25, 0.3), 0.05)
     assert str(caught.value).count(". ") == 0  # one sentence
@@ -393,7 +393,7 @@ def test_a_fault_in_a_motion_stops_the_arm_until_it_is_reconnected(above, fault,
 )  # fmt: skip
 @pytest.mark.parametrize("guarded", [False, True], ids=["go", "approach"])
 def test_an_impossible_state_stops_the_arm(above, forged, guarded):
-    """NaN, infinite, frozen and absurd values of every number on which a motion depends."""
+    """The states are NaN, infinite, frozen and absurd values of every number on which a motion depends."""
     host, arm = above
     message = ""
     ask(host, "plane 0 0")
@@ -422,7 +422,7 @@ def test_a_killed_controller_is_noticed(start):
 
 @pytest.mark.parametrize("fault", ["stall", "stall-control"])
 def test_a_controller_without_states_is_disconnected_even_at_rest(start, fault):
-    """Nobody asks, and no motion is under way; its program ends all the same."""
+    """No state is requested and no motion is under way; the program on the controller still ends."""
     host = start()
     with connected(host) as arm:
         arm.state(STATE_TIMEOUT)

@@ -23,7 +23,7 @@ class FakeController:
 
     Args:
         version: Major version of URControl that RTDE tells; 0 tells none.
-        states: Of the dashboard, by its questions.
+        states: Answers of the dashboard by question.
     """
 
     def __init__(self, version: int = 5, **states: str) -> None:

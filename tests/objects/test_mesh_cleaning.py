@@ -20,7 +20,7 @@ def turned(mesh: Mesh) -> Mesh:
 
 
 def mirrored(mesh: Mesh, axis: int = 0) -> Mesh:
-    """The mirror image with its triangles not turned, so that they look inward."""
+    """The mirror image without reversed triangles, so that they face inward."""
     return Mesh(mesh.vertices * np.where(np.arange(3) == axis, -1, 1), mesh.faces)
 
 

@@ -74,7 +74,7 @@ def test_the_signed_distance_of_a_ball_is_its_closed_form_and_its_mesh_has_its_v
 
 @pytest.mark.parametrize("on_table", [True, False])
 def test_shapes_of_the_library_are_the_meshes_on_all_sides_turned_and_mirrored(on_table):
-    """48 in all, each against the distance of the mesh that is turned so."""
+    """There are 48, each compared with the distance of the mesh in that orientation."""
     corner = trimesh.boolean.union(
         [trimesh.creation.box(bounds=[[0, 0, 0], high]) for high in ((30e-3, 8e-3, 8e-3), (8e-3, 20e-3, 14e-3))]
     )
@@ -156,7 +156,7 @@ def test_a_contact_chooses_among_known_shapes_and_narrows_the_band():
 
 
 def _turned(axis, height):
-    """A pad that looks along minus an axis."""
+    """A pad that faces along the negative direction of an axis."""
     z = -np.asarray(axis, float)
     x = np.roll(z, 1)
     T = np.eye(4)
@@ -220,7 +220,7 @@ def test_felt_points_become_points_of_the_surface():
 
 
 def test_a_reading_locates_the_contact_in_the_square_and_the_free_space_in_front(library, model):
-    """Of planes that tilt: the lowest corner is met, the opposite one is free."""
+    """For tilted planes, the lowest corner is in contact and the opposite one is free."""
     posterior = summarize(jnp.zeros(24).at[0].set(1.0), jnp.float32(1.0), library=library)  # nearest where x is least
     T_o_t = from_above(20e-3)
     touch, felt = contact_evidence(T_o_t), reading_evidence(T_o_t, posterior)

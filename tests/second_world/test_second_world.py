@@ -23,7 +23,7 @@ def test_the_second_world_shares_no_code_with_i2t():
 
 
 def test_a_flat_sinks_like_its_springs_and_a_dipole_has_its_field():
-    """On the axis of a dipole: mu0 m / (2 pi r^3)."""
+    """The field on the axis of a dipole is mu0 m / (2 pi r^3)."""
     depth, given = world.press(SKIN, FLAT, 3.0)
     np.testing.assert_allclose(given, depth, rtol=1e-3)
     share = depth / SKIN.thickness
@@ -36,7 +36,7 @@ def test_a_flat_sinks_like_its_springs_and_a_dipole_has_its_field():
 
 @pytest.mark.full
 def test_predicted_pressure_leads_baselines_on_patches_where_the_physics_is_another():
-    """On objects that none has seen, with i2t's own layer; the baselines are given the force, too."""
+    """The objects are unseen, the layer is i2t's own, and the baselines are given the force, too."""
     methods = methods_compared()
     r2 = r2_of_skin(methods, 0, TOUCHES)
     on_patches = [r2[method.title] for method in methods if method.baseline and not getattr(method, "on_pressure", 0)]

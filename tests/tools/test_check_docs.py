@@ -54,7 +54,7 @@ def test_a_planted_fault_of_a_page_is_found(check, text, said):
 
 
 def _run(*words, cwd=ROOT):
-    """What a linter prints where it finds mistakes."""
+    """The output of a linter that finds mistakes."""
     done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False, cwd=cwd)
     assert done.returncode == 1, done.stdout + done.stderr
     return done.stdout + done.stderr

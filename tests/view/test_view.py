@@ -58,7 +58,7 @@ def session(tmp_path):
 
 
 def column(chunks, entity, component):
-    """Values of a component of an entity, all rows after each other."""
+    """Values of a component of an entity, all rows in succession."""
     batches = [part.to_record_batch() for part in chunks if part.entity_path == entity]
     columns = [batch.column(component).to_pylist() for batch in batches if component in batch.schema.names]
     return [value for rows in columns for row in rows for value in row or ()]

@@ -40,7 +40,7 @@ def texts(figure: Figure) -> list[str]:
 
 
 def test_a_page_shows_what_was_touched_and_believed(meshes):
-    """The patch of each candidate where it was touched, and what was there and believed."""
+    """The page shows the patch of each candidate at the touch, the true patch, and the belief."""
     page = viz.plot_episode(record(meshes))
     patches = [axes for axes in page.axes if axes.images and axes.get_label() != "<colorbar>"]
     depth = np.array([axes.images[0].get_array() for axes in patches]).reshape(3, 2, 48, 48)

@@ -91,7 +91,7 @@ def test_a_missing_gl_is_reported_with_what_to_install(monkeypatch):
 
 @pytest.mark.full
 def test_a_scene_shows_object_and_skin_and_an_unknown_surface():
-    """Before any touch there may be no surface at all: that is drawn as nothing."""
+    """Before any touch there may be no surface at all; nothing is drawn then."""
     if scene.why_no_scene():
         pytest.skip(scene.why_no_scene())
     ball, T = trimesh.creation.icosphere(2, 30e-3), np.diag([1.0, -1, -1, 1])
