@@ -42,7 +42,7 @@ gains = jax.jit(partial(policy.expected_information_gain, num_draws=DRAWS, num_p
 
 
 def touches(change: Any, approach: Any = 0.0, hit: Any = True) -> PredictedTouch:
-    """Touches (sites, objects, placements) that end at AT, where readings of CHANGE differ laterally by `change`."""
+    """Touches (sites, objects, placements) that end at AT, where readings of CHANGE differ laterally by `change` uT."""
     change = np.broadcast_to(change, SHAPE)
     reading = np.stack([np.sqrt(CHANGE**2 - change**2), change, *[0 * change] * 13], -1)
     values = (
