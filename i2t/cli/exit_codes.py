@@ -27,7 +27,7 @@ REMEDIES: dict[type[OSError], str] = {  # advice for the operating system's erro
     FileExistsError: "give another name",
     NotADirectoryError: "name a folder",
     IsADirectoryError: "name a file",
-    PermissionError: "choose what you may read and write",
+    PermissionError: "choose one that you may read and write",
 }
 
 

@@ -305,14 +305,15 @@ def first_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[st
     wrong, missed = (float(np.mean(shares)) for shares in zip(*(look[:2] for look in looks), strict=True))
     if not wrong <= _CONFIG.max_wrong_pixel_fraction:
         raise _displaced_error("in the first looks", wrong, procedure, plan.looks[0])
-    report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not where the rig has them")
+    report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not at their place in the rig")
     if plan.pair:
         report(_compare_looks(looks[plan.looks.index(plan.pair[0])], looks[-1]))
     else:
         report("first looks: none can be repeated with the tool turned; a lateral error of the TCP may go unnoticed")
     if not missed > _CONFIG.max_wrong_pixel_fraction:
         report(
-            "first looks: they prove nothing, because they would look alike without the object; the slow touches decide"
+            "first looks: they are inconclusive, because they would look alike without the object; the slow touches "
+            "decide"
         )
     for touch in plan.touches:
         try:
@@ -439,7 +440,7 @@ def _compare_looks(first: Look, second: Look) -> str:
             f"two looks at a site, with the tool turned in between, show that the camera is off by {x:+.0f} and "
             f"{y:+.0f} mm along the tool's x and y; check T_flange_tool and T_tool_camera"
         )
-    further = "" if measured.all() else ", and maybe further in directions that they could not measure"
+    further = "" if measured.all() else ", and possibly further in directions that could not be measured"
     return f"first looks: the camera is off by {x:+.1f} and {y:+.1f} mm along the tool's x and y{further}"
 
 

@@ -31,7 +31,7 @@ SENTENCES = {  # for errors of the operating system
     "[Errno 28] No space left on device": (
         "a file cannot be written (No space left on device); make room on its disk, or name another (--out)"
     ),
-    "[Errno 13] Permission denied: '/root'": "/root: permission denied; choose what you may read and write",
+    "[Errno 13] Permission denied: '/root'": "/root: permission denied; choose one that you may read and write",
 }
 BROKEN = (
     DeviceError("the skin fell silent"),

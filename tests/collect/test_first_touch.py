@@ -166,7 +166,7 @@ def test_one_look_is_repeated_with_the_largest_reachable_turn():
 @pytest.mark.parametrize(("off", "unsure", "sentence"), [
     (4.4e-3, 0.0, r"the camera is off by [+-]0\.0 and \+4\.4 mm along the tool's x and y$"),
     (-4.6e-3, 3.9e-3, "refused"),
-    (9e-3, 12e-3, "maybe further in directions that they could not measure"),
+    (9e-3, 12e-3, "possibly further in directions that could not be measured"),
     (np.nan, 0.0, "refused"),
 ])  # fmt: skip
 def test_an_offset_of_the_camera_is_separated_from_one_of_the_object(off, unsure, sentence):
@@ -201,7 +201,7 @@ def test_a_flat_object_has_no_sides_and_its_looks_prove_nothing(monkeypatch):
     sampler.limits, sampler.placed = SiteLimits(), flat
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 0.0))
     first_touch(procedure, sampler, sentences.append)
-    assert "prove nothing" in sentences[2]
+    assert "are inconclusive" in sentences[2]
     assert "0 of 2 sides can be touched" in sentences[-1]
 
 

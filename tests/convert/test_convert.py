@@ -199,7 +199,7 @@ def test_hostile_pickles_are_refused_and_not_executed(tmp_path):
         b"\x80\x02Pname\n.",  # a persistent identifier
     ):
         (tmp_path / "file").write_bytes(as_npy(payload))
-        with pytest.raises(DataError, match="file: refused, for it asks for"):
+        with pytest.raises(DataError, match="file: refused, because it asks for"):
             npy.read(tmp_path / "file")
     assert not marker.exists()
     os.system(touch)  # the payloads' command does leave the mark where it runs
@@ -333,7 +333,7 @@ DAMAGE = [
     ("imagine2touch", TACTILE, stored(samples(changed=np.nan)), "item 2 holds a value that is not a field"),
     ("imagine2touch", TACTILE, stored(samples(changed=10**400)), "an integer of absurd size"),
     ("imagine2touch", TACTILE, stored(samples([27.0] * 20)), "pass --order"),
-    ("imagine2touch", TACTILE, holds(as_npy(pickle.dumps(Hostile(os.system, "true")))), "refused, for it asks for"),
+    ("imagine2touch", TACTILE, holds(as_npy(pickle.dumps(Hostile(os.system, "true")))), "refused, because it asks for"),
     ("imagine2touch", TACTILE + "_ambient", stored(np.ones((5, 15))), "holds 5 groups for 12 touches"),
     ("imagine2touch", POSES + "rotations", stored(np.zeros((12, 3))), "(12, 3) where 12 touches"),
     ("imagine2touch", POSES + "rotations", stored(np.tile([0, 0, 0, 2.0], (12, 1))), "not of length 1"),

@@ -320,7 +320,8 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
         raise DataError(f"{path}: is glTF {version}; export it as glTF 2.0")
     if length > len(data):
         raise DataError(
-            f"{path}: is cut off: it announces {length} bytes, and {len(data)} are there; export or copy it again"
+            f"{path}: is cut off: it announces {length} bytes, but only {len(data)} are present; export or copy it "
+            "again"
         )
     chunks: dict[bytes, bytes] = {}
     start = 12

@@ -63,7 +63,7 @@ def _text_facets(path: Path, text: bytes) -> NDArray:
     whole = len(words) // facet_words
     reason = ""
     if not ends:
-        reason = "it begins with no 'solid'"
+        reason = "it does not begin with 'solid'"
     elif not ends[-1]:
         reason = f"it ends within a solid, after {whole} facets, without 'endsolid'"
     elif 2 * sum(ends) != len(ends):

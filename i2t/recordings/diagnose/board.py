@@ -233,7 +233,7 @@ def _stage_finding(gains: dict[str, float], evidence_per_value: float, config: S
         correction = {"board_from_stage": STAGES[best].tolist()}
         return Finding(FindingName.STAGE, sentence, True, wrong=True, evidence=evidence, correction=correction)
     if best == AS_RECORDED and lead >= config.min_lead:
-        sentence = f"The board lies as described: any rotation or mirror loses {lead:.2f} of log evidence per value."
+        sentence = f"The board is as described: any rotation or mirror loses {lead:.2f} of log evidence per value."
         return Finding(FindingName.STAGE, sentence, identifiable=True, evidence=evidence)
     reason = f"{best} and {second} explain the readings about equally well ({lead:+.3f} of log evidence per value)"
     return not_identifiable(FindingName.STAGE, reason, **evidence)
