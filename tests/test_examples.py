@@ -54,7 +54,7 @@ def test_the_data_are_those_that_their_program_makes(tmp_path):
     assert all(path.stat().st_size < 100_000 for path in DATA.iterdir() if path.is_file())
 
 
-def test_a_table_of_simulated_presses_is_no_real_data(tmp_path):
+def test_a_table_of_simulated_presses_is_not_real_data(tmp_path):
     table = DATA / "presses.csv"
     assert convert(["presses", str(table), str(tmp_path / "set"), "--indenter", "sphere:4.0"]) == 0
     dataset = i2t.load_dataset(tmp_path / "set")

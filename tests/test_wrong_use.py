@@ -439,7 +439,7 @@ def test_a_new_number_of_touches_asks_the_model_for_one_of_three_sizes(predictor
         np.testing.assert_array_equal(rows, np.minimum(np.arange(len(rows)), n - 1))
 
 
-def test_pixels_that_nobody_saw_widen_the_spread(monkeypatch, predictor):
+def test_unseen_pixels_widen_the_spread(monkeypatch, predictor):
     """The spread grows with the effect that an object there would have."""
     patch = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
     mask = np.ones((48, 48), bool)

@@ -68,7 +68,7 @@ def test_a_displaced_view_is_refused_before_anything_is_touched(off):
     (-0.018, GAIN, "something was met 16 mm before"),
     (0.0, 0 * GAIN, r"a press of \d\.\d N changed its reading by 0\.0 uT"),
 ])  # fmt: skip
-def test_a_displaced_or_unfelt_contact_is_refused_and_the_tool_retreats(monkeypatch, off, gain, sentence):
+def test_a_displaced_or_undetected_contact_is_refused_and_the_tool_retreats(monkeypatch, off, gain, sentence):
     procedure, sampler = make(gain=gain, settings=QUICK), Block()
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 1.0))
     sampler.height = HEIGHT + off

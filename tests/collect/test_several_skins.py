@@ -186,7 +186,7 @@ def test_a_rig_with_skins_is_read_back_and_an_impossible_one_refused(rig, old, n
     ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, which does not work with this"),
     ("nobody's", [], "skins.right.device nobody's is not known; give a name that"),
 ])  # fmt: skip
-def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, sentence):
+def test_skins_that_do_not_work_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, sentence):
     path = rig(device, "/dev/ttyACM1" if device == "reskin" else "")
     assert command.main(["--rig", str(path), "--out", str(tmp_path / "out"), "--object", "cylinder", *flags]) == 2
     assert sentence in capsys.readouterr().err

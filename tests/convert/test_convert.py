@@ -123,7 +123,7 @@ def test_images_turn_and_forces_change_axes_on_request(tmp_path):
     np.testing.assert_allclose(touches.force, -wrench[:, 2], atol=1e-6)
 
 
-def test_a_hole_of_65535_is_no_surface_and_images_in_another_unit_are_noted(tmp_path, capsys):
+def test_a_hole_of_65535_is_not_a_surface_and_images_in_another_unit_are_noted(tmp_path, capsys):
     truth = write(tmp_path / "src", "star", "1", 2)
     files = [tmp_path / f"src/star/star_images/depth/experiment_1_depth_{k}.tif" for k in (1, 2)]
     for file, image in zip(files, truth.depth, strict=True):

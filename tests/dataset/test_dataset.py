@@ -243,7 +243,7 @@ def test_impossible_touches_are_refused_in_one_sentence(tmp_path, dataset, probl
     assert "\n" not in str(error.value)
 
 
-def test_unknown_values_are_no_error():
+def test_unknown_values_are_not_errors():
     for name in ("force", "depth", "nearest", "T_w_t", "T_w_o"):
         validate(broken(name, np.nan))
     validate(broken("nearest", np.inf))

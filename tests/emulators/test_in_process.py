@@ -82,7 +82,7 @@ def test_there_is_no_contact_next_to_the_object_or_off_the_line(scene):
 
 
 @pytest.mark.full
-def test_an_object_is_met_from_where_the_tool_stands_next(scene):
+def test_contact_is_found_at_successive_poses_of_the_tool(scene):
     """On one line, of which 120 mm are known: from 130 mm above the object, then from 40 mm; and sideways, 10 mm above
     the table, first past the object and then in front of it.
     """

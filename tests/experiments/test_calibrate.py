@@ -118,7 +118,7 @@ def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
         (SPREAD[:8], "each block of 6 mm left out", "8 presses are fewer than 60"),
     ],
 )
-def test_few_presses_are_left_out_in_turn_wherever_they_lie(place, also, says):
+def test_few_presses_are_left_out_in_turn_at_any_position(place, also, says):
     """Each press is predicted once from all others, and each block or position from all presses outside it."""
     held, every = held_out_of(place), np.arange(len(place))
     assert held.in_turn

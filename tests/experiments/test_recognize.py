@@ -73,7 +73,7 @@ def test_the_run_writes_the_promised_files(finished, trained_run, capsys):
 
 
 @pytest.mark.full
-def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained_run, tmp_path, monkeypatch):
+def test_the_papers_own_loop_runs_alone_and_resumes(trained_run, tmp_path, monkeypatch):
     out = tmp_path / "paper"
     args = ["--method", "paper", "--preset", "debug", "--pad-model", str(trained_run), "--out", str(out)]
     assert recognize.main(args) == 0

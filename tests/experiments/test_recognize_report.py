@@ -115,7 +115,7 @@ def test_the_papers_last_column_weighs_every_object_alike():
     assert found["high"] - found["low"] == pytest.approx(lost["high"] - lost["low"])
 
 
-def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_independent_episodes():
+def test_a_mean_that_all_pools_share_by_chance_is_as_uncertain_as_of_independent_episodes():
     truth = np.zeros(12, int)
     decided = np.tile([0, 1], 6)  # half of the episodes of each pool are right
     pool = np.repeat([f"pool {i}" for i in range(6)], 2)

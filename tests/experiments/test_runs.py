@@ -47,7 +47,7 @@ def begun(
         raise raises
 
 
-def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings(tmp_path, monkeypatch):
+def test_a_run_resumes_by_another_path_to_its_folder_but_not_with_other_settings(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     begun(Path("run"))
     begun(tmp_path / "run", resume=True)
@@ -57,7 +57,7 @@ def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings
         begun(Path("run"))
 
 
-def test_a_run_does_not_go_on_with_other_data_under_the_same_name(tmp_path):
+def test_a_run_does_not_resume_with_other_data_under_the_same_name(tmp_path):
     table, out = tmp_path / "t.csv", tmp_path / "run"
     table.write_text("what,u")
     begin(_TableArgs(out, (table,)), _Experiment())
@@ -84,7 +84,7 @@ def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_rep
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-def test_a_run_that_is_refused_leaves_no_folder_that_was_made_for_it(tmp_path):
+def test_a_refused_run_leaves_no_new_folder(tmp_path):
     (tmp_path / "mine").mkdir()
     begun(tmp_path / "runs" / "deep" / "run")
     begun(tmp_path / "mine" / "run")

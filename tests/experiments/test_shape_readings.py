@@ -69,7 +69,7 @@ def test_a_moved_stroke_loses_only_what_leaves_its_window():
     assert early.tolist() == [*range(3, 11), 0, 0]
 
 
-def test_a_mean_path_has_equal_steps_whatever_the_pace():
+def test_a_mean_path_has_equal_steps_at_any_pace():
     paced = np.array([0, 0.1, 0.2, 0.9, 1.0])
     paths = np.stack([np.stack([x, 0 * x], -1) for x in (paced, paced**2)])
     found = strokes.mean_paths(paths, np.array([0, 0]), 1)[0]

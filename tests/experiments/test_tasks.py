@@ -70,7 +70,7 @@ def test_workers_share_the_cores(tmp_path):
     assert {task.finished.read_text() for task in tasks} <= {repr(cores[i::2]) for i in (0, 1)}
 
 
-def test_an_unfinished_run_goes_on_with_other_workers(tmp_path):
+def test_an_unfinished_run_resumes_with_other_workers(tmp_path):
     experiment = TrainArgs(tmp_path)  # any dataclass does
     begin(TrainArgs(tmp_path / "out"), experiment)
     (tmp_path / "out" / "part-0.npz").touch()

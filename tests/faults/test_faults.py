@@ -21,7 +21,7 @@ def fault(trial, *measures, count=4):
     return Fault("disk", "anything", trial, count, measures)
 
 
-def test_a_goal_is_missed_by_the_worst_trial_by_the_share_of_all_by_nan_and_where_half_could_not_be_made():
+def test_a_goal_is_missed_by_a_bad_trial_a_bad_share_nan_or_too_few_trials():
     trials: list[dict[str, Any]] = [
         {"gained": 1.0, "lost": 1, "sent": 10, "said": "stopped"},
         {"gained": 3.0, "lost": 0, "sent": 90},
@@ -127,7 +127,7 @@ def test_damaged_camera_files_are_refused_in_one_sentence_and_little_memory(numb
 
 @pytest.mark.full
 @pytest.mark.parametrize("signals", [[signal.SIGKILL], [signal.SIGHUP], [signal.SIGINT, signal.SIGINT]])
-def test_real_drivers_collect_with_emulators_are_killed_and_go_on(monkeypatch, signals):
+def test_real_drivers_with_emulators_resume_after_a_kill(monkeypatch, signals):
     """`kill -9`, a closed terminal and an impatient Ctrl-C of a collection with real drivers; the next one makes the
     touches that are missing.
     """

@@ -202,7 +202,7 @@ def test_drawn_boards_are_detected(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z, which only Linux gives")
-def test_the_arm_is_asked_for_its_pose_without_being_controlled():
+def test_the_arm_s_pose_is_read_without_controlling_the_arm():
     pytest.importorskip("rtde_receive", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     host = ur_controller.loopback(209)
     with pytest.raises(DeviceError, match="does not answer"):

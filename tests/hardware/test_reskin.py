@@ -199,7 +199,7 @@ def test_a_forbidden_port_is_reported_with_its_group_and_remedy(monkeypatch, gro
     assert words in serial_port.why_forbidden("/dev/ttyACM0")
 
 
-def test_the_queue_lets_go_of_the_oldest():
+def test_the_queue_drops_the_oldest_samples():
     with started("--rate", "2000") as (port, _), ReSkin(port, rate=2000.0, capacity=50) as skin:
         skin.since(-1)
         first = skin.read(1, PATIENCE).number[-1]
@@ -297,7 +297,7 @@ def test_bytes_sent_before_connecting_are_not_read():
 
 @pytest.mark.full
 @pytest.mark.parametrize("form", Format)
-def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
+def test_an_emulated_board_of_another_size_works_end_to_end(form):
     switches = ("--board", "grid-2x2", "--field", "--noise", "0", "--fail", "1", "--format", form)
     with started(*switches) as (port, process):
         with pytest.raises(DeviceError, match="frames of 4 chips arrive, not of 5; name the right board"):

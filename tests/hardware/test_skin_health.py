@@ -81,7 +81,7 @@ def test_each_defect_is_one_sentence_and_serious_ones_stop_a_session(part, chang
     assert defect.stops == stops
 
 
-def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():
+def test_two_defects_are_two_sentences_and_a_missing_chip_is_not_a_defect():
     assert len(check_skin(harmed((np.s_[:, 2], np.zeros_like), (np.s_[:, 1, 1], frozen))).defects) == 2
     health = check_skin(harmed((np.s_[:, 2], lambda x: np.nan)))
     assert (health.defects, health.missing) == ((), (2,))

@@ -97,7 +97,7 @@ def test_a_line_takes_the_time_of_a_trapezoid_and_a_stop_its_distance():
     assert before - robot.position[0] == pytest.approx(speed**2 / (2 * a), abs=speed * TICK)
 
 
-def test_timeouts_that_protect_nobody_are_refused():
+def test_timeouts_too_long_to_protect_are_refused():
     options = {"watchdog_rate": 0.01}, {"watchdog_rate": 200.0}, {"state_timeout": 60.0}
     refuse(ValueError, [(partial(connected, **option), ("127.0.0.1",), "is outside") for option in options])
 
@@ -213,7 +213,7 @@ def above(touching):
     return host, arm
 
 
-def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start):
+def test_a_motion_ends_at_its_goal_within_the_requested_speed_and_the_slider_s(start):
     host = start()
     ask(host, "wrench 0.5 -1 2 0 0 0")
     with connected(host, payload=(0.3, (0.0, 0.0, 0.05)), tool=pose(0, 0, 0.1, 0)) as arm:

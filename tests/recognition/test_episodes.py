@@ -57,7 +57,7 @@ def recorded(heights: np.ndarray, codes: list[ReturnCode]) -> Dataset:
     return Dataset(recording, ("square",), ("pad",), ("session",), BOARD, "simulated")
 
 
-def test_the_site_of_a_touch_without_contact_lies_before_its_end():
+def test_the_site_of_a_touch_without_contact_is_before_its_end():
     heights = np.array([TOP, TOP + 3e-3, TOP - 1e-3])
     data = recorded(heights, [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH])
     sites, episodes = episodes_from_dataset(data, ["square"], 3, overtravel=OVERTRAVEL)

@@ -118,7 +118,7 @@ def test_an_object_is_recognised_by_chosen_touches(recognizer, truth):
 
 
 @pytest.mark.full
-def test_sites_stand_on_the_believed_object_and_are_safe_as_it_leans(recognizer):
+def test_sites_are_on_the_believed_object_and_safe_at_its_tilt(recognizer):
     own = np.flatnonzero(recognizer.sites.owner == 0).tolist()
     poses = [recognizer.site_pose(number) for number in own]
     assert all(are_safe_in_the_world(catalogue.make_object(NAMES[0]).mesh, poses))
@@ -126,7 +126,7 @@ def test_sites_stand_on_the_believed_object_and_are_safe_as_it_leans(recognizer)
     np.testing.assert_allclose(np.linalg.inv(TILTED) @ poses[0], recognizer.sites.T_w_t[own[0]], atol=1e-6)
 
 
-def test_only_sites_are_chosen_that_are_safe_as_the_object_stands(leaning):
+def test_only_sites_that_are_safe_at_the_object_s_pose_are_chosen(leaning):
     """Three of five sites are safe: where the object leans away, a site that leans with it would send the tool in from
     the side.
     """

@@ -56,7 +56,7 @@ def test_only_safe_sites_are_chosen_and_none_if_none_is_safe(policy, touched):
     assert choose_touch(model, state, config=_config(policy=policy), estimate=empty).T_o_t is None
 
 
-def test_sites_lie_on_the_surface_and_look_into_it():
+def test_sites_are_on_the_surface_and_face_into_it():
     model = _balls()
     estimate = estimate_surface(model, init(model)[0])
     proposals = exploration.propose_sites(estimate, np.random.default_rng(0), config=_config(limits=AROUND_LIMITS))

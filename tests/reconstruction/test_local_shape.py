@@ -98,7 +98,7 @@ def test_the_marginal_likelihood_equals_that_of_dense_matrices(press, model):
 
 
 @pytest.mark.full
-def test_a_slant_is_no_evidence_against_a_patch(press, model):
+def test_a_slant_does_not_count_against_a_patch(press, model):
     """The effect of friction on a slanted press costs far less as a nuisance than as an error."""
     reading, force, travel = press
     slanted = reading + 0.0175 * force[:, None] * model.sliding[0, 0, :, TRUE][None] / model.loads[0]

@@ -207,7 +207,7 @@ def test_no_touch_reduces_the_floor_of_the_band():
     np.testing.assert_allclose(spread(2e-3), np.hypot(bare, 2e-3), rtol=1e-5)
 
 
-def test_felt_points_become_points_of_the_surface():
+def test_points_of_contact_become_points_of_the_surface():
     model = _balls()
     x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
     cap = np.stack([x, y, np.sqrt(25e-3**2 - x**2 - y**2)], -1)

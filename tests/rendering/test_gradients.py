@@ -134,7 +134,7 @@ def hostile() -> dict[str, tuple[Surface, np.ndarray]]:
 
 
 @pytest.mark.full
-def test_finite_whatever_the_rays_meet_and_backwards_is_forwards_transposed():
+def test_derivatives_are_finite_in_every_scene_and_reverse_mode_is_forward_mode_transposed():
     """Reverse mode, which training and optimisation use, is the same linear map by pose and by corners."""
     scenes = hostile()
     surfaces = stack_surfaces([surface for surface, _ in scenes.values()])

@@ -57,7 +57,7 @@ def test_another_machine_has_a_folder_of_its_own(no_settings, tmp_path):
 
 
 @pytest.mark.parametrize("asked", [True, False])
-def test_a_folder_that_cannot_be_made_costs_one_line_at_most(no_settings, tmp_path, capsys, asked):
+def test_a_folder_that_cannot_be_created_gives_at_most_one_line(no_settings, tmp_path, capsys, asked):
     """A file where the folder should be is refused for every user, including root."""
     (tmp_path / "file").write_text("")
     no_settings.setenv(CACHE_VARIABLE if asked else "XDG_CACHE_HOME", str(tmp_path / "file"))

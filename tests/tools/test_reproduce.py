@@ -54,7 +54,7 @@ def reproduced(tmp_path, monkeypatch):
     return lambda *words: reproduce.main(["--out", "runs", "--docs", "docs", *words]), calls
 
 
-def test_steps_run_once_in_order_go_on_and_keep_what_they_measured(tmp_path, reproduced):
+def test_steps_run_once_in_order_resume_and_keep_their_measurements(tmp_path, reproduced):
     command, played = reproduced
     (tmp_path / "runs" / "study").mkdir(parents=True)
     (tmp_path / "runs" / "study" / "config.json").write_text("{}")  # begun, not finished
