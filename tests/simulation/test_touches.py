@@ -150,9 +150,7 @@ def test_the_camera_and_the_skin_meet_the_object_at_its_true_pose(touches, true_
 
 
 @pytest.mark.full
-def test_a_press_ends_past_first_contact_by_indentation_and_compliance_or_in_air(
-    touches, true_poses, first_contact
-):
+def test_a_press_ends_past_first_contact_by_indentation_and_compliance_or_in_air(touches, true_poses, first_contact):
     air = touches.code == ReturnCode.AIR
     assert len(np.unique(touches.session[air])) == 1
     for i, T in enumerate(true_poses):
