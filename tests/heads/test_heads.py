@@ -169,7 +169,7 @@ def test_blocks_are_held_out_of_presses_and_strokes_of_a_stream():
         ("depth", {"readings": np.ones((300, 15))}, "no channel changes"),
         ("colour", {}, "not a target of a head"),
         ("force", {}, "has no known force"),
-        ("depth", {"depth": np.full((300, 1), 2e-3)}, "has only one depth"),
+        ("depth", {"depth": np.full((300, 1), 2e-3)}, "has only one value of depth"),
         ("depth", {"depth": np.r_[np.arange(10.0), np.full(290, np.nan)][:, None]}, "20 are needed"),
         ("contact", {"contact": np.ones((300, 1))}, "not a target of a head"),
     ],
