@@ -1,4 +1,4 @@
-"""Each program of examples/ runs, and does what it says."""
+"""Each program of examples/ runs and does what its documentation states."""
 
 import importlib.util
 import json

@@ -1,4 +1,4 @@
-"""What needs an extra, or a folder that may be written, says so before it works."""
+"""A missing extra or an unwritable folder is reported before any work."""
 
 import sys
 import tomllib

@@ -1,4 +1,4 @@
-"""Intervals over clusters: they cover what they claim where episodes of a cluster are alike."""
+"""Intervals over clusters have their stated coverage if episodes of a cluster are dependent."""
 
 from itertools import combinations
 

@@ -1,4 +1,4 @@
-"""The ready models: they load by name from the package alone, say what they are of, and their cards are true."""
+"""The ready models: they load by name from the package alone, state their origin, and their cards are correct."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""`import i2t`: what it gives, what it costs, how it shows itself, and what it refuses."""
+"""`import i2t`: its names, its cost, its texts, and its refusals."""
 
 import inspect
 import json

@@ -1,4 +1,4 @@
-"""The ROS 2 example under a stand-in for rclpy: every sample is published with its time, a gone board comes back."""
+"""The ROS 2 example with a substitute for rclpy: every sample is published with its time, a lost board reconnects."""
 
 import importlib.util
 import sys

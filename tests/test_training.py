@@ -1,4 +1,4 @@
-"""Training against what must hold whatever the data: what it fits, what it repeats exactly, and what it refuses."""
+"""Properties of training that hold for any data: what it fits, what it repeats exactly, and what it refuses."""
 
 from dataclasses import replace
 from functools import partial

@@ -1,4 +1,4 @@
-"""Two looks with the tool turned in between: what shifts alike is the object, what shifts oppositely the camera."""
+"""Two looks with the tool turned in between separate shifts of the object from shifts of the camera."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The first looks and the first slow touches: a right rig passes, and what contradicts it is one sentence."""
+"""The first looks and slow touches accept a correct rig and contradict a wrong one in one sentence."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Devices of third parties: a complete package is collected with, and what is missing or wrong is one sentence."""
+"""Devices of third parties: a complete package collects touches; a missing or wrong device is one sentence."""
 
 import ast
 import inspect

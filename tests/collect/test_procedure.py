@@ -1,4 +1,4 @@
-"""The procedure on a springy plane, where everything that it should measure is known in closed form."""
+"""The procedure on a springy plane, on which all measurements are known in closed form."""
 
 from functools import partial
 from types import SimpleNamespace

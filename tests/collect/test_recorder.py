@@ -1,4 +1,4 @@
-"""Touches are files, whole and dated rightly, whatever happens while they are made."""
+"""Touches are complete files with correct dates, even if the disk, the clock or the process fails."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""The command on its simulated defaults: it collects, resumes, checks dry, and says what is wrong."""
+"""The command with its simulated defaults: it collects, resumes, makes dry runs, and refuses wrong options."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Several skins on one tool: each is read in each touch, with its own board, and a set is of the one that is named."""
+"""Several skins on one tool: each is read in each touch with its own board, and a set is loaded for one of them."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Converters: known contents come out as written, real recordings as read by other means, damage as one sentence."""
+"""Converters: known contents come out unchanged, real recordings as other readers read them, damage as a sentence."""
 
 import csv
 import gzip

@@ -1,4 +1,4 @@
-"""Recordings whose units, signs or axes are mistaken come out right, with a sentence; on request, as they stand."""
+"""Recordings with wrong units, signs or axes are corrected with a sentence, or converted as stated on request."""
 
 import gzip
 import json

@@ -1,4 +1,4 @@
-"""The card of a data set says what it holds, and no reader minds it."""
+"""The card of a data set describes its contents, and readers ignore it."""
 
 import re
 from dataclasses import replace

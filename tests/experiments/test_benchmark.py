@@ -1,4 +1,4 @@
-"""The benchmark compares like with like and says what it found; how fast anything was is not tested."""
+"""The benchmark compares equal work and reports its results; speeds are not tested."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""The calibration experiment on a small synthetic skin, and what it refuses."""
+"""The calibration experiment on a small synthetic skin, and its refusals."""
 
 import json
 from dataclasses import replace

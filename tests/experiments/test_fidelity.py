@@ -1,4 +1,4 @@
-"""The fidelity report on recordings of every kind and in every state: it says what it can, and never falls over."""
+"""The fidelity report on recordings of every kind and in every state: it reports what it can and never fails."""
 
 import json
 from dataclasses import replace

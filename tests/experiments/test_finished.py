@@ -1,4 +1,4 @@
-"""Folders of finished runs: what they hold, which run or pad model a path names, and what is told of any other path."""
+"""Folders of finished runs: their contents, the run or pad model that a path names, and messages about other paths."""
 
 import json
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""The pad model of a run: which touches it is fitted to, and why there is none where there is none."""
+"""The pad model of a run: the touches that it is fitted to, and the reason if there is none."""
 
 from dataclasses import replace
 from functools import partial

@@ -1,4 +1,4 @@
-"""Tables of readings are read as they stand or refused by line and column, and are split within groups and labels."""
+"""Tables of readings are read unchanged or refused by line and column, and are split within groups and labels."""
 
 import gzip
 import os

@@ -1,4 +1,4 @@
-"""Recognition from tables of readings: folds in time, beliefs that know shared errors, unknown labels, the command."""
+"""Recognition from tables of readings: folds in time, beliefs with shared errors, unknown labels, the command."""
 
 import json
 

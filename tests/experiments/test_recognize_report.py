@@ -1,4 +1,4 @@
-"""Tables of recognition: by what episodes are alike, each object by itself, the paper's rows and no others."""
+"""Tables of recognition: intervals over dependent episodes, scores of each object, and the paper's rows only."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Recorded touches as episodes: which sessions count, what few episodes say, and by which skin they are judged."""
+"""Recorded touches as episodes: sessions that count, intervals of few episodes, and the skin that predicts them."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Training on registered sessions: what is known better afterwards, and what is refused."""
+"""Training on registered sessions: errors that become smaller, and refusals."""
 
 import re
 

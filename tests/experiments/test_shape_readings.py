@@ -1,4 +1,4 @@
-"""Labels of strokes and of single readings: what a stroke is told by, what is chosen when, and the command."""
+"""Labels of strokes and of single readings: features of a stroke, choices of settings, and the command."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""The stamp experiment: what is pressed, what is held out, what is learned, and the command at its debug size."""
+"""The stamp experiment: its presses, held-out parts and classifiers, and the command at its debug size."""
 
 import json
 from dataclasses import replace

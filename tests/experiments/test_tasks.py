@@ -1,4 +1,4 @@
-"""Tasks of a study: whoever makes them, the files are the same; a killed worker's task is begun again."""
+"""Tasks of a study: any worker writes the same files, and a killed worker's task is started again."""
 
 import os
 import signal

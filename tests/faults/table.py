@@ -1,4 +1,4 @@
-"""What a fault is: something that is broken on purpose, once a trial, and what must be seen then."""
+"""Faults: each is caused on purpose once in a trial, and has goals that its measurements must meet."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""How hard a collision becomes: closed forms, and what a simulated arm really does."""
+"""Force of a collision: closed forms, and the motion of a simulated arm."""
 
 import re
 from dataclasses import replace

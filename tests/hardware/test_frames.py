@@ -1,4 +1,4 @@
-"""A skin's bytes: formats by hand, and what is believed of clean, damaged and hostile streams."""
+"""Bytes of a skin: formats by hand, and frames that are accepted from clean, damaged and hostile streams."""
 
 import functools
 import operator

@@ -1,4 +1,4 @@
-"""Motions that i2t guards itself: a watch that judges states, and arms that do not keep to what they are asked."""
+"""Motions that i2t guards itself: a watch that judges states, and arms that disregard requests."""
 
 import signal
 import threading

@@ -1,4 +1,4 @@
-"""The text tool of a skin: what it shows and says, and the table that it keeps."""
+"""The text tool of a skin: its display, its messages, and the table that it saves."""
 
 import csv
 

@@ -1,4 +1,4 @@
-"""The RealSense driver against the SDK itself, playing what the SDK's software device recorded. No camera was there."""
+"""The RealSense driver with the SDK itself, which plays recordings of its software device. No camera was used."""
 
 import re
 import subprocess

@@ -1,4 +1,4 @@
-"""A lab's calibration file: what is written is read, and what cannot be is refused in one sentence."""
+"""A lab's calibration file: written values are read back, and impossible ones are refused in one sentence."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Skins whose samples a thread receives: samples are of the present connection, or an error says why not."""
+"""Skins whose samples a thread receives: samples are of the present connection, or an error gives the reason."""
 
 import threading
 import time

@@ -1,4 +1,4 @@
-"""Writes recordings in the layout of the Imagine2touch code, from known contents, for the tests of its converter."""
+"""Writes recordings of known contents in the layout of the Imagine2touch code, for the tests of its converter."""
 
 import math
 import sys

@@ -1,4 +1,4 @@
-"""Touches of random contents, for what reads and writes them."""
+"""Touches of random contents, for tests of readers and writers."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Tasks that take no time, and what may happen to those who make them."""
+"""Tasks that take no time, and failures of their workers."""
 
 import os
 import signal

@@ -1,4 +1,4 @@
-"""Baselines that are predictors: closed forms, what they are able to find, and ranges that hold what they say."""
+"""Baselines as predictors: closed forms, explained variance, and coverage of their ranges."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Calibrated beliefs: known temperatures and logit scalings are found again; priors are moved by Bayes' rule."""
+"""Calibrated beliefs: known temperatures and logit scalings are recovered; priors change by Bayes' rule."""
 
 import numpy as np
 import pytest

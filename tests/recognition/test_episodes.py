@@ -1,4 +1,4 @@
-"""Recorded sessions as episodes: where the sites of touches lie, and what a touch that met air says."""
+"""Recorded sessions as episodes: the sites of touches, and the evidence of a touch in air."""
 
 import inspect
 from unittest.mock import create_autospec

@@ -1,4 +1,4 @@
-"""What a touch is expected to tell against mutual information by quadrature; decisions against tables by hand."""
+"""Expected information of a touch against quadrature; decisions against tables by hand."""
 
 from functools import partial
 from typing import Any

@@ -1,4 +1,4 @@
-"""Recorded touches as recognition takes them: those of known objects, and samples of one contact as one touch."""
+"""Recorded touches for recognition: those of known objects, and samples of one contact as one touch."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Rollouts: what a policy may touch, what methods share, and one simulation for one episode and for many."""
+"""Rollouts: sites that a policy may touch, touches that methods share, and one simulation for one or many episodes."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Where to touch next: only what is safe, and what each policy says it prefers."""
+"""The next touch: only safe sites, and the preference of each policy."""
 
 from functools import partial
 

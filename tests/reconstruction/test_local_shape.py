@@ -1,4 +1,4 @@
-"""One press, and what it says of the surface: closed forms, dense linear algebra, small runs of the full physics."""
+"""Evidence of one press on the surface: closed forms, dense linear algebra, small runs of the full physics."""
 
 import jax
 import jax.numpy as jnp

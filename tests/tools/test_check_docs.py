@@ -1,4 +1,4 @@
-"""`tools.check_docs` finds a planted fault of each kind, says where it is, and says nothing of what is right."""
+"""`tools.check_docs` finds a planted fault of each kind with its place, and reports nothing else."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""Every notebook runs from top to bottom at its debug size, and what its cells end with can be shown."""
+"""Every notebook runs from top to bottom at its debug size, and the results of its cells can be shown."""
 
 import ast
 import os

@@ -1,4 +1,4 @@
-"""Steps measure once what the tables of the documents show, and tables are written from what was measured."""
+"""Steps measure each number of the documents' tables once, and tables are written from these numbers."""
 
 import contextlib
 import importlib

@@ -1,4 +1,4 @@
-"""A session as a Rerun recording and as a page: what was recorded is in both, and reads back."""
+"""A session as a Rerun recording and as a page: both contain all recorded data."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The report of an episode: what its page and its scene show, read back from the figures and from files."""
+"""The report of an episode: contents of its page and its scene, read back from the figures and from files."""
 
 from typing import Any
 

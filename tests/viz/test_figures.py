@@ -1,4 +1,4 @@
-"""Figures for people: they draw what they are given and say where it comes from, and the core does without them."""
+"""Figures: they draw the given data and state its origin, and the core works without them."""
 
 import subprocess
 import sys

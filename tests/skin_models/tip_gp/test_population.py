@@ -1,4 +1,4 @@
-"""The Gaussian process of a population: its algebra against dense formulas, and what each of its parts is for."""
+"""The Gaussian process of a population: its algebra against dense formulas, and the effect of each of its parts."""
 
 from itertools import product
 from pathlib import Path
