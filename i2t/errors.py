@@ -81,7 +81,7 @@ class Extra(NamedTuple):
     extra: str
 
 
-EXTRAS = {  # keyed by the name to import
+EXTRAS = {  # optional packages, keyed by the name to import
     "ContactMechanics": Extra("ContactMechanics", "bench"),
     "embreex": Extra("embreex", "bench"),
     "gymnasium": Extra("Gymnasium", "environments"),

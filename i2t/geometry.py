@@ -25,7 +25,7 @@ from i2t.patches.dimensions import LAST_ROW_TOLERANCE, ORTHOGONALITY_TOLERANCE, 
 from i2t.types import Array
 
 TWO_TERM_SERIES_SQUARE = 1e-8  # rad^2; a series of two terms replaces quotients of angles whose square is smaller
-THREE_TERM_SERIES_SQUARE = 1e-4  # rad^2; the same for a series of three terms
+THREE_TERM_SERIES_SQUARE = 1e-4  # rad^2; a series of three terms replaces quotients of angles whose square is smaller
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

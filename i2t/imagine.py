@@ -1,4 +1,4 @@
-"""Imagine touches: `python -m i2t.imagine` draws what a skin would read where it touches an object.
+"""Predict touches: `python -m i2t.imagine` draws the readings of a skin where it would touch an object.
 
     python -m i2t.imagine                                the hammer of the catalogue, by the ready model
     python -m i2t.imagine mug.stl --unit mm              an object of your own
@@ -6,7 +6,7 @@
 
 Safe sites on the object are drawn at random. The patch in front of the skin is rendered there, and a trained predictor
 computes readings and their standard deviations from patch and force. The ready model was trained on a simulated pad
-(docs/model_card.md). It shows what a touch looks like, but a real skin reads differently.
+(docs/model_card.md). It shows what a touch looks like; the readings of a real skin differ.
 """
 
 import sys
@@ -30,26 +30,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ImagineArgs:
-    """Draw what a skin would read where it touches an object."""
+    """Draw the predicted readings of a skin where it would touch an object."""
 
     object: tyro.conf.Positional[str] = "hammer"
-    """Name in the catalogue, or a mesh file."""
+    """Name of the object in the catalogue, or a mesh file."""
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    """Unit of a mesh file."""
+    """Unit of the mesh file; required for a mesh file."""
     model: str = "nominal"
-    """The ready model, or a finished run of experiments.train."""
+    """Predictor: the name of the ready model, or the folder of a finished run of experiments.train."""
     board: str | None = None
     """Board of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml).
-    By
-    default, the board that the model was trained on."""
+    By default, the board that the model was trained on."""
     force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] = 1.0
-    """Force (N) along the tool's z axis."""
+    """Force (N) of the press along the tool's z axis."""
     sites: Count = 4
-    """Number of touches to imagine."""
+    """Number of touches to predict, each at another site."""
     seed: Seed = 0
-    """Seed of the sites."""
+    """Seed of the random sites."""
     out: Path = Path("runs/imagine.png")
-    """The picture, such as a .png file; an existing file is replaced."""
+    """Picture to write, such as a .png file; an existing file is replaced."""
 
 
 def _imagine(args: ImagineArgs) -> None:
@@ -86,7 +85,7 @@ def _check(args: ImagineArgs) -> None:
     require_writable("--out", args.out)
     endings = (".png", ".jpg", ".pdf", ".svg")
     if args.out.suffix.lower() not in endings:
-        raise ValueError(f"--out {args.out}: is not a picture; let the name end in {' or '.join(endings)}")
+        raise ValueError(f"--out {args.out}: is not the name of a picture; use the ending {' or '.join(endings)}")
     folder = ready_path(args.model, "predictor")
     if not any((folder / part / "_CHECKPOINT_METADATA").is_file() for part in ("", "checkpoint/predictor")):
         raise ValueError(

@@ -22,7 +22,7 @@ from scipy import stats
 
 from i2t.types import Array
 
-RESAMPLES = 1000
+RESAMPLES = 1000  # number of resampled data sets from which an interval is computed
 COVERAGE = 0.95  # probability that an interval holds the truth
 MIN_CLUSTERS = 3  # number of clusters below which a factor has no interval
 ROUNDING_VARIANCE = 1e-12  # variance below which values differ by rounding only

@@ -21,21 +21,22 @@ from scipy.linalg import lapack
 Array: TypeAlias = Any  # a NumPy or JAX array
 
 STDS_WITHIN_90 = 1.645  # half width, in standard deviations, of the interval that holds 90 % of a normal distribution
-MAX_BATCHED_SIZE = 40  # rows of matrices up to which NumPy inverts a whole stack faster than LAPACK one by one
+# largest number of rows of matrices for which NumPy inverts a stack faster than LAPACK one by one
+MAX_BATCHED_SIZE = 40
 UNINFORMED_VARIANCE = 1e6  # variance predicted where rounding left a matrix that is not positive definite
 
 
 class LeftOutRows(NamedTuple):
     """Predictions of each row from all other rows."""
 
-    error: Float[Array, "... n c"]  # value minus predicted mean
+    error: Float[Array, "... n c"]  # value of each row minus its predicted mean
     variance: Float[Array, "... n #c"]
 
 
 class LeftOutBlocks(NamedTuple):
     """Predictions of each block of m rows from all other rows."""
 
-    error: Float[Array, "... m c"]  # value minus predicted mean
+    error: Float[Array, "... m c"]  # value of each row minus its predicted mean
     log_density: Float[Array, "... c"]  # predicted log density of the block's values
 
 

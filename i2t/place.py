@@ -3,10 +3,10 @@
     python -m i2t.place lab.toml --object mug.stl --unit mm --host 192.168.0.2 --write    # a RealSense on the arm
     python -m i2t.place lab.toml --object mug.stl --unit mm --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
 
-Look at the object obliquely, 25 to 55 degrees from the vertical: from above, a flat top does not show its sideways
+Look at the object obliquely, 25 to 55 degrees from the vertical: from above, a flat top does not show its lateral
 position. The search begins at the rig's T_world_object, which must be correct within centimetres and some degrees. The
 camera must be calibrated (`python -m i2t.hardware.hand_eye`). The method is `i2t.registration.register_by_depth`. The
-reported error is that of noise and does not include a constant error of the camera or of its calibration.
+reported error is due to noise; it does not include a constant error of the camera or of its calibration.
 """
 
 import math
@@ -39,23 +39,25 @@ PoseVector = tuple[float, float, float, float, float, float]  # position (m) and
 class PlaceArgs:
     """Find the pose of an object from a depth view of it."""
 
-    rig: tyro.conf.Positional[Path]  # the lab's calibration
-    object: str  # name in the catalogue, or a mesh file
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of a mesh file; no default
+    rig: tyro.conf.Positional[Path]  # the lab's calibration file
+    object: str  # name of the object in the catalogue, or a mesh file
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file; required for a mesh file
     arm: str = UR
-    """Arm whose pose is read and which is not moved: that of i2t, the name that another package registers, or
+    """Arm whose pose is read; the arm is not moved. Give ur, the name that another package registers, or
     package.module:Class."""
-    host: str | None = None  # address of the arm; required for a UR arm
-    tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None  # in place of an arm: m, rad
-    views: Path | None = None  # folder of views, whose first is used, in place of a camera
-    camera: str = REALSENSE  # or that of another package, as for --arm
-    serial: str | None = None  # serial number of the RealSense, if there are several, or address of another camera
-    distance: float = 10e-3  # m, error of the rig's pose (one sigma)
-    angle: float = 6.0  # degrees, error of the rig's pose (one sigma)
+    host: str | None = None  # address of the arm's controller; required for a UR arm
+    # pose of the tool in the base, used instead of an arm: position (m) and rotation vector (rad), as on the pendant
+    tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None
+    views: Path | None = None  # folder of saved views, used instead of a camera; only the first view is used
+    camera: str = REALSENSE  # depth camera: realsense, or a camera of another package, named as for --arm
+    # serial number of the RealSense, if several are plugged in; or the address of a camera of another package
+    serial: str | None = None
+    distance: float = 10e-3  # standard deviation (m) of the object's position in the rig along each axis
+    angle: float = 6.0  # standard deviation (degrees) of the object's orientation in the rig about each axis
     hand_eye: Annotated[tuple[float, float], tyro.conf.arg(metavar="MM DEGREES")] = (1.0, 0.5)
-    """Error of the camera's pose on the tool (one sigma), which a view cannot show."""
-    no_table: bool = False  # the view shows no table at the world's z = 0
-    write: bool = False  # write the pose to the rig
+    """Standard deviations of the camera's pose on the tool (mm, degrees); a view cannot show this error."""
+    no_table: bool = False  # the view shows no table at z = 0 of the world
+    write: bool = False  # write the pose to the calibration file
 
 
 def place(args: PlaceArgs) -> str:

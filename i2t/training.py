@@ -36,8 +36,8 @@ Tree = TypeVar("Tree")
 class Losses(NamedTuple):
     """Parts of the loss, means over a batch or for each of its examples, all dimensionless."""
 
-    total: Float[Array, "..."]  # minimised by training
-    reading: Float[Array, "..."]  # determines the best epoch, on validation examples
+    total: Float[Array, "..."]  # total loss, which training minimises
+    reading: Float[Array, "..."]  # loss of the reading, which determines the best epoch on validation examples
     squared: Float[Array, "..."]  # squared error of the reading, independent of the training loss
     image: Float[Array, "..."]  # loss of an auxiliary decoder; 0 without a decoder
 
@@ -65,8 +65,9 @@ class Learner(NamedTuple):
     """A training task. It is hashable, so that equal tasks are compiled once."""
 
     cfg: Hashable  # sizes and weights, without arrays
-    init: Callable[[Key[Array, ""], Any], PyTree]  # (key, cfg) -> parameters of one member
-    losses: Callable[..., tuple[Array, Losses]]  # (parameters, cfg, batch, weights) -> loss to minimise, all parts
+    init: Callable[[Key[Array, ""], Any], PyTree]  # function (key, cfg) -> parameters of one member
+    # function (parameters, cfg, batch, weights) -> loss to minimise, all parts
+    losses: Callable[..., tuple[Array, Losses]]
     members: int = 1
 
 
@@ -93,15 +94,15 @@ class TrainState(NamedTuple):
 class EpochInfo(NamedTuple):
     """Losses of an epoch."""
 
-    train: Losses  # mean over the epoch's minibatches, evaluated before each step
-    validation: Losses  # after the epoch; NaN without validation touches
+    train: Losses  # losses as means over the epoch's minibatches, evaluated before each step
+    validation: Losses  # losses after the epoch; NaN without validation touches
 
 
 @dataclass(frozen=True)
 class TrainConfig:
     """Training options."""
 
-    epochs: int = 200  # largest number, over which the learning rate falls to 0
+    epochs: int = 200  # largest number of epochs, over which the learning rate falls to 0
     batch_size: int = 128
     learning_rate: float = 1e-3
     # Epochs without improvement after which training ends. Chosen on three simulated pads with three seeds each, by R2

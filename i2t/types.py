@@ -73,7 +73,7 @@ class Surface(NamedTuple):
         patch = i2t.render_patch(surface, T_o_t)
     """
 
-    triangles: Float[Any, "*batch faces 3 3"]  # m, of each face's 3 corners
+    triangles: Float[Any, "*batch faces 3 3"]  # m, corners of each face
     boxes: Float[Any, "*batch groups 6 32"] | None = None  # m, boxes of the 32 clusters of each group
     groups: Float[Any, "*batch 6 words"] | None = None  # m, boxes of the groups, padded to a multiple of 32
 
@@ -106,7 +106,7 @@ class Board(NamedTuple):
     """
 
     chips: Float[Any, "*batch chips 3"]  # m, in the tool frame; z is negative, below the skin's surface
-    rotations: Float[Any, "*batch chips 3 3"]  # map the axes of each chip to tool axes
+    rotations: Float[Any, "*batch chips 3 3"]  # rotations from the axes of each chip to tool axes
 
     @property
     def num_chips(self) -> int:
@@ -164,7 +164,7 @@ class Pad(NamedTuple):
 
 @in_one_line
 class Truth(NamedTuple):
-    """Error-free values of a simulated touch, which only the simulation knows."""
+    """Error-free values of a simulated touch; a real lab cannot measure them."""
 
     view: Float[Any, "*n w w"]  # m, view (72 x 72) of the surface that the skin met, without camera or pose error
     nearest: Float[Any, "*n"]  # m, position of the nearest surface point along tool z at the end of the press
@@ -196,10 +196,11 @@ class Touches(NamedTuple):
     T_w_t: Float[Any, "*n 4 4"]  # tool pose at the end of the press, as the arm reports it
     T_w_o: Float[Any, "*n 4 4"]  # object pose as the lab believes it
     object: Int[Any, "*n"]  # index into the data set's object names
-    pad: Int[Any, "*n"]  # index into its pad names
-    session: Int[Any, "*n"]  # index into its session names (a session: a recording with one placement of an object)
-    code: Int[Any, "*n"]  # a `ReturnCode`
-    truth: Truth | None = None  # without errors and noise, where simulated
+    pad: Int[Any, "*n"]  # index into the data set's pad names
+    # index into the data set's session names (a session: a recording with one placement of an object)
+    session: Int[Any, "*n"]
+    code: Int[Any, "*n"]  # how the press ended, a `ReturnCode`
+    truth: Truth | None = None  # values without errors and noise, if the touch is simulated
     time: Float[Any, "*n"] | None = None  # s, when, as the recording counts (Unix time where it has it); float64
 
 

@@ -15,7 +15,7 @@ from i2t.errors import did_you_mean
 from i2t.patches.dimensions import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORCE_N, ORTHOGONALITY_TOLERANCE
 
 ROUND_TIPS = ("sphere", "cylinder")
-MIN_TIP_RADIUS_MM = 0.1  # a smaller radius was probably given in metres
+MIN_TIP_RADIUS_MM = 0.1  # mm, smallest accepted radius; a smaller one was probably given in metres
 MAX_TIP_RADIUS_MM = 100.0  # on a skin of 20 mm, a larger tip is flat to 0.5 mm
 
 
@@ -49,10 +49,10 @@ def numbers(name: str, value: Any, hint: str) -> np.ndarray:
     try:
         array = np.asarray(value)
     except (TypeError, ValueError) as error:  # rows of different lengths
-        raise TypeError(f"{name}: is a {type(value).__name__} that makes no array; give {hint}") from error
+        raise TypeError(f"{name}: is a {type(value).__name__} that does not form an array; give {hint}") from error
     is_real = array.dtype.kind in "iuf"  # integers and floats, but not booleans, text or objects
     if array.size and not is_real:
-        raise TypeError(f"{name}: is {_short(value)}, and no real numbers; give {hint}")
+        raise TypeError(f"{name}: is {_short(value)}, not real numbers; give {hint}")
     return array
 
 
@@ -61,7 +61,7 @@ def _without_mask(name: str, value: Any, hint: str) -> Any:
     if not isinstance(value, np.ma.MaskedArray) or not np.ma.getmaskarray(value).any():
         return value
     if value.dtype.kind != "f":
-        raise TypeError(f"{name}: masks some of its {value.dtype}, which have no NaN to mark them; give {hint}")
+        raise TypeError(f"{name}: masks some of its {value.dtype} values, which cannot be NaN; give {hint}")
     return value.filled(np.nan)
 
 
@@ -134,7 +134,7 @@ def number(
         return
     array = numbers(name, value, hint)
     if array.ndim != 0:
-        raise ValueError(f"{name}: has the shape {array.shape}, and one number is meant; give {hint}")
+        raise ValueError(f"{name}: has the shape {array.shape}, but must be one number; give {hint}")
     if not (math.isfinite(array) and array >= minimum and array > above):
         raise ValueError(f"{name}: is {array:g}; give {hint}")
 
@@ -186,7 +186,7 @@ def count(name: str, value: Any, *, minimum: int = 1) -> int:
     except TypeError:
         whole = None
     if whole is None or isinstance(value, bool | np.bool_):
-        raise TypeError(f"{name}: is {_short(value)}, and no whole number; give one from {minimum}")
+        raise TypeError(f"{name}: is {_short(value)}, not a whole number; give one from {minimum}")
     if whole < minimum:
         raise ValueError(f"{name}: is {whole}; give a whole number from {minimum}")
     return whole
@@ -205,7 +205,7 @@ def random_key(name: str, value: Any) -> None:
     kind = str(getattr(value, "dtype", ""))
     new, old = kind.startswith("key<"), kind == "uint32" and getattr(value, "shape", ())[-1:] == (2,)
     if not (new or old):
-        raise TypeError(f"{name}: is {_short(value)}, and no random key; give jax.random.key(0)")
+        raise TypeError(f"{name}: is {_short(value)}, not a random key; give jax.random.key(0)")
 
 
 def round_tip(text: str, largest_mm: float = MAX_TIP_RADIUS_MM) -> tuple[str, float]:

@@ -72,7 +72,7 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """The fast tier, unless the full one is asked for; the slow files first."""
+    """Select the fast tier unless the full one is requested, and put the slow files first."""
     if not (config.option.full or config.option.markexpr or config.option.keyword or _named(config)):
         full = [item for item in items if item.get_closest_marker("full")]
         if full:
@@ -82,7 +82,7 @@ def pytest_collection_modifyitems(config, items):
 
 
 def _named(config) -> bool:
-    """Whether single tests were asked for by their names."""
+    """Whether single tests were requested by their names."""
     return any("::" in arg for arg in config.args)
 
 

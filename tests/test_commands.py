@@ -25,7 +25,7 @@ def test_every_experiment_is_listed():
     assert commands == set(EXPERIMENTS)
 
 
-def test_ten_commands_are_listed_first_and_all_when_asked(capsys):
+def test_ten_commands_are_listed_by_default_and_all_on_request(capsys):
     def listed(*words):
         assert main(words) == 0
         return [line.split()[2] for line in capsys.readouterr().out.splitlines() if line.startswith("python")]
@@ -47,7 +47,7 @@ def test_versions_name_python_and_each_installed_package_that_is_required(capsys
     assert "imagine2touch" not in listed
 
 
-def test_an_installed_command_says_how_it_is_used(capsys, monkeypatch):
+def test_an_installed_command_prints_its_usage(capsys, monkeypatch):
     assert list(PROJECT["scripts"]) == ["i2t-collect", "i2t-convert", "i2t-reskin", "i2t-view"]
     for name, entry in PROJECT["scripts"].items():
         monkeypatch.setattr("sys.argv", [name, "--help"])

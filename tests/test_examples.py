@@ -1,4 +1,4 @@
-"""Each program of examples/ runs, and does what it says."""
+"""Each program of examples/ runs and does what its documentation states."""
 
 import importlib.util
 import json
@@ -54,7 +54,7 @@ def test_the_data_are_those_that_their_program_makes(tmp_path):
     assert all(path.stat().st_size < 100_000 for path in DATA.iterdir() if path.is_file())
 
 
-def test_a_table_of_simulated_presses_is_no_real_data(tmp_path):
+def test_a_table_of_simulated_presses_is_not_real_data(tmp_path):
     table = DATA / "presses.csv"
     assert convert(["presses", str(table), str(tmp_path / "set"), "--indenter", "sphere:4.0"]) == 0
     dataset = i2t.load_dataset(tmp_path / "set")
@@ -146,8 +146,8 @@ def test_the_paper_in_one_page(capsys):
     assert "of 6 after 2 touches (chance 33%; simulated)" in capsys.readouterr().out
 
 
-def test_a_predictor_of_one_s_own_is_trained_compared_kept_and_loaded_like_any_other(tmp_path, capsys):
-    """One file and one line; a network's options are one line each too."""
+def test_a_user_defined_predictor_is_trained_compared_saved_and_loaded(tmp_path, capsys):
+    """It needs one file and one line; each option of a network is one more line."""
     rng = np.random.default_rng(0)
     slope, n = rng.uniform(-1, 1, (80, 2)), 80
     at = np.linspace(0, 1, 48)
@@ -174,7 +174,7 @@ def test_a_predictor_of_one_s_own_is_trained_compared_kept_and_loaded_like_any_o
 
 
 @pytest.mark.full
-def test_a_saved_predictor_of_one_s_own_is_loaded_once_its_module_is_imported(tmp_path, monkeypatch):
+def test_a_user_defined_predictor_loads_once_its_module_is_imported(tmp_path, monkeypatch):
     example = _load(12)
     predictor = example.main(str(tmp_path / "p"), 36)
     again = i2t.load_predictor(tmp_path / "p")

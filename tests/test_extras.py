@@ -1,4 +1,4 @@
-"""What needs an extra, or a folder that may be written, says so before it works."""
+"""A missing extra or an unwritable folder is reported before any work."""
 
 import sys
 import tomllib
@@ -36,7 +36,7 @@ def test_an_experiment_looks_for_its_extra_before_it_works(tmp_path, monkeypatch
             asked.check()
 
 
-def test_a_command_looks_for_its_extra_before_it_works(tmp_path, monkeypatch, capsys):
+def test_a_command_checks_its_extra_before_it_works(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     (tmp_path / "touches").mkdir()
     assert convert(["lerobot", str(tmp_path / "touches"), str(tmp_path / "lerobot")]) == 2
@@ -44,14 +44,14 @@ def test_a_command_looks_for_its_extra_before_it_works(tmp_path, monkeypatch, ca
     assert sorted(path.name for path in tmp_path.iterdir()) == ["touches"]
 
 
-def test_a_random_object_names_what_draws_it(monkeypatch):
+def test_a_random_object_is_refused_with_the_option_that_draws_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "manifold3d", None)
     assert len(make_object("hammer").mesh.faces) > 1000
     with pytest.raises(MissingExtraError, match=r"a random object needs manifold3d, .*imagine2touch\[shapes\]"):
         random_object(0)
 
 
-def test_where_results_go_is_looked_at(tmp_path, monkeypatch):
+def test_the_output_folder_is_checked(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     with pytest.raises(ValueError, match="is a file; name a folder"):
         require_writable("--out", tmp_path / "file" / "below" / "it.png")

@@ -40,7 +40,7 @@ def test_rotations_are_scipy_s_and_the_inverse_undoes(rotvec, translation, point
 
 @pytest.mark.full
 def test_derivatives_are_right_at_rest():
-    """There the exponential of a twist is the identity plus its generator, so the chain of both is the identity."""
+    """At rest, the exponential of a twist is the identity plus its generator, so the chain of both is the identity."""
     generators = np.cross(np.eye(3)[:, None], np.eye(3)[None]).transpose(2, 1, 0)  # d R_ij / d r_k
     np.testing.assert_allclose(jax.jacfwd(geometry.so3_exp)(jnp.zeros(3)), generators, atol=ROUNDING)
     np.testing.assert_allclose(jax.jit(jax.jacfwd(there_and_back))(jnp.zeros(6)), np.eye(6), atol=ROUNDING)
@@ -150,7 +150,7 @@ def test_products_of_poses_keep_all_digits_on_every_device():
         assert all("precision=(Precision.HIGHEST, Precision.HIGHEST)" in product[:300] for product in products)
 
 
-def test_rigid_motions_are_told_from_others():
+def test_rigid_motions_are_distinguished_from_others():
     for rotation in Rotation.random(5, rng=0).as_matrix():
         T = geometry.transform(rotation, np.array([0.1, -2, 3])).astype(np.float32)
         assert geometry.is_rigid(jnp.asarray(T))

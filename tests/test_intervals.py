@@ -1,4 +1,4 @@
-"""Intervals over clusters: they cover what they claim where episodes of a cluster are alike."""
+"""Intervals over clusters have their stated coverage if episodes of a cluster are dependent."""
 
 from itertools import combinations
 
@@ -45,7 +45,7 @@ def test_crossed_factors_give_the_t_interval_of_the_variances_of_their_clusters_
     assert (found.mean - found.low, found.high - found.mean) == pytest.approx((half, half), rel=0.02)
 
 
-def test_seed_interval_covers_as_often_as_it_says():
+def test_seed_intervals_have_their_stated_coverage():
     draws = np.random.default_rng(1).normal(3, 2, (4000, 5))
     _, low, high = np.array([student_interval(list(row)) for row in draws]).T
     # Student's interval is exact for normal values: a binomial proportion, 4.5 deviations.
@@ -58,8 +58,8 @@ def test_seed_interval_covers_as_often_as_it_says():
 
 @pytest.mark.parametrize("groups", [4, 30])
 def test_grouped_interval_covers_where_rows_of_a_group_agree(groups):
-    """Of a mean of normal groups it is Student's, exact but for the draws, whose variance is off by a few in
-    a hundred. Five rows that say the same are one: taken apart, the interval is sqrt(5) too short.
+    """For a mean of normal groups, the interval is Student's, exact except for the draws, whose variance is off by a
+    few per cent. Five equal rows count as one: as separate rows, the interval would be sqrt(5) too short.
     """
     rng, repeats = np.random.default_rng(2), 120
     members = np.repeat(np.arange(groups), 5)
@@ -102,7 +102,7 @@ def test_p_values_of_intervals_are_those_of_the_t_test_and_holm_adjusts_them_ste
 
 
 def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():
-    """Two say nothing about others: the interval is over the pools, as if the pads were fixed."""
+    """Two pads say nothing about others: the interval is over the pools, as if the pads were fixed."""
     rng = np.random.default_rng(1)
     pad, pool, _ = _episodes(5, 4, 1, 10)
     values = rng.normal(size=20)[pool] + rng.normal(size=len(pad))
@@ -121,7 +121,7 @@ def test_pools_within_pads_add_nothing_and_two_pads_are_these_two_pads():
         ("nearly always right", 5, 4, 3.0, (1.0, 1.0)),
     ],
 )
-def test_it_covers_clustered_rates_where_binomial_intervals_do_not(name, pads, pools, middle, spread):
+def test_the_interval_covers_clustered_rates_unlike_binomial_ones(name, pads, pools, middle, spread):
     """Accuracies of clusters differ by a logit of `spread` (pads, pools), as they do in recognition."""
     covered, naive, trials = 0, 0, 150
     nodes = np.random.default_rng(9).normal(size=20_000) * np.hypot(*spread)
@@ -218,7 +218,7 @@ def coverage(rate: float, alike: float, labels: int, repeats: int, draws: int) -
     return float(np.mean((interval.low <= rate) & (rate <= interval.high)))
 
 
-def test_it_covers_rates_near_certainty_of_a_few_labels():
+def test_the_interval_covers_rates_near_certainty_of_a_few_labels():
     assert coverage(0.97, 0.6, 10, 30, 500) > 0.93  # 0.51 of intervals that trust the spread of such labels
     assert coverage(0.99, 0.6, 20, 30, 500) > 0.93  # 0.38
 
@@ -232,7 +232,7 @@ def test_the_interval_covers_rates_near_certainty(labels, repeats, alike, rate):
     assert coverage(rate, alike, labels, repeats, 3000) > 0.94
 
 
-def test_clusters_that_are_alike_by_chance_are_no_certainty():
+def test_clusters_with_equal_means_do_not_narrow_the_interval():
     label, values = np.repeat(np.arange(3), 50), np.tile([0.0] * 45 + [1.0] * 5, 3)
     found = mean_interval(values, [label])
     assert found.high - found.mean == pytest.approx(stats.t.ppf(0.975, 2) * values.std() / np.sqrt(150))
@@ -247,7 +247,7 @@ def test_one_fraction_everywhere_is_as_many_trials_as_there_are_episodes(fractio
 
 
 def test_any_statistic_of_weights_where_no_factor_means_independent_episodes():
-    """A ratio of sums."""
+    """The statistic is a ratio of sums."""
     a, b = np.array([1.0, 2.0, 3.0, 4.0] * 10), np.array([2.0, 2.0, 4.0, 6.0] * 10)
     found = bootstrap_clusters(lambda w: (w @ a) / (w @ b), [], 40, draws=4000)
     residual = (a - a.sum() / b.sum() * b) / b.mean()

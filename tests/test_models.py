@@ -1,4 +1,4 @@
-"""The ready models: they load by name from the package alone, say what they are of, and their cards are true."""
+"""The ready models: they load by name from the package alone, state their origin, and their cards are correct."""
 
 import json
 import re
@@ -33,7 +33,7 @@ def test_ready_models_are_small_and_part_of_the_package():
         assert all((folder / part).exists() for part in parts)
 
 
-def test_a_folder_of_the_users_own_is_meant_before_a_ready_model(tmp_path, monkeypatch):
+def test_a_user_s_folder_takes_precedence_over_a_ready_model(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert ready_path("nominal", "predictor").is_dir()
     assert ready_path("runs/train", "predictor") == Path("runs/train")
@@ -114,7 +114,7 @@ def test_the_board_is_the_one_that_the_predictor_was_trained_on(capsys):
     assert "does not name its board; its readings are drawn at the chips of eflesh" in capsys.readouterr().out
 
 
-def test_a_slip_in_the_name_of_a_ready_model_is_named(tmp_path, monkeypatch):
+def test_a_misspelt_ready_model_gets_a_suggestion(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for load, name, meant in (
         (i2t.load_pad_model, "Nominal", "did you mean nominal?"),
@@ -126,8 +126,8 @@ def test_a_slip_in_the_name_of_a_ready_model_is_named(tmp_path, monkeypatch):
 
 
 @pytest.mark.full
-def test_the_ready_predictor_imagines_touches(tmp_path, monkeypatch, capsys):
-    """As a newcomer calls it: where no run was made before, so that there is no folder for its picture."""
+def test_the_ready_predictor_predicts_touches(tmp_path, monkeypatch, capsys):
+    """A new user calls it where no run was made before, so that the folder for its picture does not exist."""
     monkeypatch.chdir(tmp_path)
     assert imagine.main(["star", "--sites", "2"]) == 0
     assert "+-" in capsys.readouterr().out
@@ -137,7 +137,7 @@ def test_the_ready_predictor_imagines_touches(tmp_path, monkeypatch, capsys):
 
 @pytest.mark.full
 def test_the_ready_predictor_is_as_good_as_its_card_says():
-    """On new simulated touches of an object that it has not seen, with the pad and the errors of its training."""
+    """It is tested on new simulated touches of an unseen object, with the pad and the errors of its training."""
     surface = i2t.prepare_surface(i2t.make_object("hammer").mesh)
     made = i2t.simulate_touches(jax.random.key(7), [surface], pad_from_seed(0), SimulationErrors(), 36)
     given = {"force": made.force, "nearest": made.nearest, "travel": made.travel, "view": made.view}

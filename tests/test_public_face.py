@@ -1,4 +1,4 @@
-"""`import i2t`: what it gives, what it costs, how it shows itself, and what it refuses."""
+"""`import i2t`: its names, its cost, its texts, and its refusals."""
 
 import inspect
 import json
@@ -37,7 +37,7 @@ def test_importing_it_loads_nothing_heavy():
 
 
 def test_types_data_sets_objects_and_the_hardware_side_import_no_jax_and_no_sdk():
-    """So tools of devices start at once, and run where no JAX and no other device's library is."""
+    """Device tools therefore start at once, and run without JAX and without other devices' libraries."""
     sdks = {"cv2", "serial", "pyrealsense2", "rtde_control", "rtde_receive"}
     modules = [
         "i2t.emulators.reskin_board",

@@ -1,4 +1,4 @@
-"""The ROS 2 example under a stand-in for rclpy: every sample is published with its time, a gone board comes back."""
+"""The ROS 2 example with a substitute for rclpy: every sample is published with its time, a lost board reconnects."""
 
 import importlib.util
 import sys
@@ -19,7 +19,7 @@ def fake_time(seconds=0.0):
 
 
 class FakeNode:
-    """What of rclpy's Node the example uses."""
+    """The part of rclpy's Node that the example uses."""
 
     def __init__(self, name):
         self.timers, self.sent, self.said, self.clock_s = [], {}, [], 1000.0
@@ -49,7 +49,7 @@ def magnetic_field():
 
 
 class FakeSkin:
-    """Gives samples that a test puts in."""
+    """A skin that returns the samples of the test."""
 
     def __init__(self):
         self.rows, self.gone, self.connects, self.closed = [(0, 5.0, np.arange(15.0))], False, 0, False

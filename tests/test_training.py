@@ -1,4 +1,4 @@
-"""Training against what must hold whatever the data: what it fits, what it repeats exactly, and what it refuses."""
+"""Properties of training that hold for any data: what it fits, what it repeats exactly, and what it refuses."""
 
 from dataclasses import replace
 from functools import partial
@@ -52,7 +52,7 @@ def begin(model: ModelConfig, cfg: TrainConfig, n: int) -> TrainState:
 def fit(
     state: TrainState, model: ModelConfig, cfg: TrainConfig, train: Batch, validation: Batch | None
 ) -> tuple[TrainState, list[EpochInfo]]:
-    """Epochs up to the last."""
+    """Train up to the last epoch."""
     epoch, infos = training.compiled(learner(model), cfg), []
     while not training.finished(state, cfg):
         state, info = epoch(state, train, validation)
@@ -111,7 +111,7 @@ def test_ensemble_members_differ_and_are_what_they_would_be_alone(case: Case) ->
     assert jnp.abs(kernels[0] - kernels[1]).mean() > 0.01  # weights are of order 1/sqrt(64)
 
 
-def test_a_training_that_goes_on_from_any_epoch_repeats_the_uninterrupted_one_exactly(case: Case) -> None:
+def test_a_training_resumed_from_any_epoch_equals_the_uninterrupted_one(case: Case) -> None:
     sets = (case.train, case.validation)
     whole, heard = fit(begin(MODEL, TRAIN, 40), MODEL, TRAIN, *sets)
     assert len(heard) == TRAIN.epochs

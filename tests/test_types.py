@@ -1,4 +1,4 @@
-"""The central types: arrays are as their fields say, and a board has any number of chips."""
+"""The central types: arrays are as annotated, and a board has any number of chips."""
 
 import jax
 import jax.numpy as jnp

@@ -90,7 +90,7 @@ def test_masked_numbers_are_not_a_number():
 
 
 def test_arguments_that_are_not_paths_are_refused():
-    """Without the tests' own check of types, which users do not have."""
+    """The test runs without the test suite's type checks, which users do not have."""
     for function, *others in (
         (ready_path, "predictor"), (read_depth, "mm"), (read_mesh, "mm"),
         (i2t.load_pad,), (i2t.load_dataset,), (i2t.load_predictor,), (read_view,),

@@ -129,7 +129,7 @@ json.dump(said, sys.stdout)
 
 
 def in_one_process(commands: list[str], cwd: Path) -> list[tuple[str, int | None, str, list[str]]]:
-    """Of each command: its words, exit code, errors printed, and heavy libraries loaded by then."""
+    """Words of each command, with its exit code, printed errors, and the heavy libraries that were loaded."""
     done = subprocess.run(
         [sys.executable, "-c", IN_ONE],
         input=json.dumps(commands), cwd=cwd, env=ENVIRONMENT, capture_output=True, text=True, check=False,
@@ -139,7 +139,7 @@ def in_one_process(commands: list[str], cwd: Path) -> list[tuple[str, int | None
 
 
 def judged(code: int | None, printed: str, said: str) -> bool:
-    """Whether it is a refusal in one sentence."""
+    """Whether the output is a refusal in one sentence."""
     if printed.startswith(("╭", "+")):  # tyro's, of words that it cannot read
         return code == 2 and said in " ".join(re.sub(r"[│|]", " ", printed).split())
     sentence = printed.startswith("error: ") and printed.count("\n") == 1 and said in printed
@@ -173,7 +173,7 @@ HELPED = ("i2t", "i2t.collect", "i2t.convert", "experiments.train", "experiments
 
 
 def test_help_imports_neither_jax_nor_numpy():
-    """So it is there at once."""
+    """The help therefore appears at once."""
     for words, code, printed, loaded in in_one_process([f"{module} --help" for module in HELPED], ROOT):
         assert (words, code or 0, printed, loaded) == (words, 0, "", [])
 
@@ -212,7 +212,7 @@ runpy.run_module("experiments.train", run_name="__main__", alter_sys=True)
 @pytest.mark.full
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks at the process through /proc")
 def test_ctrl_c_ends_a_run_in_one_sentence(tmp_path):
-    """Whenever it comes once the command has begun: here while it imports JAX."""
+    """This holds at any time after the command has begun; here, while it imports JAX."""
     command = [sys.executable, "-c", HEARS_CTRL_C, "--preset", "debug", "--out", str(tmp_path / "run")]
     with subprocess.Popen(command, cwd=tmp_path, env=ENVIRONMENT, stderr=subprocess.PIPE, text=True) as process:
         while process.poll() is None and "jaxlib" not in Path(f"/proc/{process.pid}/maps").read_text():
@@ -234,7 +234,7 @@ WHOLE = np.ones((48, 48), bool)
 
 @pytest.fixture(scope="module")
 def predictor() -> Predictor:
-    """The simplest there is: what is refused does not depend on the model."""
+    """The simplest predictor; refusals do not depend on the model."""
     baseline = MeanReading(np.arange(15.0), np.ones(15))
     return Predictor(baseline, 17e-3, REACH, default_force=1.0, default_travel=0.3e-3)
 
@@ -247,13 +247,13 @@ def box() -> i2t.Mesh:
 
 
 def on_top(height: float = 0.0, up: bool = False) -> np.ndarray:
-    """The tool on the middle of the box's top, so far above it, looking down or up."""
+    """The tool above the middle of the box's top at this height, facing down or up."""
     at = np.array([0.0, 0, 60e-3 + height])
     return np.asarray(geometry.contact_frame(at, np.array([0.0, 0, -1.0 if up else 1.0])), np.float32)
 
 
 def sized(**sizes: float) -> DepthPatch:
-    """A flat patch from a depth image that says its size."""
+    """A flat patch from a depth image that states its size."""
     patch = DepthPatch(Patch(FLAT, np.float32(0)), WHOLE, ~WHOLE)
     for name, size in sizes.items():
         setattr(patch, name, size)
@@ -318,7 +318,7 @@ def test_a_force_beyond_the_largest_of_training_is_warned_of_and_four_times_that
 
 
 def test_a_patch_given_whole_predicts_the_same_as_its_parts(predictor):
-    """One, many, or a list of them; a distance that is unknown is none."""
+    """The patch may be one, many, or a list; an unknown distance counts as none."""
     depth = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
     mask, view = np.arange(48 * 48).reshape(48, 48) < 2000, VIEW.copy()
     centre(view, 48)[:] = depth
@@ -345,7 +345,7 @@ def test_a_patch_given_whole_predicts_the_same_as_its_parts(predictor):
 
 @pytest.mark.parametrize("unit", [1e-4, 1e-3])
 def test_a_depth_image_in_another_unit_is_refused(predictor, unit):
-    """The surface lies where the skin is; ten times as far, which the message says with the unit."""
+    """The surface is where the skin is; the image is ten times as far, and the message states it with the unit."""
     camera, stored = Camera(424, 240, 215.0, 215.0, 211.5, 119.5), np.full((240, 424), 1040, np.uint16)
     T_w_c, T_w_t = np.eye(4), np.eye(4)
     T_w_t[2, 3] = 0.104
@@ -362,7 +362,7 @@ def seen(height: float) -> PatchView:
     return PatchView(Patch(FLAT, np.float32(height)), np.zeros((VIEW_PIXELS, VIEW_PIXELS), np.float32))
 
 
-def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
+def test_the_position_of_the_skin_is_judged_by_the_faces_before_and_behind_it(box):
     corners = Surface(np.asarray(box.vertices)[box.faces])
     for pose, height in ((on_top(), 0.0), (on_top(0.9e-3), 0.9e-3), (on_top(-3e-3), -3e-3)):
         user_input.check_in_front(corners, pose, seen(height), 17e-3)
@@ -376,7 +376,7 @@ def test_where_the_skin_lies_is_judged_by_the_faces_before_and_behind_it(box):
 
 @pytest.mark.full
 def test_a_pose_on_the_surface_is_taken_and_one_without_contact_refused_in_one_sentence(predictor, box):
-    """One or many, a little in the air or in the object."""
+    """The poses are one or many, a little in the air or in the object."""
     assert predictor.predict_touch(box, on_top(-3e-3)).mean.shape == (15,)
     with pytest.warns(UserWarning, match="begins 3 mm in front of the skin"):
         assert predictor.predict_touch(box, on_top(3e-3)).mean.shape == (15,)
@@ -400,7 +400,7 @@ def test_a_pose_on_the_surface_is_taken_and_one_without_contact_refused_in_one_s
 
 
 @pytest.mark.full
-def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box, tmp_path):
+def test_meshes_and_files_are_accepted_in_the_frame_of_load_mesh(predictor, box, tmp_path):
     solid = trimesh.Trimesh(1e3 * (box.vertices + np.array([0.5, 0.2, 0.1])), box.faces)
     solid.export(tmp_path / "box.stl")
     loaded = i2t.load_mesh(tmp_path / "box.stl", "mm")
@@ -413,7 +413,7 @@ def test_any_mesh_is_taken_and_a_file_is_where_load_mesh_puts_it(predictor, box,
         predictor.predict_touch(trimesh.Trimesh(1e3 * box.vertices, box.faces), on_top())
     with pytest.raises(ValueError, match="unit is that of a file"):
         predictor.predict_touch(box, on_top(), unit="mm")
-    with pytest.raises(ValueError, match="say in which unit"):
+    with pytest.raises(ValueError, match="its unit is missing"):
         predictor.predict_touch(tmp_path / "box.stl", on_top())
     bodies = [trimesh.creation.box((30, 30, 30)), trimesh.creation.box((30, 30, 29))]
     bodies[1].apply_translation((60, 0, 0))
@@ -440,7 +440,7 @@ def test_a_new_number_of_touches_asks_the_model_for_one_of_three_sizes(predictor
 
 
 def test_unmeasured_pixels_widen_the_predicted_spread(monkeypatch, predictor):
-    """As much as it matters whether something is there."""
+    """The spread grows with the effect that an object there would have."""
     patch = np.linspace(0, 3e-3, 48 * 48, dtype=np.float32).reshape(48, 48)
     mask = np.ones((48, 48), bool)
     mask[30:] = False

@@ -1,5 +1,5 @@
-"""List the commands: `python -m i2t` lists those that users begin with, and --all lists all. --versions prints what a
-report of a fault should contain.
+"""List the commands: `python -m i2t` lists the most common ones, and --all lists all. --versions prints the versions
+that a bug report should contain.
 
 Experiments are not installed; they are listed if the checkout exists.
 """
@@ -17,39 +17,39 @@ from i2t.cli.pipes import ExitCode
 from i2t.errors import did_you_mean
 
 COMMANDS = {
-    "i2t.imagine": "draw what a skin would read on an object",
-    "i2t.collect": "collect touches, simulated or real",
+    "i2t.imagine": "predict and draw the readings of a skin on an object",
+    "i2t.collect": "collect simulated or real touches",
     "i2t.convert": "convert recordings to data sets, and back",
-    "i2t.view": "look at recordings",
+    "i2t.view": "show recordings as a page and in Rerun",
     "i2t.place": "find the pose of an object with a camera",
-    "i2t.hardware.reskin": "show and record a skin",
-    "i2t.hardware.rig": "write and check the file of a lab",
+    "i2t.hardware.reskin": "show and record the readings of a skin",
+    "i2t.hardware.rig": "write and check the calibration file of a lab",
     "i2t.hardware.hand_eye": "find the pose of the camera on the arm",
     "i2t.hardware.touch_off": "find the pose of the skin on the arm",
-    "i2t.hardware.realsense": "show a depth camera",
-    "i2t.emulators.lab": "speak the protocols of an arm and a skin",
+    "i2t.hardware.realsense": "show a depth camera and save its views",
+    "i2t.emulators.lab": "emulate an arm and skins, with their protocols",
 }
 EXPERIMENTS = {
-    "experiments.train": "train a predictor of touches",
-    "experiments.recognize": "which object is it, by touch?",
-    "experiments.studies": "what makes recognition better or worse?",
-    "experiments.calibrate": "how many presses does a calibration need?",
-    "experiments.fidelity": "what is a recording of a skin worth?",
-    "experiments.shapes": "which of five stamps was pressed?",
-    "experiments.tsne": "do views and readings form the same clusters?",
-    "experiments.registration": "patches of real depth images, and rendered ones",
-    "tools.gallery": "draw the pictures of the documents",
+    "experiments.train": "train a predictor of readings",
+    "experiments.recognize": "recognise objects by touch",
+    "experiments.studies": "measure what recognition depends on",
+    "experiments.calibrate": "find how many presses a calibration needs",
+    "experiments.fidelity": "measure the quality of a recording of a skin",
+    "experiments.shapes": "classify which of five stamps was pressed",
+    "experiments.tsne": "compare the clusters of views and of readings",
+    "experiments.registration": "compare patches of real depth images with rendered ones",
+    "tools.gallery": "draw the figures of the documentation",
     "tools.ready_models": "train the models that come with the package",
     "tools.notebooks": "convert notebooks to HTML",
-    "experiments.reconstruct": "which shape do one or many touches show?",
-    "experiments.active_touch": "which touch next? learned policies",
-    "experiments.benchmark": "speeds, compared with other libraries",
-    "tests.faults": "what is lost when something breaks?",
-    "tests.second_world": "do predictors keep their lead under other physics?",
-    "tools.check_docs": "check the documents",
-    "tools.reproduce": "repeat the documents' studies and tables",
+    "experiments.reconstruct": "reconstruct shapes from one or many touches",
+    "experiments.active_touch": "learn which site to touch next",
+    "experiments.benchmark": "measure speeds and compare with other libraries",
+    "tests.faults": "inject faults into collections and count what is lost",
+    "tests.second_world": "compare predictors under physics that i2t does not model",
+    "tools.check_docs": "check the documentation",
+    "tools.reproduce": "repeat the studies and tables of the documentation",
 }
-FIRST = (  # commands that users begin with, in this order
+FIRST = (  # most common commands, listed first and in this order
     "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",
     "experiments.train", "experiments.recognize", "experiments.calibrate", "experiments.fidelity",
 )  # fmt: skip

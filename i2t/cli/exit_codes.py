@@ -22,12 +22,12 @@ from i2t.cli.pipes import ExitCode, output_is_closed
 from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError, printable
 from i2t.runtime.compile_cache import use_compile_cache
 
-REMEDIES: dict[type[OSError], str] = {  # for the system's errors that name a file
+REMEDIES: dict[type[OSError], str] = {  # advice for the operating system's errors that name a file
     FileNotFoundError: "check the name",
     FileExistsError: "give another name",
     NotADirectoryError: "name a folder",
     IsADirectoryError: "name a file",
-    PermissionError: "choose what you may read and write",
+    PermissionError: "choose one that you may read and write",
 }
 
 

@@ -28,7 +28,7 @@ class Limits:
 
     minimum: int | float = -math.inf
     maximum: int | float = math.inf
-    above: bool = False  # whether the minimum itself is excluded
+    above: bool = False  # whether `minimum` itself is excluded
 
     def allow(self, value: int | float) -> bool:
         """Test a number against the limits.
@@ -114,7 +114,7 @@ def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -
             if limits is not None and not limits.allow(float(number)):
                 raise ValueError(f"--{flag} is {number:.10g}; give {limits}")
             if math.isnan(number):
-                raise ValueError(f"--{flag} is not a number; give one")
+                raise ValueError(f"--{flag} is NaN; give a number")
         if isinstance(value, tuple) and not value and any(word.replace("_", "-") == f"--{flag}" for word in given):
             raise ValueError(f"--{flag} has no values; give at least one, or leave it out")
 

@@ -24,13 +24,15 @@ class ArmArgs:
 
     FLAT: ClassVar[bool] = True  # flags are --host, not --arm.host
 
-    # ur, simulated, emulated (the real driver with an emulated controller), or an arm of another package, by the name
-    # that it registers or as package.module:Class
+    # arm: ur, simulated, emulated (the real driver with an emulated controller), or an arm of another package by its
+    # registered name or as package.module:Class
     kind: Annotated[str, tyro.conf.arg(name="arm")] = "simulated"
-    host: str | None = None  # address of the arm's controller
-    # time (s) without a state after which the connection to a UR arm, real or emulated, counts as lost; by default 0.1
+    host: str | None = None  # address of the arm's controller; required for a UR arm
+    # time (s) without a state update after which the connection to a UR arm, real or emulated, counts as lost; by
+    # default, 0.1
     state_timeout: Annotated[float, Limits(*SAFETY.state_timeout_range)] | None = None
-    # rate (Hz) at which a UR controller, real or emulated, must hear from this program; by default 10
+    # minimum rate (Hz) of this program's heartbeats, below which a UR controller, real or emulated, ends its program;
+    # by default, 10
     watchdog_rate: Annotated[float, Limits(*SAFETY.watchdog_rate_range)] | None = None
 
     def check(self) -> None:
@@ -52,13 +54,13 @@ class SkinArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # reskin, simulated, emulated, or a skin of another package
+    # skin: reskin, simulated, emulated, or a skin of another package, named as for --arm
     kind: Annotated[str, tyro.conf.arg(name="skin")] = "simulated"
-    port: str | None = None  # serial port of the skin; by default that of the only board plugged in
-    # serial number of the skin's board, instead of its port, if several boards are plugged in
+    port: str | None = None  # serial port of the skin; by default, that of the only board plugged in
+    # serial number of the skin's board; identifies it instead of --port if several boards are plugged in
     skin_serial: str | None = None
     # board of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml);
-    # by default reskin, and for simulated skins the board of --pad. A skin of another package brings its own board
+    # by default, reskin, and for simulated skins the board of --pad. A skin of another package has its own board
     board: str | None = None
 
     def check(self) -> None:
@@ -80,7 +82,7 @@ class CameraArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # realsense, simulated, or a camera of another package
+    # depth camera: realsense, simulated, or a camera of another package, named as for --arm
     kind: Annotated[str, tyro.conf.arg(name="camera")] = "simulated"
     # serial number of a RealSense, if several are plugged in; or the address of a camera of another package
     camera_serial: str | None = None
@@ -98,11 +100,12 @@ class LabArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # calibration of the lab (python -m i2t.hardware.rig); required for a real arm, by default that of the emulated lab
+    # the lab's calibration file (python -m i2t.hardware.rig); required for a real arm; by default, that of the emulated
+    # lab
     rig: Path | None = None
-    # pose of the object in the world: x y z in m, then rotations about x y z in degrees; by default that of the rig
+    # pose of the object in the world: x y z in m, then rotations about x y z in degrees; by default, that of the rig
     pose: tuple[float, float, float, float, float, float] | None = None
-    accept_unusual_rig: bool = False  # continue with a rig that looks wrong, because it is only unusual
+    accept_unusual_rig: bool = False  # accept a rig whose values look wrong but are only unusual
 
     def check(self) -> None:
         """Refuse a missing rig, and a pose outside any lab; raise a ValueError that names the flag."""
@@ -120,21 +123,23 @@ class LabArgs:
 class CollectArgs:
     """Collect touches of an object."""
 
-    out: Path = Path("runs/collect")  # folder of the touches; a collection that was begun there is resumed
+    # folder in which the touches are written; a collection that was begun there is resumed
+    out: Path = Path("runs/collect")
     touches: Count = 36  # number of touches to collect
     arm: Annotated[ArmArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=ArmArgs)
     skin: Annotated[SkinArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=SkinArgs)
     camera: Annotated[CameraArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=CameraArgs)
     world: Annotated[WorldArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=WorldArgs)
     lab: Annotated[LabArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=LabArgs)
-    name: str | None = None  # name of the object in the data set; by default that of the catalogue or the file
+    # name of the object in the data set; by default, its name in the catalogue or that of its file
+    name: str | None = None
     pad_name: str | None = None  # name of the skin in the data set
-    # name of the session in the data set; by default the object and the time of its beginning
+    # name of the session in the data set; by default, the object's name and the time at which the session begins
     session: str | None = None
-    dry_run: bool = False  # check everything and draw the rig, but move nothing and write no touch
-    skip_first_touch: bool = False  # omit the looks and slow touches that check the rig before the first touch
-    settings: TouchSettings = field(default_factory=TouchSettings)  # settings of a touch
-    sites: SiteLimits = field(default_factory=SiteLimits)  # conditions of a safe site
+    dry_run: bool = False  # check everything and draw the rig, but move nothing and record no touch
+    skip_first_touch: bool = False  # skip the camera views and slow touches that check the rig before the first touch
+    settings: TouchSettings = field(default_factory=TouchSettings)  # distances, speeds and limits of a touch
+    sites: SiteLimits = field(default_factory=SiteLimits)  # conditions under which a site is safe to touch
 
     def check(self) -> None:
         """Refuse options that contradict each other, and missing files; raise a ValueError that names the flag."""

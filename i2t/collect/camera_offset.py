@@ -2,7 +2,7 @@
 
 An object that is displaced by o in the world appears displaced by o in both looks. A camera that is displaced by e in
 the tool turns with it: the first look sees everything shifted by o - e, the second by o - R e in the axes of the first,
-where R is the turn. The difference of both is (R - 1) e, whatever o is. Errors of T_tool_camera and of T_flange_tool
+where R is the turn. The difference of both is (R - 1) e for any o. Errors of T_tool_camera and of T_flange_tool
 have the same effect.
 
 A look does not determine one shift, but a set of shifts that explain it about as well as the best: all those along an
@@ -37,8 +37,8 @@ def matching_shifts(
         expected: Depth (m) of object and table at their poses in the rig.
         on_object: Mask of the pixels that show the object. The pixels around them count too.
         pixel: Width and height (m) of a pixel at the object's distance.
-        tolerance: Bound (m) to which differences of depth are clipped, since a distant background says nothing more
-            than a near one. Shifts up to twice this distance are tried.
+        tolerance: Bound (m) to which differences of depth are clipped, since a distant background is no more
+            informative than a near one. Shifts up to twice this distance are tried.
         max_steps: Maximum number of steps in which shifts are tried in either direction.
         fit_margin: Mean difference (m) over a view's pixels by which the true shift may fit worse than the best. The
             default is a third of the noise of a pixel's depth. The mean over thousands of pixels has little noise, but

@@ -115,7 +115,7 @@ def _view_measured(procedure: Procedure) -> list[str]:
     median = f", median {1e3 * np.nanmedian(depth):.0f} mm" if measured.any() else ""
     coverage = f"{100 * measured.mean():.0f} % of the pixels measured{median}"
     print(f"{name}: {coverage}")
-    return [] if measured.mean() > 0.1 else [f"{name} sees hardly anything, {coverage}; is it covered?"]
+    return [] if measured.mean() > 0.1 else [f"{name} measures almost nothing, {coverage}; check whether it is covered"]
 
 
 def _camera_fits(procedure: Procedure) -> list[str]:

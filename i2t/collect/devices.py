@@ -21,7 +21,7 @@ class Devices(NamedTuple):
     """Devices that have not been connected, and their common clock."""
 
     arm: GuardedArm
-    skins: tuple[SkinOnTool, ...]  # the first is the pressing skin
+    skins: tuple[SkinOnTool, ...]  # skins on the tool; the first is the pressing skin
     camera: DepthCamera
     clock: Clock
 
@@ -72,13 +72,13 @@ def require_compatible(args: CollectArgs, rig: Rig) -> None:
         plugin = find_plugin("skin", skin.device, _option(skin))
         if plugin.arms and args.arm.kind not in plugin.arms:
             raise ValueError(
-                f"{_option(skin)} is {skin.device}, and feels nothing on this arm; pass --arm "
+                f"{_option(skin)} is {skin.device}, which does not work with this arm; pass --arm "
                 f"{' or '.join(plugin.arms)}, or another skin"
             )
         if plugin.address_follows_arm and bool(args.arm.host) != bool(skin.address):
             raise ValueError(
-                f"{_option(skin)} is {skin.device}, and emulators that already run have a --host and a port; give "
-                "both, or neither"
+                f"{_option(skin)} {skin.device}: a running emulator needs both --host and a port; give both, or "
+                "neither to start one"
             )
 
 
@@ -125,13 +125,13 @@ def _make_skin(wanted: CarriedSkin, setup: DeviceSetup) -> SkinOnTool:
     board = getattr(skin, "board", None) or (None if wanted.name == TOOL else make_board(wanted.board))
     if board is None:
         raise ValueError(
-            f"{_option(wanted)} {wanted.device}: does not state where its chips are; give it an attribute board, such "
-            "as i2t.skin.boards.reskin_board(), or grid_board() for chips in a square"
+            f"{_option(wanted)} {wanted.device}: has no positions of its chips; give it an attribute board, such as "
+            "i2t.skin.boards.reskin_board(), or grid_board() for chips in a square"
         )
     board, values = Board(*(np.asarray(part) for part in board)), len(skin.features.channels)
     if values != board.num_readings:
         raise ValueError(
-            f"{skin.features.name} sends {values} values, and a board of {board.num_chips} chips has "
+            f"{skin.features.name} sends {values} values, but a board of {board.num_chips} chips has "
             f"{board.num_readings}; give the skin an attribute board with its own chips"
         )
     note = board_note(wanted.board or DEFAULT_BOARD)

@@ -55,34 +55,40 @@ CHECK_CAMERA_ADVICE = (
 class FirstTouchConfig:
     """Choice and tolerances of the first looks and slow touches."""
 
-    num_candidates: int = 32  # sites among which those of the looks and touches are chosen
+    num_candidates: int = 32  # number of candidate sites for the first looks and touches
     num_looks: int = 3
     num_sides: int = 2
-    num_standard_deviations: float = 3.0  # largest accepted deviation of a right rig, in standard deviations
+    num_standard_deviations: float = 3.0  # largest deviation of a correct rig, in standard deviations
     # Looks.
-    look_radius: float = 40e-3  # m around a site within which depth is compared
-    min_depth_tolerance: float = 6e-3  # m, smallest tolerance of depth
+    look_radius: float = 40e-3  # m, radius around a site within which depth is compared
+    min_depth_tolerance: float = 6e-3  # m, smallest tolerance of a depth
     # Standard deviation (m) of the camera's line of sight: 1 mm of position, and half a degree seen from 120 mm.
     camera_std: float = 1.5e-3
-    max_wrong_pixel_fraction: float = 0.1  # limit for all looks together
-    max_wrong_pixel_fraction_of_look: float = 0.3  # limit for a single look, which fails at once
-    min_measured_pixel_fraction: float = 0.3  # minimum fraction of the object's pixels with a depth
+    # largest fraction of pixels, over all looks together, that may contradict the rig
+    max_wrong_pixel_fraction: float = 0.1
+    # largest fraction of pixels of a single look that may contradict the rig
+    max_wrong_pixel_fraction_of_look: float = 0.3
+    min_measured_pixel_fraction: float = 0.3  # smallest fraction of the object's pixels that must have a depth
     min_offset_tolerance: float = 4e-3  # m, smallest tolerance of the camera's lateral offset
-    max_offset_uncertainty: float = 4e-3  # m; the offset along a direction with a larger one counts as unknown
+    # m, largest uncertainty of the lateral offset along a direction; beyond it the offset is unknown
+    max_offset_uncertainty: float = 4e-3
     # Turns of the tool for the repeated look; the first that can be reached is used.
     turns_deg: tuple[float, ...] = (180, 120, -120, 90, -90)
     # Slow touches.
     min_touch_tolerance: float = 4e-3  # m, smallest tolerance of the contact's position
-    max_onset_travel: float = 1e-3  # m past first contact within which a press is felt
-    side_tilts_deg: tuple[float, ...] = (60.0, 45.0)  # tilts of the tool at a side, tried in this order
-    side_step_deg: int = 15  # between the sides that are tried
-    side_edge: float = 0.5e-3  # m within which several corners of a mesh are touched at once
-    max_side_cosine: float = 0.5  # between the directions of two sides
-    averaging_s: float = 0.5  # duration of the samples whose mean is a reading, of at most `max_samples`
+    max_onset_travel: float = 1e-3  # m past first contact, travel within which a press must be detected
+    # tilts (degrees) of the tool for a touch of a side, tried in this order
+    side_tilts_deg: tuple[float, ...] = (60.0, 45.0)
+    side_step_deg: int = 15  # angle (degrees) between successive sides that are tried
+    side_edge: float = 0.5e-3  # m, distance within which several corners of a mesh are touched at once
+    max_side_cosine: float = 0.5  # largest cosine of the angle between the directions of two sides
+    # duration (s) of the samples that are averaged into a reading, of which there are at most `max_samples`
+    averaging_s: float = 0.5
     max_samples: int = 200
-    force: float = 3.0  # N that end a slow touch, above the error of a UR's sensor in motion
-    speed: float = 5e-3  # m/s
-    max_prepare: float = 0.3  # m before a site, the upper limit of `TouchSettings.prepare`
+    force: float = 3.0  # N, force that ends a slow touch, above the error of a UR's sensor in motion
+    speed: float = 5e-3  # m/s, speed of a slow touch
+    # m before a site, largest distance at which a slow touch may start: the limit of `TouchSettings.prepare`
+    max_prepare: float = 0.3
     # N in the air before the sensor is zeroed; a larger force is a payload that is wrong by 0.3 kg. A UR5e's data sheet
     # states an accuracy of 4 N and a precision of 3.5 N over its whole range. An arm that stands still in the air is
     # expected to be better; that was not measured.
@@ -101,8 +107,8 @@ class SlowTouch(NamedTuple):
 
     name: str
     site: Site
-    tolerance: float  # m from the site within which the tool must meet the object
-    procedure: Procedure  # a procedure with slow settings
+    tolerance: float  # m, distance from the site within which the tool must meet the object
+    procedure: Procedure  # procedure whose settings are those of slow touches
 
 
 class FirstTouchPlan(NamedTuple):
@@ -111,7 +117,7 @@ class FirstTouchPlan(NamedTuple):
     """
 
     looks: tuple[Site, ...]
-    pair: tuple[Site, ...]  # a site, and the same with the tool turned; empty if none can be reached
+    pair: tuple[Site, ...]  # a site, and the same site with the tool turned; empty if none can be reached
     touches: tuple[SlowTouch, ...]
 
 
@@ -119,9 +125,9 @@ class Look(NamedTuple):
     """Result of a look."""
 
     wrong: float  # fraction of the object's pixels that contradict the rig
-    missed: float  # fraction that would contradict it if there were no object
-    shifts: Array  # (n, 3) m in W, shifts of the expected view that explain the measured one
-    R_w_t: Array  # (3, 3) rotation of the tool
+    missed: float  # fraction of the object's pixels that would contradict the rig if there were no object
+    shifts: Array  # (n, 3) m, shifts in W of the expected view that explain the measured view
+    R_w_t: Array  # (3, 3) rotation of the tool in W
 
 
 def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPlan:
@@ -299,14 +305,15 @@ def check_rig_by_touch(procedure: Procedure, sampler: SiteSampler, report: Calla
     wrong, missed = (float(np.mean(shares)) for shares in zip(*(look[:2] for look in looks), strict=True))
     if not wrong <= _CONFIG.max_wrong_pixel_fraction:
         raise _displaced_error("in the first looks", wrong, procedure, plan.looks[0])
-    report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not where the rig has them")
+    report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not at their place in the rig")
     if plan.pair:
         report(_compare_looks(looks[plan.looks.index(plan.pair[0])], looks[-1]))
     else:
         report("first looks: none can be repeated with the tool turned; a lateral error of the TCP may go unnoticed")
     if not missed > _CONFIG.max_wrong_pixel_fraction:
         report(
-            "first looks: they prove nothing, because they would look alike without the object; the slow touches decide"
+            "first looks: they are inconclusive, because they would look alike without the object; the slow touches "
+            "decide"
         )
     for touch in plan.touches:
         try:
@@ -385,8 +392,8 @@ def _check_air(procedure: Procedure) -> None:
     force = float(np.linalg.norm(state.wrench[:3]))
     if not (state.moving or force <= _CONFIG.max_air_force):
         raise RigContradictedError(
-            f"the arm feels {force:.1f} N before anything is touched, as if {force / 9.81:.1f} kg were wrong: check "
-            "tool.mass and tool.centre of the rig, or free the tool"
+            f"the arm measures {force:.1f} N before anything is touched, as if {force / 9.81:.1f} kg of payload "
+            "were missing or too much: check tool.mass and tool.centre of the rig, or free the tool"
         )
 
 
@@ -407,8 +414,8 @@ def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> Look:
     seen, wrong = depth_contradiction(depth, expected, on_object, *within)
     if not seen >= _CONFIG.min_measured_pixel_fraction:
         raise RigContradictedError(
-            f"the camera measured {100 * seen:.0f} % of the pixels in which site {site.number} should be; is it "
-            f"covered, shiny or too near? Else {CHECK_CAMERA_ADVICE}"
+            f"the camera measured {100 * seen:.0f} % of the pixels where site {site.number} should be; check whether "
+            f"it is covered, shiny or too near, and {CHECK_CAMERA_ADVICE}"
         )
     if not wrong <= _CONFIG.max_wrong_pixel_fraction_of_look:
         raise _displaced_error(f"at site {site.number}", wrong, procedure, site)
@@ -423,7 +430,7 @@ def _compare_looks(first: Look, second: Look) -> str:
     along, offset, uncertainty = lateral_offset(first.shifts, second.shifts, (first.R_w_t, second.R_w_t))
     measured = ~(uncertainty > _CONFIG.max_offset_uncertainty)
     if not measured.any():
-        return "first looks: they could not measure the lateral offset of the camera"
+        return "first looks: the lateral offset of the camera could not be measured"
     worst = int(np.argmax(np.abs(offset) * measured))
     x, y = 1e3 * offset[worst] * along[worst]
     if not abs(offset[worst]) <= max(
@@ -433,7 +440,7 @@ def _compare_looks(first: Look, second: Look) -> str:
             f"two looks at a site, with the tool turned in between, show that the camera is off by {x:+.0f} and "
             f"{y:+.0f} mm along the tool's x and y; check T_flange_tool and T_tool_camera"
         )
-    further = "" if measured.all() else ", and maybe further in directions that they could not measure"
+    further = "" if measured.all() else ", and possibly further in directions that could not be measured"
     return f"first looks: the camera is off by {x:+.1f} and {y:+.1f} mm along the tool's x and y{further}"
 
 
@@ -479,12 +486,13 @@ def _touch(touch: SlowTouch) -> str:
     offset = press.result.distance - float(np.nan_to_num(into)) - settings.near
     if press.result.reason == "distance":
         raise RigContradictedError(
-            f"{which} met nothing up to {1e3 * settings.overtravel:.0f} mm past where the rig has the object; {remedy}"
+            f"{which} met nothing up to {1e3 * settings.overtravel:.0f} mm past the object's surface in the rig; "
+            f"{remedy}"
         )
     if not abs(offset) <= tolerance:
         raise RigContradictedError(
-            f"{which} met something {1e3 * abs(offset):.0f} mm {'after' if offset > 0 else 'before'} the object should "
-            f"begin; {remedy}, and look for obstacles"
+            f"{which} met something {1e3 * abs(offset):.0f} mm {'after' if offset > 0 else 'before'} the object's "
+            f"surface in the rig; {remedy}, and look for obstacles"
         )
     change, force = press.changes[TOOL], -float(press.states[-1].wrench[2])
     defect = press_defect(change, force)

@@ -87,7 +87,7 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
     files = list_touches(args.out) if args.out.is_dir() else []
     notes = read_notes(args.out)
     if notes is None and files:
-        raise DataError(f"{args.out} holds touches that were not collected there; choose another --out")
+        raise DataError(f"{args.out} holds touches that this command did not collect; choose another --out")
     notes = notes or {"session": f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"}
     notes["session"] = args.session or notes["session"]
     if files and "pad-name" not in notes:  # begun by an earlier version
@@ -127,7 +127,7 @@ def require_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> N
     if different:
         changes = "; ".join(f"{key}: {before[key]}, now {now[key]}" for key in different)
         difference = f"{' and '.join(different)} ({changes})".replace("chips ", "layout of chips ")
-        raise DataError(f"{out} was begun with another {difference}; use that again, or another --out")
+        raise DataError(f"{out} was begun with another {difference}; use the earlier value, or another --out")
     notes |= {key: value for key, value in same.items() if value != "" or key not in notes}
 
 

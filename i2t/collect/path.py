@@ -122,9 +122,9 @@ class TouchPath:
         if not final_force <= limits.force:
             allowed = fastest_speed(limits.force - force, limits.stiffness, braking=SAFETY.braking_m_s2)
             raise ValueError(
-                f"{name} is {speed:g} m/s: stopped at {force:g} N, it would end at {final_force:.0f} N, at "
-                f"{limits.stiffness / 1e3:g} N/mm, above the rig's limit, {limits.force:g} N; give {allowed:.2g} m/s "
-                "or less, or lower settings.force"
+                f"{name} is {speed:g} m/s: a motion that is stopped at {force:g} N would end at {final_force:.0f} N "
+                f"(at {limits.stiffness / 1e3:g} N/mm), above the rig's limit, {limits.force:g} N; give {allowed:.2g} "
+                "m/s or less, or lower settings.force"
             )
 
     @property
@@ -151,7 +151,7 @@ class TouchPath:
         if not height <= high:
             raise UnreachableError(
                 f"between sites the tool would move at {height:.3f} m in the base, "
-                f"{1e3 * self.settings.clearance:.0f} mm above the object, and the box ends at {high:.3f} m; raise the "
+                f"{1e3 * self.settings.clearance:.0f} mm above the object, but the box ends at {high:.3f} m; raise the "
                 "box, or lower settings.clearance"
             )
         return float(max(height, low))

@@ -86,7 +86,7 @@ class HeldPress(NamedTuple):
     ambient: dict[str, Array]  # (c,) reading (uT) of each skin before the press, by its name
     states: list[ArmState]  # states before and after the samples in contact
     changes: dict[str, Array]  # (c,) change (uT) of each skin in contact, by its name
-    felt_by: list[str]  # names of the skins that felt the press; the pressing skin if none did
+    felt_by: list[str]  # names of the skins that detected the press; the pressing skin if none did
 
 
 @dataclass
@@ -324,7 +324,7 @@ class Procedure:
             if answering < 0.5 * on_tool.board.num_chips:
                 raise DeviceError(
                     f"only {answering} of {on_tool.board.num_chips} chips of {on_tool.skin.features.name} answer, too "
-                    "few to feel a press; check the board's cables"
+                    "few to detect a press; check the board's cables"
                 )
         return means
 
@@ -347,7 +347,8 @@ class Procedure:
         """Refuse a site that the camera contradicts."""
         if not seen.visible_share >= self.settings.min_visible_share:
             raise TouchFailedError(
-                f"the camera saw {100 * seen.visible_share:.0f} % of the site's surroundings; is it covered, or shiny?"
+                f"the camera saw {100 * seen.visible_share:.0f} % of the surface around the site; check whether it is "
+                "covered or shiny"
             )
         if not seen.nearest >= -self.settings.surface_tolerance:
             raise TouchFailedError(
@@ -410,8 +411,8 @@ class Procedure:
         faces_up = T_b_t[2, 2] > 0
         if faces_up and np.linalg.norm(back[:3, 3] - T_b_t[:3, 3]) < 0.99 * self.settings.prepare:
             raise DeviceError(
-                f"the skin faces up at {format_position(T_b_t[:3, 3])} m, and the box ends behind the tool: lifted, it "
-                "might push into what it touches; bring it back with the pendant"
+                f"the skin faces up at {format_position(T_b_t[:3, 3])} m, and the box ends behind the tool: lifting "
+                "the tool might push the skin into an obstacle; bring it back with the pendant"
             )
         self.arm.go(back, self.path.retreat_speed, self.settings.acceleration)
         back[2, 3] = max(height, back[2, 3])

@@ -6,7 +6,7 @@ last complete entry. Each entry is a line of JSON that begins with its kind: `["
 rows]` (without a name for the pressing skin) and `["arm", row]`.
 
 Devices count seconds that never jump, and files hold Unix time. Both clocks are read when a touch begins, and their
-difference dates everything in that touch. If the difference has changed at the end, somebody has set the clock: the
+difference dates everything in that touch. If the difference has changed at the end, the clock was set: the
 touch is saved with the old difference, and the session ends, because later files would sort before earlier ones.
 
 A nearly full disk, a folder without write permission and a clock that was set back are found before a touch begins,
@@ -64,9 +64,9 @@ class SessionInfo:
 
     object: str
     session: str
-    source: str  # simulated, real or mixed
-    T_w_b: Array  # (4, 4)
-    T_w_o: Array  # (4, 4)
+    source: str  # source of the touches: simulated, real or mixed
+    T_w_b: Array  # (4, 4) pose of the robot's base in W, m
+    T_w_o: Array  # (4, 4) pose of the object in W, m
     camera: Camera
     skins: Mapping[str, SkinInfo]  # by the names of the skins in a touch
     meta: Mapping[str, str] = field(default_factory=dict)
@@ -239,13 +239,13 @@ class Recorder:
             raise _not_kept(self.folder, error) from error
         if free < self._reserve:
             raise StorageError(
-                f"{self.folder}: only {free / 2**20:.0f} MiB are free, and {self._reserve / 2**20:.0f} are required; "
-                "free some space and go on"
+                f"{self.folder}: only {free / 2**20:.0f} MiB are free, but {self._reserve / 2**20:.0f} are required; "
+                "free some space and run the command again"
             )
         if self._clock.wall() < self._newest:
             raise StorageError(
                 f"the computer's clock is {self._newest - self._clock.wall():.0f} s behind the newest touch in "
-                f"{self.folder}; set it right and go on"
+                f"{self.folder}; correct the clock and run the command again"
             )
 
     def begin(self, site: Site, attempt: int) -> EventLog:
@@ -298,7 +298,8 @@ class Recorder:
         self._end_raw(keep=False)
         if jumped:
             raise StorageError(
-                f"the computer's clock jumped by {jump:.1f} s; the touch is saved: set it right and go on"
+                f"the computer's clock jumped by {jump:.1f} s; the touch is saved; correct the clock and run the "
+                "command again"
             )
 
     def abandon(self, reason: str) -> None:

@@ -21,10 +21,10 @@ from i2t.rendering.render import prepare_surface
 class Offset(NamedTuple):
     """Distance and angle of something from its assumed pose."""
 
-    distance: float  # m
-    distance_std: float  # m
-    angle: float  # rad
-    angle_std: float  # rad
+    distance: float  # m, distance from the assumed pose
+    distance_std: float  # m, standard deviation of `distance`
+    angle: float  # rad, angle from the assumed pose
+    angle_std: float  # rad, standard deviation of `angle`
 
     @property
     def significant(self) -> bool:

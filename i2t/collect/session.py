@@ -33,7 +33,7 @@ from i2t.hardware.rig import Rig
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
-ENDS = {
+ENDS = {  # how a press ended, in words
     ReturnCode.SKIN: "stopped by the skin",
     ReturnCode.WRENCH: "stopped by force or torque",
     ReturnCode.AIR: "no contact",

@@ -16,30 +16,35 @@ class TouchSettings:
     motion, watched all the time.
     """
 
-    prepare: Annotated[float, Limits(2e-3, 0.3)] = 40e-3  # distance (m) before the site
-    # distance (m) before the site at which the fast approach ends and the ambient is measured (paper: 10 mm)
+    # distance (m) before the site from which the tool approaches it
+    prepare: Annotated[float, Limits(2e-3, 0.3)] = 40e-3
+    # distance (m) before the site at which the fast approach ends and the ambient field is measured; the paper uses
+    # 0.01
     near: Annotated[float, Limits(2e-4, 0.3)] = 5e-3
     # distance (m) past the site at which a press ends without contact
     overtravel: Annotated[float, Limits(1e-4, 0.1)] = 6e-3
-    skin_change: Annotated[float, Limits(1, 1e4)] = 25.0  # norm (uT) of the change of a reading that ends a press
-    # fraction of that change that must differ between chips: a uniform change is a field of the room
+    skin_change: Annotated[float, Limits(1, 1e4)] = 25.0  # change of the reading (norm, uT) that ends a press
+    # fraction of --settings.skin-change that must be non-uniform across chips; a uniform change is due to a field of
+    # the room
     nonuniform_share: Annotated[float, Limits(0, 1)] = 0.5
-    # number of averaged samples; a single one is off by 25 uT in two of a thousand cases
+    # number of samples that are averaged before they are compared; a single sample is off by 25 uT in two of a thousand
+    # cases
     averaged_samples: Annotated[int, Limits(1, 1000)] = 10
     # force (N) that ends a press; the paper's recognition uses 7
     force: Annotated[float, Limits(0.2, MAX_SKIN_FORCE_N)] = 8.0
     torque: Annotated[float, Limits(0.05, 50)] = 8.0  # torque (Nm) that ends a press
-    ambient: Annotated[int, Limits(1, 1000)] = 10  # number of samples before contact
-    contact: Annotated[int, Limits(1, 1000)] = 10  # number of samples in contact
+    ambient: Annotated[int, Limits(1, 1000)] = 10  # number of samples of the ambient field before contact
+    contact: Annotated[int, Limits(1, 1000)] = 10  # number of samples of the reading in contact
     # maximum speed (m/s) in the air; the force limit may allow less
     speed: Annotated[float, Limits(1e-3, 1)] = 0.15
     approach: Annotated[float, Limits(1e-4, 0.2)] = 0.02  # speed (m/s) of the fast approach
     press: Annotated[float, Limits(1e-4, 0.05)] = 0.002  # speed (m/s) of a press
     retreat: Annotated[float, Limits(1e-3, 1)] = 0.05  # maximum speed (m/s) of retreats; the force limit may allow less
-    acceleration: Annotated[float, Limits(0.01, 5)] = 0.3  # acceleration (m/s^2)
-    settle: Annotated[float, Limits(0, 10)] = 0.2  # time (s) for the arm to stop swinging, before it looks or zeroes
-    hold: Annotated[float, Limits(0, 10)] = 0.05  # time (s) from the stop to the samples in contact
-    # height (m) of the tool above the object's highest point between sites
+    acceleration: Annotated[float, Limits(0.01, 5)] = 0.3  # acceleration of all motions (m/s^2)
+    # time (s) in which the arm settles before the camera looks or the force sensor is zeroed
+    settle: Annotated[float, Limits(0, 10)] = 0.2
+    hold: Annotated[float, Limits(0, 10)] = 0.05  # time (s) between the stop of a press and its samples in contact
+    # height (m) of the tool above the object's highest point while it moves between sites
     clearance: Annotated[float, Limits(5e-3, 1)] = 0.1
     # fraction of the patch's pixels that the camera must have measured
     min_visible_share: Annotated[float, Limits(0, 1)] = 0.5
@@ -47,14 +52,14 @@ class TouchSettings:
     surface_tolerance: Annotated[float, Limits(5e-4, 0.05)] = 5e-3
     # distance (m) before the end of a press without contact at which the camera may still see the surface
     air_tolerance: Annotated[float, Limits(5e-4, 0.05)] = 3e-3
-    silence: Annotated[float, Limits(0.02, 5)] = 0.15  # time (s) without a sample after which a press ends
-    retries: Annotated[int, Limits(0, 100)] = 2  # number of further attempts after a touch has failed
-    failures: Annotated[int, Limits(1, 1000)] = 3  # number of failed sites in a row after which a person is needed
-    patience: Annotated[float, Limits(0, 600)] = 10.0  # time (s) for a device to be connected again
+    silence: Annotated[float, Limits(0.02, 5)] = 0.15  # time (s) without a sample of the skin after which a press ends
+    retries: Annotated[int, Limits(0, 100)] = 2  # number of further attempts at a site after a touch has failed
+    failures: Annotated[int, Limits(1, 1000)] = 3  # number of failed sites in a row after which the collection stops
+    patience: Annotated[float, Limits(0, 600)] = 10.0  # time (s) in which a lost device may be connected again
 
     def __post_init__(self) -> None:
         check_options(self, group="settings.")
         if self.near > self.prepare:
             raise ValueError(
-                f"settings.near, {self.near:g} m, lies before prepare, {self.prepare:g} m; make it smaller"
+                f"settings.near, {self.near:g} m, is more than settings.prepare, {self.prepare:g} m; make it smaller"
             )

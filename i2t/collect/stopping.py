@@ -81,13 +81,13 @@ class StopCondition:
             The outcome, with force or torque as its reason if the arm itself did not stop at them.
 
         Raises:
-            DeviceError: If the arm did not call the condition on its way, still moves, or is where it should not be.
+            DeviceError: If the arm did not call the condition as it moved, still moves, or is in a wrong place.
         """
         above = self._watch(result.state)
         if result.state.moving:
-            raise DeviceError("the arm's approach has ended, and the arm moves; see `approach` of its driver")
+            raise DeviceError("the arm still moves after its approach has ended; see `approach` of its driver")
         if not (self._asked or result.distance <= 1e-3):  # a shorter approach may end before it asks
-            raise DeviceError("the arm's approach did not ask its stop condition; see `approach` of its driver")
+            raise DeviceError("the arm's approach did not evaluate its stop condition; see `approach` of its driver")
         if result.reason == "distance":
             return result._replace(reason=above or "distance")
         return result._replace(reason=self._above, answer=None) if self._above else result

@@ -22,7 +22,7 @@ TOOL = ""  # name of the pressing skin in a touch
 class SkinOnTool:
     """A skin on the tool: the pressing one, or a further one."""
 
-    name: str  # name in a touch and in files; TOOL for the pressing skin
+    name: str  # name of the skin in a touch and in files; TOOL for the pressing skin
     skin: Skin
     board: Board
     T_tool_skin: Float[Array, "4 4"] = field(default_factory=lambda: np.eye(4))
@@ -42,7 +42,7 @@ class SeenPatch(NamedTuple):
 
     patch: Float[Array, "48 48"]  # m
     view: Float[Array, "72 72"]  # m, the patch with its surroundings
-    nearest: float  # m
+    nearest: float  # m, distance of the nearest surface point along tool z from the tool's origin; negative before it
     visible_share: float  # fraction of the patch's pixels that were measured
 
 
@@ -50,13 +50,13 @@ class SkinTouch(NamedTuple):
     """Measurements of one skin on the tool in a touch."""
 
     T_w_s: Float[Array, "4 4"]  # pose of the skin at the end of the press
-    code: ReturnCode  # code of the press if this skin felt it, else AIR
-    ambient: Float[Array, " c"]  # uT
-    reading: Float[Array, " c"]  # uT, mean in contact minus ambient
-    force: float  # N along the skin's z; NaN unless this skin alone felt the press
+    code: ReturnCode  # code of how the press ended if this skin detected it, else AIR
+    ambient: Float[Array, " c"]  # uT, mean reading before contact
+    reading: Float[Array, " c"]  # uT, mean reading in contact minus ambient
+    force: float  # N, force along the skin's z; NaN unless this skin alone detected the press
     travel: float  # m past first contact; NaN if this skin felt nothing, or if it cannot be estimated
-    seen: SeenPatch | None  # in front of this skin; None in a history, where images would fill the memory
-    counters: SkinCounters  # counts of this touch alone
+    seen: SeenPatch | None  # patch in front of this skin; None in a history, where images would fill the memory
+    counters: SkinCounters  # counts of samples and losses during this touch
 
 
 class TouchResult(NamedTuple):
@@ -65,9 +65,9 @@ class TouchResult(NamedTuple):
     site: Site
     attempt: int
     reason: StopReason
-    skins: Mapping[str, SkinTouch]  # results by the names of the skins
-    camera_view: View | None  # None in a history
-    T_w_c: Float[Array, "4 4"]  # pose of the camera when it took the view
+    skins: Mapping[str, SkinTouch]  # results of the skins by their names
+    camera_view: View | None  # view of the camera before the touch; None in a history
+    T_w_c: Float[Array, "4 4"]  # pose of the camera when the view was taken
 
     @property
     def code(self) -> ReturnCode:
@@ -102,7 +102,7 @@ class SiteOutcome(NamedTuple):
     code: ReturnCode
     reason: str
     touch: TouchResult | None = None
-    reachable: bool = True  # whether the arm may go there
+    reachable: bool = True  # whether the arm can reach the site
 
 
 class TouchFailedError(DeviceError):

@@ -38,8 +38,8 @@ MIN_EDGE_EXTENT_M = 1e-12  # extent along x or y below which an edge counts as p
 class FirstContact(NamedTuple):
     """End of a motion along tool z, at first contact or at the end of the allowed distance."""
 
-    T_w_t: Float[Array, "4 4"]  # tool pose
-    distance: Float[Array, ""]  # m from the site along tool z, negative before the site
+    T_w_t: Float[Array, "4 4"]  # (4, 4) tool pose in W at first contact
+    distance: Float[Array, ""]  # m, travel from the site along tool z to first contact; negative before the site
     hit: Bool[Array, ""]  # whether the skin touched the surface
 
 

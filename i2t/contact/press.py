@@ -37,7 +37,7 @@ from i2t.types import Pad, ReturnCode
 
 # Function (pad, height, indentation, *, grid, start) -> press, such as `i2t.skin.pad.press`.
 PressLaw = Callable[..., Press]
-FINE_SHEETS = 2  # upper sheets of dipoles that are as fine as a fine final grid, for readings within 0.04 uT
+FINE_SHEETS = 2  # number of upper dipole sheets that are as fine as a fine final grid; readings are within 0.04 uT
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class StopSearch:
     """Accuracy of the search for the end of a press, for limits that are met within 0.05 %."""
 
     start_fraction: float = 0.005  # indentation at which the scan begins, as a fraction of the largest allowed one
-    bracket_excess: float = 0.05  # linear excess at which regula falsi ends
+    bracket_excess: float = 0.05  # excess by the linear model at which regula falsi ends
     max_bracket_steps: int = 16
-    bracket_tolerance: float = 1e-2  # relative tolerance of contacts while bracketing
-    secant_tolerance: float = 1e-4  # relative tolerance of contacts in secant steps
-    excess_tolerance: float = 5e-4  # exact excess at which the search ends
+    bracket_tolerance: float = 1e-2  # relative tolerance of the contact solver while the stop is bracketed
+    secant_tolerance: float = 1e-4  # relative tolerance of the contact solver in secant steps
+    excess_tolerance: float = 5e-4  # excess of the exact reading or force over its limit at which the search ends
     # A smaller slope needs a smaller excess, so that the indentation is accurate as well.
     flat_slope: float = 0.3
     flat_excess_tolerance: float = 1e-4
@@ -72,9 +72,10 @@ class PressLimits:
         touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 1000, limits=limits)
     """
 
-    skin_change: float = 25.0  # uT, Euclidean norm of the change of the reading
-    force: float = 8.0  # N
-    indentation: float = 0.6  # fraction of the layer's thickness; small-strain elasticity fails beyond it
+    skin_change: float = 25.0  # uT, Euclidean norm of the change of the reading at which a press ends
+    force: float = 8.0  # N, force at which a press ends
+    # largest indentation as a fraction of the layer's thickness; small-strain elasticity fails beyond it
+    indentation: float = 0.6
     overshoot: float = 0.1  # relative standard deviation of the overshoot past a limit by latency (one-sided)
     scan: int = 6  # steps of the geometric grid that is scanned for the first crossing
     stiffness: float = ARM_STIFFNESS_N_PER_M  # N/m, series stiffness of arm and mount
@@ -348,7 +349,7 @@ class _Trial(NamedTuple):
     """One trial of the secant search."""
 
     x: Array  # log indentation
-    f: Array  # excess
+    f: Array  # excess over the limit at this indentation
     slope: Array  # derivative of the excess by the log indentation
     pressure: Array
 
@@ -357,7 +358,7 @@ class _Approach(NamedTuple):
     """State of the secant search, with exact readings."""
 
     trial: _Trial
-    measured_at: Array  # log indentation of the last exact reading
+    measured_at: Array  # log indentation at which the exact reading was last computed
     remainder: Array  # (c + 1,) exact minus linear reading and force at that indentation
     low: Array  # largest log indentation whose exact reading is below the limits
     high: Array  # smallest log indentation whose exact reading is above the limits, or the largest allowed

@@ -7,7 +7,7 @@ A view is smoothed to robust local planes (`i2t.contact.smoothing`), resampled t
 the measured force into a layer of nominal stiffness. The camera does not observe the tilt between looking and pressing,
 so it is integrated out: the pressure is the mean over a 3 x 3 Gauss-Hermite rule in the two tilts. One degree over
 20 mm is as much as a press is deep, and a single guess would put the whole load on the wrong edge. The resulting
-pressure map says where and how hard the skin is touched. The reading that follows from it depends on the magnetisation
+pressure map shows where and how hard the skin is touched. The reading that follows from it depends on the magnetisation
 of the pad and is learned from its touches (`i2t.skin_models.pressure_gp`).
 
 Views include the surroundings of the patch if they were recorded; the outermost pixels of a cropped view are repeated.
@@ -49,7 +49,7 @@ _WEIGHTS = np.array(
 class ContactPressure(NamedTuple):
     """Pressure of a contact on the skin's surface, of one touch or of many along axis 0."""
 
-    pressure: Float[Array, "*n m m"]  # N on each cell of 1 mm
+    pressure: Float[Array, "*n m m"]  # N, force on each cell of 1 mm
     load: Float[Array, "*n"]  # N, total force
 
 
@@ -66,8 +66,8 @@ class PressureModelConfig:
     # m, edge of a cell of the contact grid; it must divide 1 mm
     cell: float = field(default=0.5e-3, metadata={"static": True})
     iterations: int = MAX_STEPS  # steps of the contact solver
-    floor: float = 0.02  # N, smallest load; a noisy wrench sensor may report less
-    softness: float = 1.0  # divides Young's modulus of the pad: a layer twice as soft has softness 2
+    floor: float = 0.02  # N, smallest load that is used; a noisy wrench sensor may report less
+    softness: float = 1.0  # factor that divides Young's modulus of the pad: a layer twice as soft has softness 2
 
     def __post_init__(self) -> None:
         """Refuse cells that do not tile the skin, and a layer without stiffness (ValueError)."""

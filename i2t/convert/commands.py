@@ -1,4 +1,4 @@
-"""Entry point for data sets: import of recordings, export to LeRobot, and summary of a data set.
+"""Import recordings as data sets, export data sets to LeRobot, and print the summary of a data set.
 
 Examples:
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from i2t.dataset import Dataset
     from i2t.types import Board
 
-PACKED_FILE = "touches.h5"
+PACKED_FILE = "touches.h5"  # name of the file that a converter writes
 
 
 @dataclass(kw_only=True)
@@ -45,7 +45,8 @@ class ReadCommand:
     """Base of the commands that read."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]  # file or folder to read
-    skip_bad: bool = False  # leave out and name damaged parts, and touches in which a chip did not answer
+    # leave out damaged parts and touches in which a chip did not answer, and name what was left out
+    skip_bad: bool = False
 
     def run(self) -> None:
         """Carry out the command; raise DataError for unusable input."""
@@ -56,7 +57,7 @@ class ReadCommand:
             raise DataError(f"{self.source}: no such file or folder; check the path")
 
     def _load(self, skin_name: str | None = None) -> "Dataset":
-        """Read a data set in which chips may be missing, unless such touches are to be left out."""
+        """Read a data set. Touches in which a chip is missing are kept unless --skip-bad leaves them out."""
         from i2t.dataset import load_dataset
 
         return load_dataset(self.source, skip_bad=self.skip_bad, missing_chips=not self.skip_bad, skin=skin_name)
@@ -119,10 +120,13 @@ class Recording(WriteCommand):
     """Base of the commands that convert a recording."""
 
     window_mm: float = 1e3 * PATCH_WINDOW  # edge (mm) of the square that a patch shows; presses outside it are left out
-    reach_mm: float = 1e3 * REACH  # patches are clipped to this depth behind the nearest point
-    # source of the touches
+    # largest depth (mm) behind the nearest point in a patch; deeper points are clipped to it
+    reach_mm: float = 1e3 * REACH
+    # whether the touches are real or simulated, if the recording does not state it
     stated_source: Annotated[Literal["real", "simulated"] | None, tyro.conf.arg(name="source")] = None
-    as_stated: bool = False  # neither search nor correct mistakes (units, signs, axes, lag, height zero, chips)
+    # convert the values as they are: neither look for nor correct mistakes (units, signs, axes, lag, zero height,
+    # chips)
+    as_stated: bool = False
 
     def _shared_options(self) -> dict[str, Any]:
         """Return the options that all converters share; refuse invalid lengths."""
@@ -138,10 +142,10 @@ class Recording(WriteCommand):
 
 @dataclass(kw_only=True)
 class Summary(ReadCommand):
-    """Print what a data set holds: touches per object, pad and session, ends of presses, readings, missing values."""
+    """Print a summary of a data set: touches per object, pad and session, ends of presses, readings, missing values."""
 
-    json: bool = False  # print one JSON object, for a program
-    skin_name: str | None = None  # name of the skin, if several were read in each touch
+    json: bool = False  # print the summary as one JSON object
+    skin_name: str | None = None  # name of the skin to summarise; required if each touch has readings of several skins
 
     def run(self) -> None:
         """Print the summary."""
@@ -152,20 +156,22 @@ class Summary(ReadCommand):
 
 @dataclass(kw_only=True)
 class FromImagine2touch(Recording):
-    """Convert recordings in the layout of the Imagine2touch code: the data set's folder, or one of its objects. Pickles
-    inside them are read, never executed.
+    """Convert recordings in the layout of the Imagine2touch code: the data set's folder, or the folder of one object.
+    Pickles in the recordings are read but never executed.
     """
 
-    order: Literal["auto", "binary", "ascii"] = "auto"  # temperature first (binary) or last (ascii) in a sample
-    board: Literal["reskin", "anyskin"] = "reskin"  # board, with the order and rotation of its chips
-    pad: str = "reskin"  # name of the skin
-    camera_mm: float = 1e3 * CAMERA_OFFSET_M  # distance of the camera behind the tool's origin
-    # counter-clockwise quarter turns after which image rows run along tool y and columns along tool x
+    # order within a sample: temperature first (binary) or last (ascii); auto detects it
+    order: Literal["auto", "binary", "ascii"] = "auto"
+    # board of the skin, which determines order and rotation of its chips
+    board: Literal["reskin", "anyskin"] = "reskin"
+    pad: str = "reskin"  # name of the skin in the data set
+    camera_mm: float = 1e3 * CAMERA_OFFSET_M  # distance (mm) of the camera behind the tool's origin
+    # number of counter-clockwise quarter turns after which image rows run along tool y and columns along tool x
     quarter_turns: int = 0
-    tool_forces: bool = False  # whether forces are in the tool's axes instead of the robot base's
+    tool_forces: bool = False  # forces are given in the tool's axes, not in those of the robot base
 
     def run(self) -> None:
-        """Convert."""
+        """Convert the recordings and write the data set."""
         self._require()
         shared = self._shared_options()
         from i2t.convert import imagine2touch
@@ -177,18 +183,20 @@ class FromImagine2touch(Recording):
 
 @dataclass(kw_only=True)
 class FromEflesh(Recording):
-    """Convert recordings of eFlesh (characterization/datasets), plain or gzip-ed: a session's folder (states.csv,
-    sensor_post_baselines.csv), or a folder of sessions.
+    """Convert recordings of eFlesh (characterization/datasets), plain or compressed by gzip: the folder of a session
+    (states.csv, sensor_post_baselines.csv), or a folder of sessions.
     """
 
     # edge (mm) of the square that a patch shows; presses outside it are left out
     window_mm: float = 1e3 * EFLESH_WINDOW_M
-    tip_radius_mm: float = 1e3 * TIP_RADIUS_M  # radius of the probe's spherical tip, which the recordings do not state
-    z0_mm: float | None = None  # the robot's z (mm) at first contact; by default where readings begin, or the highest z
-    pad: str | None = None  # one name for the skin of all sessions; by default each session's own
+    # radius (mm) of the probe's spherical tip, which the recordings do not state
+    tip_radius_mm: float = 1e3 * TIP_RADIUS_M
+    # the robot's z (mm) at first contact; by default, where readings begin, or the highest z
+    z0_mm: float | None = None
+    pad: str | None = None  # name of the skin for all sessions; by default, each session has its own
 
     def run(self) -> None:
-        """Convert."""
+        """Convert the sessions and write the data set."""
         self._require()
         shared = self._shared_options()
         from i2t.convert import eflesh
@@ -202,9 +210,10 @@ class FromEflesh(Recording):
 class _FromTable(Recording):
     """Base of the commands that convert presses of one indenter."""
 
-    indenter: str | None = None  # sphere:RADIUS or cylinder:RADIUS with a radius in mm, or mesh:FILE
-    board: str = "reskin"  # board, with number, order and rotation of its chips: reskin, anyskin, or grid-RxC
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file of mesh:FILE, which does not state it
+    indenter: str | None = None  # shape of the indenter: sphere:RADIUS or cylinder:RADIUS (mm), or mesh:FILE
+    # board of the skin, which determines number, order and rotation of its chips: reskin, anyskin, or grid-RxC
+    board: str = "reskin"
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the file in --indenter mesh:FILE; required with it
 
     def _indenter_options(self, missing: str) -> dict[str, Any]:
         """Return the options of the converter."""
@@ -215,12 +224,12 @@ class _FromTable(Recording):
 
 @dataclass(kw_only=True)
 class FromPresses(_FromTable):
-    """Convert a table of presses of one indenter: comma-separated, with the columns x_mm, y_mm, travel_mm, b0x_uT,
-    b0y_uT, b0z_uT, b1x_uT ... and more, as docs/data.md describes it.
+    """Convert a table of presses of one indenter. The table is comma-separated and has the columns x_mm, y_mm,
+    travel_mm, b0x_uT, b0y_uT, b0z_uT, b1x_uT ... and others that docs/data.md describes.
     """
 
     def run(self) -> None:
-        """Convert."""
+        """Convert the table and write the data set."""
         self._require()
         options = self._indenter_options("")
         from i2t.convert import presses
@@ -230,11 +239,12 @@ class FromPresses(_FromTable):
 
 @dataclass(kw_only=True)
 class FromStream(_FromTable):
-    """Find the presses in a log of any length, a row for every sample with the columns time_s, b0x_uT, b0y_uT ... and,
-    for a data set, x_mm, y_mm and travel_mm or z_mm; convert them, or write them as a table where DST ends in .csv.
+    """Find the presses in a log of any length and convert them, or write them as a table if DST ends in .csv. The log
+    has a row for each sample and the columns time_s, b0x_uT, b0y_uT ...; a data set also needs x_mm, y_mm and travel_mm
+    or z_mm.
     """
 
-    # rate (Hz) of the rows, for a log without time stamps or with stamps that do not show it
+    # rate (Hz) of the rows; required for a log without time stamps, or whose time stamps do not show the rate
     rate_hz: float | None = None
 
     def run(self) -> None:
@@ -264,12 +274,12 @@ class FromStream(_FromTable):
 
 @dataclass(kw_only=True)
 class Pack(WriteCommand):
-    """Pack all touches of a folder into one file, which loads faster; images and time series of touches stay behind."""
+    """Pack all touches of a folder into one file, which loads faster; images and time series are not copied."""
 
-    skin_name: str | None = None  # name of the skin, if several were read in each touch
+    skin_name: str | None = None  # name of the skin to pack; required if each touch has readings of several skins
 
     def run(self) -> None:
-        """Pack."""
+        """Pack the touches into one file."""
         self._require()
         self._write(self._load(self.skin_name))
 
@@ -281,7 +291,7 @@ class ToLeRobot(WriteCommand):
     written: ClassVar[tuple[str, ...]] = ("data", "meta", "README.md")
 
     def run(self) -> None:
-        """Write."""
+        """Write the LeRobot data set."""
         self._require_source()
         require_extra("pyarrow", "LeRobot's format")
         self._require()

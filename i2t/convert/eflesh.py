@@ -88,8 +88,8 @@ def convert(
         raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
     notes.info(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
     notes.info(
-        "assumed: values are microtesla (their steps are the chip's); board order as AnySkin's, chips as aligned, the "
-        "board turned by a quarter on the stage, as the readings of the `spatial` session show"
+        "assumed: values are in microtesla (their steps are those of the chip); chips are in AnySkin's order and "
+        "aligned, and the board is turned by a quarter turn on the stage, as the readings of the `spatial` session show"
     )
     parts: list[Presses] = []
     checks: list[SessionCheck] = []
@@ -188,7 +188,7 @@ def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog
     else:
         notes.info(
             f"assumed in {name}: first contact at the highest z = {1e3 * zero:.3f} mm; travel counts from there, so "
-            "that all travels may be too small by one number"
+            "that all travels may be too small by the same amount"
         )
     return zero
 
@@ -260,7 +260,7 @@ def _matched(folder: Path, states: np.ndarray, values: np.ndarray, notes: Readin
 
 
 def _strokes(name: str, states: np.ndarray) -> np.ndarray:
-    """Name the session of each row: one for a session of single presses. If the probe was recorded all the way, each
+    """Name the session of each row: one for a session of single presses. If the probe was recorded throughout, each
     stroke down and up is one.
     """
     if states.shape[1] == 4:

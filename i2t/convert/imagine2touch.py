@@ -74,14 +74,14 @@ def convert(
         The data set, with notes on assumptions and omissions.
 
     Raises:
-        DataError: If the folder cannot be read as such a recording.
+        DataError: If the folder cannot be read as a recording in the authors' layout.
     """
     notes = ReadingLog(skip_bad, unit="touches")
     notes.info(f"assumed: image rows along tool y, columns along tool x, after {quarter_turns} quarter turns")
     notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
     if stated_source is None:
-        notes.info("not stated: whether the touches are real or simulated; say it with --source")
+        notes.info("not stated: whether the touches are real or simulated; state it with --source")
     folders = _objects(source)
     options = _Options(
         board, order, window=window, reach=reach, camera=camera, quarter_turns=quarter_turns, tool_forces=tool_forces,
@@ -218,13 +218,15 @@ def _poses(stem: Path, damaged: np.ndarray, notes: ReadingLog) -> tuple[np.ndarr
     offset = np.linalg.norm(moved - approach[:, None] * T_w_t[:, :3, 2], axis=1)
     if (approach < 0).any():
         notes.info(
-            f"{stem}: {np.sum(approach < 0)} presses go against tool z, so this may be another frame than the tool's, "
-            "or quaternions have the scalar first"
+            f"{stem}: {np.sum(approach < 0)} presses go against tool z; poses may be of another frame than the tool, "
+            "or quaternions may have the scalar first"
         )
     # A look from further off the contact's axis showed another place.
     approach = np.where((offset <= 2e-3) & (approach >= 0), approach, np.nan)
     if np.isnan(approach).any():
-        notes.info(f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches, not seen along their approach")
+        notes.info(
+            f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches that were not seen along their approach"
+        )
     return T_w_t, approach
 
 

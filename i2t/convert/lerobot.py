@@ -27,9 +27,9 @@ from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-FRAME_RATE_HZ = 1
+FRAME_RATE_HZ = 1  # nominal rate: a frame is a touch
 NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "view": "observation.view"}
-POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # m, and a unit quaternion
+POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # names of a pose's numbers: position (m) and unit quaternion
 
 
 def write(target: Path, dataset: Dataset) -> Path:
@@ -47,7 +47,7 @@ def write(target: Path, dataset: Dataset) -> Path:
     """
     require_extra("pyarrow", "LeRobot's format")
     if target.is_dir() and any(target.iterdir()) and not (target / "meta/i2t.json").is_file():
-        raise DataError(f"{target}: holds files that no such export wrote; give another folder")
+        raise DataError(f"{target}: holds files that this export did not write; give another folder")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))

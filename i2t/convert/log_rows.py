@@ -43,7 +43,7 @@ class LabelColumn(IntEnum):
 class LogRows(NamedTuple):
     """Rows in the order of the log."""
 
-    time: np.ndarray  # (n,) s
+    time: np.ndarray  # (n,) s, time stamps of the rows
     readings: np.ndarray  # (n, c) uT; NaN for a chip that did not answer
     # (n, 3 + e): line in the file, time (s; NaN if stamps do not show it), number of its pad's and session's names,
     # values
@@ -80,9 +80,9 @@ class LogRows(NamedTuple):
 class TimedRows(NamedTuple):
     """Rows with valid times."""
 
-    rows: LogRows  # with ascending time, except at the beginning of a part
+    rows: LogRows  # rows with ascending time, except at the beginning of a part
     begins: np.ndarray  # (n,) mask of rows after a pause, or at which the clock begins again
-    step: float  # s, between rows
+    step: float  # s, time between rows
 
 
 def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: float | None) -> Iterator[TimedRows]:
@@ -139,9 +139,9 @@ class _Memory:
     """Memory of the rows of a log, by a hash of each."""
 
     prints: list[np.ndarray] = field(default_factory=list)
-    latest: float = -np.inf  # s, of all stamps
-    repeats: int = 0  # rows left out
-    first: int = 0  # line of the first row left out
+    latest: float = -np.inf  # s, latest of all time stamps
+    repeats: int = 0  # number of rows that were left out as repeats
+    first: int = 0  # line of the first row that was left out
 
     def leave_out(self, rows: LogRows) -> LogRows:
         """Leave out rows that go back in time and repeat earlier ones with their time, at least several in a row."""
@@ -172,15 +172,15 @@ class _Memory:
 class _Stamps:
     """State of a log's clock after the settled rows."""
 
-    last: float = np.nan  # s, stamp of the last sound row
-    names: float = np.nan  # number of that row's names
-    offset: float = 0.0  # s, added to stamps after a counter began again
-    end: float = np.nan  # s, even time of the last sound row
-    sharing: int = 0  # number of rows that share its stamp
+    last: float = np.nan  # s, time stamp of the last sound row
+    names: float = np.nan  # number of the last sound row's names
+    offset: float = 0.0  # s, offset that is added to time stamps after a counter restarted
+    end: float = np.nan  # s, evenly spaced time of the last sound row
+    sharing: int = 0  # number of rows that share the last sound row's time stamp
     rows: int = 0
 
     def counted(self, rows: LogRows, clock: RowClock) -> TimedRows:
-        """Space rows evenly, whatever their stamps; each session may be another recording."""
+        """Space rows evenly, ignoring their time stamps; each session may be another recording."""
         n = len(rows.time)
         time = clock.step * np.arange(self.rows, self.rows + n)
         codes = rows.labels[:, LabelColumn.NAMES]
@@ -234,15 +234,15 @@ class _Stamps:
         other_session = part.labels[0, LabelColumn.NAMES] != self.names
         if counter := rollover_counter(self.last, float(part.time[0])):
             self.offset += COUNTER_PERIODS_S[counter]
-            notes.info(f"time begins again at line {line}, where {counter} is full: it was counted on")
+            notes.info(f"time restarts at line {line}, where {counter} overflows: it was continued")
             return False
         if back <= CLOCK.pause_s and not other_session:
             self.offset += back + clock.step
-            notes.info(f"time goes back by {back:.3g} s at line {line}: it was taken as running on")
+            notes.info(f"time goes back by {back:.3g} s at line {line}: it was continued")
             return False
         self.offset = 0.0
         if not other_session:
-            notes.info(f"time goes back by {back:.6g} s at line {line}, where the clock was set or began again")
+            notes.info(f"time goes back by {back:.6g} s at line {line}, where the clock was set or restarted")
         return True
 
 
@@ -253,8 +253,8 @@ def _note_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
     if clock.assumed:
         seen = f"in steps of {clock.resolution:g} s" if clock.resolution else "always the same"
         notes.info(
-            f"assumed: {1 / clock.step:g} rows in a second, as time is {seen} and does not show it (Unix time in "
-            "float32 has steps of 128 s); give --rate-hz if it is known; the times of presses are unknown"
+            f"assumed: {1 / clock.step:g} rows per second, as time is {seen} and does not show the rate (Unix time in "
+            "float32 has steps of 128 s); give --rate-hz if the rate is known; the times of presses are unknown"
         )
     elif clock.by_rows and clock.resolution:
         notes.info(
@@ -263,8 +263,7 @@ def _note_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
         )
     elif clock.within:
         notes.info(
-            f"rows come in batches, {clock.resolution:.3g} s one after the other: they are evenly spaced at "
-            f"{1 / clock.step:.4g} Hz"
+            f"rows come in batches every {clock.resolution:.3g} s: they are evenly spaced at {1 / clock.step:.4g} Hz"
         )
     elif shared and not clock.by_rows:
         notes.info(

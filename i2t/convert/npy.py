@@ -104,7 +104,7 @@ def _unpickled(path: Path, payload: bytes) -> Any:
         value = _Unpickler(io.BytesIO(payload), encoding="latin1").load()
         return _plain(value, itertools.count(-len(payload)), levels=16)  # real files have five levels of lists
     except _Refused as error:
-        problem = f"refused, for it asks for {error}, which no recording needs"
+        problem = f"refused, because it asks for {error}, which no recording needs"
         raise DataError(f"{path}: {problem}; do not open it with other programs") from error
     except Exception as error:  # a damaged pickle can make its reader fail in any way
         raise data_error(path, f"its object array is damaged ({error})") from error
@@ -128,7 +128,7 @@ class _Parts(NamedTuple):
     shape: tuple[int, ...]
     code: str
     fortran: bool
-    data: Any  # bytes, or a list of objects
+    data: Any  # array data as bytes, or a list of objects
 
 
 def _inert_parts() -> dict[str, Callable[..., Any]]:

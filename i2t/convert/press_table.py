@@ -70,7 +70,7 @@ def check_session(
         board: Board as described.
         notes: Log that receives the sentences.
         stated_zero: Height (m) of first contact that the recording states.
-        keep_zero: Whether that height is kept, whatever the readings show.
+        keep_zero: Whether that height is kept even if the readings contradict it.
 
     Returns:
         Findings to apply to the session.
@@ -90,8 +90,9 @@ class Indenter(NamedTuple):
     """The body that presses."""
 
     name: str
-    patches: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]  # patches of x, y, window and reach (m)
-    lowest: float = 0.0  # m, z of the lowest point in the tip's own frame
+    # function that makes patches from x, y, window and reach (m)
+    patches: Callable[[np.ndarray, np.ndarray, float, float], np.ndarray]
+    lowest: float = 0.0  # m, z of the tip's lowest point in its own frame
 
 
 def round_tip(name: str, profile: Profile) -> Indenter:

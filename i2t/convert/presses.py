@@ -2,7 +2,7 @@
 (docs/data.md describes it).
 
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), travel_mm (past first
-contact; also depth_mm) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
+contact; also travel_mm) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
 (to b4z_uT for five chips); optionally force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and
 session (names; a session may be called run), and source (real, as by default, or simulated). Travel may be missing if
 there are forces.
@@ -156,7 +156,9 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     travel = column.get("travel_mm", unknown)
     if height is not None and len(travel):
         highest = float(travel.max())
-        notes.info(f"assumed: {height} grows out of the skin, and travel counts from its highest value, {highest:g} mm")
+        notes.info(
+            f"assumed: {height} increases away from the skin, and travel counts from its highest value, {highest:g} mm"
+        )
         travel = highest - travel
     travel, kept = _positive(source, travel, [line for line, _ in rows], notes)
     readings = np.column_stack([column[name] for name in values])
@@ -206,7 +208,7 @@ def _time(header: list[str], cells: list[str]) -> float:
 def _one_source(file: Path, column: str | None, option: str | None) -> str:
     """Determine the source of a table from its column and the option; "real" if neither states it."""
     if column is not None and option not in (None, column):
-        raise DataError(f"--source {option}: the column source of {file} says {column}; leave out the option")
+        raise DataError(f"--source {option}: the column source of {file} has {column}; leave out the option")
     return option or column or "real"
 
 
@@ -226,7 +228,7 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLo
     by_force = "travel_mm" not in header and FORCE in header
     values = field_columns(source, header, chips, PLACES[:2] if by_force else PLACES)
     if by_force:
-        notes.info("no travel was recorded: presses are known by their force")
+        notes.info("no travel was recorded: presses are described by their force")
     ambient = ambient_columns(values)
     has_ambient = set(ambient) <= set(header)
     if not has_ambient and set(ambient) & set(header):
@@ -235,7 +237,7 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLo
         )
     understood = {*PLACES, *values, FORCE, TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
     if unknown := [name for name in header if name not in understood]:
-        notes.info(f"left out: columns {', '.join(unknown)}, which have no meaning here")
+        notes.info(f"left out: columns {', '.join(unknown)}, which are not used")
     return values, ambient if has_ambient else []
 
 
@@ -261,7 +263,7 @@ def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Indenter:
         return _mesh_tip(Path(value), unit, notes)
     if kind == "mesh" or (Path(indenter).suffix.lower() in MESH_SUFFIXES and kind not in validation.ROUND_TIPS):
         raise DataError(
-            f"--indenter {indenter}: a mesh is named with its file, as mesh:{'FILE' if kind == 'mesh' else indenter}"
+            f"--indenter {indenter}: a mesh is given by its file, as mesh:{'FILE' if kind == 'mesh' else indenter}"
         )
     try:
         shape, radius = validation.round_tip(indenter)
@@ -269,13 +271,13 @@ def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Indenter:
         kinds = "" if str(error).endswith("?") else "; give sphere:RADIUS or cylinder:RADIUS in mm, or mesh:FILE"
         raise DataError(f"--indenter {indenter}: {error}{kinds}") from None
     if unit is not None:
-        raise DataError("--unit is of the file of --indenter mesh:FILE; leave it out: radii are in mm")
+        raise DataError("--unit applies to --indenter mesh:FILE only; leave it out: radii are in mm")
     return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](M_PER_MM * radius))
 
 
 def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Indenter:
     if unit is None:
-        raise DataError(f"--indenter mesh:{file}: say in which unit the file is, for instance --unit mm")
+        raise DataError(f"--indenter mesh:{file}: its unit is missing; give it, for instance --unit mm")
     import jax.numpy as jnp
     from jax import jit
 

@@ -17,9 +17,9 @@ from i2t.recordings.files import data_error
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.skin.boards import AXES_OF_CHIP, mean_finite, without_silent_chips
 
-CHIPS = 5  # on the boards of this layout
+CHIPS = 5  # number of chips on the boards of this layout
 AUTHORS_READINGS = AXES_OF_CHIP * CHIPS
-MAX_SAMPLE_VALUE = 1e6  # uT; the range of the chips ends at 1.3e5
+MAX_SAMPLE_VALUE = 1e6  # uT, largest plausible value; the range of the chips ends at 1.3e5
 
 
 def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
@@ -55,7 +55,9 @@ def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, 
     groups = [_samples(path, group) for group in _list(path)]
     n = len(touches)
     if len(groups) not in (n, math.ceil(n / 10)):
-        raise data_error(path, f"holds {len(groups)} groups for {n} touches, neither one a touch nor one for every 10")
+        raise data_error(
+            path, f"holds {len(groups)} groups for {n} touches, neither one for each touch nor one for every 10"
+        )
     ambient = _means(path, groups, order, notes)
     ambient = ambient if len(groups) == n else ambient[np.arange(n) // 10]
     sound = ~(np.isinf(means) | np.isinf(ambient)).any(1)

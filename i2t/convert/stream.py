@@ -52,15 +52,16 @@ from i2t.types import Board
 class PartRules:
     """Rules for the parts of a log, at whose ends presses may be cut."""
 
-    head_rows: int = 20  # rows at the beginning of a part, at rest
-    level_rows: int = 3  # rows whose mean is a level
+    head_rows: int = 20  # number of rows at rest at the beginning of a part
+    level_rows: int = 3  # number of rows whose mean is a level
     # Deviations in units of the standard deviation between rows.
-    max_same_level: float = 4.0  # up to it, two levels are the same
-    min_pressed: float = 8.0  # beyond it, a level differs from rest
-    max_label_change: float = 0.2  # mm or N, up to which a press that continues has the same place and strength
-    max_gap_rows: float = 3.0  # steps of rows, beyond which the beginning of a press was not recorded
-    min_steady_fraction: float = 1 / 6  # of the rows of a press at the end of a part; a ramp has fewer steady rows
-    max_unseen_travel: float = 0.05  # fraction of the travel by which the tip may move in such a gap
+    max_same_level: float = 4.0  # largest difference of two levels that count as the same
+    min_pressed: float = 8.0  # smallest difference of a level from rest that counts as pressed
+    max_label_change: float = 0.2  # mm or N, largest change of place and strength within a press that continues
+    max_gap_rows: float = 3.0  # largest gap, in steps of rows, at which the beginning of a press counts as recorded
+    # smallest fraction of steady rows in a press at the end of a part; a ramp has fewer
+    min_steady_fraction: float = 1 / 6
+    max_unseen_travel: float = 0.05  # largest motion of the tip in a gap before a press, as a fraction of the travel
 
 
 _RULES = PartRules()
@@ -69,8 +70,8 @@ _RULES = PartRules()
 class _Columns(NamedTuple):
     """Columns of a log that are read."""
 
-    names: list[str]  # pad and session, if present
-    values: list[str]  # values of the board
+    names: list[str]  # names of the columns pad and session, as far as they are present
+    values: list[str]  # columns of the board's values
     labels: list[str]  # other columns that a press takes over
     notes: list[str]  # notes on the remaining columns
 
@@ -79,15 +80,15 @@ class _Columns(NamedTuple):
 class _Search:
     """Search for presses in rows that belong together: of one pad, without a pause."""
 
-    origin: float  # s on the clock, from which the time of its rows counts
-    early: list[LogRows] = field(default_factory=list)  # rows before rate and noise are known
+    origin: float  # s, time on the clock from which the rows' time counts
+    early: list[LogRows] = field(default_factory=list)  # rows that came before rate and noise were known
     recording: OpenRecording | None = None
     presses: list[SegmentedPress] = field(default_factory=list)
     rows: int = 0
     end: float = 0.0  # s, time of the last row
-    head: np.ndarray | None = None  # first readings, at rest
-    tail: LogRows | None = None  # last rows
-    earlier: np.ndarray | None = None  # (c,) uT, reading at rest of the previous search
+    head: np.ndarray | None = None  # first readings of the part, at rest
+    tail: LogRows | None = None  # last rows of the part
+    earlier: np.ndarray | None = None  # (c,) uT, reading at rest in the previous search
 
     def take(self, rows: LogRows, step: float) -> None:
         """Search presses in further rows of a clock with this step (s), without those of silent chips."""
@@ -251,9 +252,9 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
         raise DataError(f"{source}: all of its {notes.damaged_rows} rows are damaged; the first: {notes.first_damage}")
     if not log_presses.presses:
         cut = len(log_presses.moved) + log_presses.unsteady
-        but = f" but {cut} that are cut" if cut else ""
+        but = f" except {cut} that are cut off" if cut else ""
         raise DataError(
-            f"{source}: nothing presses in its {log_presses.rows} rows{but}; "
+            f"{source}: no press was found in its {log_presses.rows} rows{but}; "
             "give a log that begins at rest and has presses"
         )
     log_presses.note(notes)
@@ -271,10 +272,11 @@ class _LogPresses:
     rows: int = 0
     parts: int = 0
     spikes: int = 0
-    held: int = 0  # rows of parts in which the sensor was read faster than it measures
-    moved: list[int] = field(default_factory=list)  # lines at which the skin left a level that was not its rest
-    hidden: int = 0  # presses whose beginning was not recorded
-    unsteady: int = 0  # presses that were left out, because a part ended before they were steady
+    held: int = 0  # number of rows that repeat a reading because the sensor was read faster than it measures
+    # lines at which the skin left a level that was not its level at rest
+    moved: list[int] = field(default_factory=list)
+    hidden: int = 0  # number of presses whose beginning was not recorded
+    unsteady: int = 0  # number of presses left out because a part ended before they were steady
 
     @property
     def height(self) -> int | None:
@@ -320,8 +322,8 @@ class _LogPresses:
         notes.info(f"found: {len(self.presses)} presses in {self.rows} rows{parts}")
         if self.height is not None:
             notes.info(
-                f"assumed: {self.columns.labels[self.height]} grows out of the skin, and travel counts from the height "
-                "at which a press's reading left its rest"
+                f"assumed: {self.columns.labels[self.height]} increases away from the skin, and travel counts from the "
+                "height at which a press's reading left its value at rest"
             )
         if self.hidden:
             notes.info(
@@ -332,14 +334,17 @@ class _LogPresses:
             notes.info(
                 f"left out: {len(self.moved)} presses that had begun before their part of the log, or lasted over "
                 f"{SegmentationConfig().max_press_s:g} s; the first was released at line {min(self.moved)} (or the "
-                "skin rests elsewhere from there on)"
+                "reading at rest differs from there on)"
             )
         if self.unsteady:
             notes.info(f"left out: {self.unsteady} presses that were not steady before their part of the log ended")
         if self.spikes:
             notes.info(f"replaced: values of {self.spikes} single rows that stand out from those around them")
         if self.held:
-            notes.info(f"{self.held} rows are of a sensor that was read faster than it measures, or were written twice")
+            notes.info(
+                f"{self.held} rows repeat a reading: the sensor was read faster than it measures, or they were "
+                "written twice"
+            )
 
     def row(self, press: SegmentedPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:
         """Return a press's line in the log, and its fields."""

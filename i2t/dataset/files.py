@@ -34,19 +34,20 @@ from i2t.files.reading import open_regular
 from i2t.files.writing import replacing, unwritable
 
 SCHEMA = "i2t-touches"
-SCHEMA_VERSION = 3  # earlier versions, which are still read, had other names for some fields
-ENDING = ".h5"
-HEADER_BYTES = 512
+SCHEMA_VERSION = 3  # versions 1 and 2, which are still read, have other names for some fields
+ENDING = ".h5"  # ending of the names of packed data sets
+HEADER_BYTES = 512  # size of the header in front of the HDF5 data
 
 
 @dataclass(frozen=True)
 class _H5Limits:
     """Largest contents of a file that are accepted, far above those of real files."""
 
-    entries: int = 4096  # groups and arrays; a touch has 60
-    levels: int = 6  # nested groups; a touch has 3
-    growth: int = 200  # unpacked size relative to the file's size; patches of a flat object compress well
-    text_bytes: int = 2**28  # total size of a variable-length text array, whose texts may share their characters
+    entries: int = 4096  # largest number of groups and arrays; a touch has 60
+    levels: int = 6  # largest number of nested groups; a touch has 3
+    growth: int = 200  # largest ratio of unpacked size to file size; patches of a flat object compress well
+    # largest size (bytes) of a variable-length text array, whose texts may share their characters
+    text_bytes: int = 2**28
 
 
 _LIMITS = _H5Limits()

@@ -14,7 +14,7 @@ from i2t.errors import DataError
 from i2t.patches.dimensions import PATCH_WINDOW, REACH, VIEW_PIXELS
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 
-NOT_STATED = "not stated"  # source of recordings whose format does not tell whether they are real
+NOT_STATED = "not stated"  # source of recordings whose format does not state whether they are real
 SOURCES = ("simulated", "mixed", "real", NOT_STATED)
 INDEX_FIELDS = ("object", "pad", "session", "code")
 REQUIRED_FIELDS = tuple(name for name in Touches._fields if name not in Touches._field_defaults)
@@ -40,7 +40,7 @@ class Dataset:
     source: str  # "simulated", "real", "mixed" (partly simulated) or "not stated"
     window: float = PATCH_WINDOW  # m, edge of the square that a patch covers
     reach: float = REACH  # m, largest depth of a patch
-    meta: Mapping[str, str] = field(default_factory=dict)  # provenance
+    meta: Mapping[str, str] = field(default_factory=dict)  # provenance of the touches as names and texts
 
     def __repr__(self) -> str:
         return (

@@ -71,8 +71,8 @@ class Series:
     """Samples with their own clock."""
 
     time: np.ndarray  # (n,) s, Unix time
-    values: np.ndarray  # (n, k)
-    columns: tuple[str, ...]  # k names
+    values: np.ndarray  # (n, k) values of the columns
+    columns: tuple[str, ...]  # names of the k columns
     unit: str
 
 
@@ -80,7 +80,7 @@ class Series:
 class Record:
     """Everything that was recorded of one touch."""
 
-    touch: Dataset  # data set of one touch
+    touch: Dataset  # data set that holds one touch
     images: Mapping[str, Image] = field(default_factory=dict)
     series: Mapping[str, Series] = field(default_factory=dict)
     events: tuple[tuple[float, str], ...] = ()  # (Unix time in s, description)

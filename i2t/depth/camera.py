@@ -28,7 +28,7 @@ from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
-MAX_DEPTH_M = 20.0  # a larger value marks a hole or an empty background
+MAX_DEPTH_M = 20.0  # m, largest depth that counts as measured; larger values mark holes or an empty background
 MAX_UINT16 = 2**16 - 1
 # Metres per unit of 16-bit images: millimetres, RealSense L515, TUM RGB-D, RealSense SR300, RealSense D405
 COMMON_UNITS_M = (1e-3, 2.5e-4, 2e-4, 1.25e-4, 1e-4)
@@ -47,17 +47,26 @@ class PlausibleDepth:
 class PlausibleLens:
     """Bounds on a lens; beyond them it was given in another unit, in another order or for another image size."""
 
-    min_focal_ratio: float = 1 / 8  # focal length relative to the image's edge: an angle of view of 152 degrees
-    max_focal_ratio: float = 1 / (2 * math.tan(math.radians(0.5)))  # an angle of view of 1 degree
-    max_pixel_aspect: float = 2.0  # fx relative to fy, of images in which every second row or column is left out
-    min_swapped_offset: float = 0.08  # distance of a swapped principal point from the middle, relative to each edge
-    max_restored_offset: float = 0.05  # the same distance, after its two numbers are swapped back
-    max_centre_ratio: float = 1.2  # twice the principal point's position relative to an edge, or the inverse
-    max_centre_difference: float = 0.05  # between both edges' centre ratios, where the lens is of another image size
+    # smallest focal length relative to the image's edge: an angle of view of 152 degrees
+    min_focal_ratio: float = 1 / 8
+    # largest focal length relative to the image's edge: an angle of view of 1 degree
+    max_focal_ratio: float = 1 / (2 * math.tan(math.radians(0.5)))
+    # largest ratio of fx to fy, of images in which every second row or column is left out
+    max_pixel_aspect: float = 2.0
+    # smallest distance of a swapped principal point from the image's centre, relative to each edge
+    min_swapped_offset: float = 0.08
+    # largest distance from the image's centre, relative to each edge, of a principal point whose swapped numbers were
+    # swapped back
+    max_restored_offset: float = 0.05
+    max_centre_ratio: float = 1.2  # largest ratio of twice the principal point's position to an edge, or of the inverse
+    # largest difference of both edges' centre ratios for a lens of another image size
+    max_centre_difference: float = 0.05
     max_coefficient: float = 1e9
-    max_blind_fraction: float = 0.05  # pixels without a line of sight, in the corners of an image from a wide lens
-    blind_grid: int = 41  # pixels along each edge at which the line of sight is tested
-    max_return_error: float = 1e-3  # of x / z after undistorting and distorting again: some tenths of a pixel
+    # largest fraction of pixels without a line of sight, in the corners of a wide lens's image
+    max_blind_fraction: float = 0.05
+    blind_grid: int = 41  # number of pixels along each edge at which the line of sight is tested
+    # largest error of x / z after undistorting and distorting again: some tenths of a pixel
+    max_return_error: float = 1e-3
 
 
 class Distortion(StrEnum):
@@ -69,7 +78,7 @@ class Distortion(StrEnum):
     BROWN_CONRADY = "brown_conrady"
 
 
-# The same models by the names of ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV. None stands for a fisheye lens.
+# Lens models by their names in ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV. None marks a fisheye lens.
 MODEL_NAMES: dict[str, Distortion | None] = {
     **dict.fromkeys(("", "pinhole", "perspective", "no_distortion"), Distortion.NONE),
     **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential", "opencv", "brown", "rational_polynomial"),
@@ -546,7 +555,7 @@ def wrong_size_message(shape: tuple[int, ...], camera: Camera) -> str:
         camera: The camera.
 
     Returns:
-        A sentence without its subject, which says what is wrong and what to do.
+        A sentence without its subject that states the problem and its remedy.
     """
     text = f"has the shape {tuple(shape)} where the camera's image is {(camera.height, camera.width)}; "
     if len(shape) != 2 or not all(shape):

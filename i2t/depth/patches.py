@@ -4,7 +4,7 @@ Every ray of the patch runs along tool z, as in the renderer, and is followed th
 neighbours form a triangle of surface. On it inverse depth is linear in the pixel, as on any plane seen by a pinhole.
 Along a ray inverse depth is linear in the image as well, so the ray meets the surface where the two are equal.
 Triangles seen at a grazing angle span a depth edge and are not surface. This also leaves out flying pixels, since a
-pixel between two surfaces has such an edge on both sides.
+pixel between two surfaces has a depth edge on both sides.
 
 A camera measures free space as well as surface: everything in front of the surface is free. A ray that gets behind the
 image without meeting a triangle, because it started there or came in through a hole, is lost, and what it meets later
@@ -41,18 +41,20 @@ from i2t.types import Patch, in_one_line
 class SurfaceTracing:
     """How rays are followed through a depth image to its surface."""
 
-    grazing_angle: float = math.radians(10)  # rad between triangle and line of sight; a smaller one spans a depth edge
-    # m: nearer neighbours are surface at any angle; more than the depth step of a file in millimetres
+    # rad, smallest angle between a triangle and the line of sight; a smaller one spans a depth edge
+    grazing_angle: float = math.radians(10)
+    # m, depth step within which neighbours are surface at any angle; more than one step of a file in mm
     max_depth_step: float = 1.5e-3
-    stride: float = 0.5  # pixels of the image from one sample of a ray to the next
-    crossing_steps: int = 6  # refinements of a crossing; the first is exact unless the surface folds in between
+    stride: float = 0.5  # distance in image pixels between successive samples of a ray
+    # number of refinements of a crossing; the first is exact unless the surface folds in between
+    crossing_steps: int = 6
     crossing_tolerance: float = 1e-4  # relative error of a crossing's depth: 10 um at the paper's distance
 
 
 class _DepthPatch(NamedTuple):
     patch: Patch
-    valid_mask: Bool[Array, "n n"]  # measured on the pixel's ray
-    inpainted_mask: Bool[Array, "n n"]  # interpolated; valid and inpainted exclude each other
+    valid_mask: Bool[Array, "n n"]  # True for pixels on whose ray the depth was measured
+    inpainted_mask: Bool[Array, "n n"]  # True for interpolated pixels, which are not valid ones
 
 
 @in_one_line
@@ -74,7 +76,7 @@ class DepthView(NamedTuple):
     """A patch and its surroundings from a depth image."""
 
     view: PatchView
-    known_mask: Bool[Array, "w w"]  # measured or interpolated
+    known_mask: Bool[Array, "w w"]  # True for pixels that were measured or interpolated
 
 
 def patch_from_depth(
@@ -207,11 +209,11 @@ class _Rays(NamedTuple):
     in a number from 0 to 1.
     """
 
-    x: Array  # (2, n, n) x / z of both ends in C
-    y: Array  # (2, n, n)
-    inverse: Array  # (2, n, n) 1/m, 1 / z
-    height: Array  # (2, n, n) tool z / z
-    steps: Array  # (n, n) number of samples; 0 for a ray outside the field of view
+    x: Array  # (2, n, n) x / z in C of both ends of each ray
+    y: Array  # (2, n, n) y / z in C of both ends of each ray
+    inverse: Array  # (2, n, n) 1/m, 1 / z in C of both ends of each ray
+    height: Array  # (2, n, n) tool z divided by camera z at both ends of each ray
+    steps: Array  # (n, n) number of samples of each ray; 0 for a ray outside the field of view
 
 
 def _rays(
@@ -256,7 +258,7 @@ def _cells(depth: Array, camera: Camera, tracing: SurfaceTracing) -> Float[Array
     """Describe every square of four pixels, as ((h - 1)(w - 1), 6).
 
     The first four columns are the pixels' inverse depths (1/m): upper left, upper right, lower left, lower right. The
-    last two say whether the triangles at the upper left and at the lower right corner are surface.
+    last two are whether the triangles at the upper left and at the lower right corner are surface.
     """
     x, y = pixel_rays(camera)
     measured = measured_mask(depth) & jnp.isfinite(x) & jnp.isfinite(y)
@@ -286,10 +288,10 @@ def _cells(depth: Array, camera: Camera, tracing: SurfaceTracing) -> Float[Array
 class _March(NamedTuple):
     """State of the rays while they are followed, (n, n) each. A ray is free in front of the surface."""
 
-    going: Array  # bool, whether the ray is still followed
-    free: Array  # bool, whether the last sample is free
-    clear: Array  # m, tool z to which the ray is free
-    hit: Array  # number of the sample behind the surface that follows a free one; 0 if there is none
+    going: Array  # True while the ray is still followed
+    free: Array  # whether the last sample of the ray is in free space
+    clear: Array  # m, tool z up to which the ray is free
+    hit: Array  # number of the sample behind the surface that follows a free sample; 0 if there is none
 
 
 _Gap: TypeAlias = Callable[[Array], tuple[Array, Array]]  # `_gap` with the rays, cells and camera filled in

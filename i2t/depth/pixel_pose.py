@@ -26,9 +26,10 @@ from i2t.types import Array
 class PlaneFit:
     """Conditions under which points determine a plane."""
 
-    min_points: int = 8  # three determine a plane; the others average noise
-    min_width_ratio: float = 0.1  # spread across relative to along; narrower points are a line, which fits any plane
-    max_thickness_ratio: float = 0.5  # spread out of the plane relative to the smaller one in it
+    min_points: int = 8  # smallest number of points; three determine a plane, and the others average noise
+    # smallest ratio of the points' smaller to larger spread in the plane; narrower points form a line
+    min_width_ratio: float = 0.1
+    max_thickness_ratio: float = 0.5  # largest ratio of the points' spread out of the plane to the smaller spread in it
 
 
 def pose_at_pixel(

@@ -39,11 +39,11 @@ from i2t.simulation.depth_camera import add_depth_noise, render_view, shade_view
 from i2t.types import Array
 
 TICK_S = 2.5e-3  # period of motion and of the skin's samples
-SLOW_FIELD_S = 1.0  # correlation time of the slow common field, an assumption
+SLOW_FIELD_S = 1.0  # s, assumed correlation time of the slow ambient field common to all chips
 
 
 class VirtualClock:
-    """Time that passes only when somebody waits.
+    """Time that passes only while a caller waits.
 
     Args:
         wall: Unix time (s) at which it begins.

@@ -1,15 +1,15 @@
-"""An emulated lab in processes of its own: a UR controller whose tool touches an object, and the boards of its skins.
+"""An emulated lab in its own processes: a UR controller whose tool touches an object, and the boards of its skins.
 
     python -m i2t.emulators.lab --host 127.0.0.9 --link /tmp/skin --object hexagon
     python -m i2t.collect --arm emulated --host 127.0.0.9 --skin emulated --port /tmp/skin --object hexagon
 
 The lab is the controller of `i2t.emulators.ur_controller`, with its faults on demand. It starts a board of
-`i2t.emulators.reskin_board` for each skin. The object has its pose in the rig's file. The force, its centre and the
-readings follow from i2t's own contact mechanics. They are computed along the tool's z axis once the tool has stood
-still for some ticks, which takes hundredths of a second next to the 500 Hz; a motion waits for it. The reading of a
-skin goes to its board over UDP on this machine whenever it changes, at each tick of 2 ms. The board sends the newest
-one, with ambient field, noise and steps, in its next frame, 2.5 ms after the last. A reading is therefore about 5 ms
-late if the machine is not busy. `python -m i2t.collect --arm emulated --skin emulated` starts a lab by itself.
+`i2t.emulators.reskin_board` for each skin. The pose of the object is that in the rig's file. The force, its centre and
+the readings follow from i2t's own contact mechanics. They are computed along the tool's z axis once the tool has stood
+still for some ticks, which takes hundredths of a second, longer than the 2 ms of a tick; a motion waits for it. The
+reading of a skin goes to its board over UDP on this machine whenever it changes, at each tick of 2 ms. The board sends
+the newest one, with ambient field, noise and steps, in its next frame, 2.5 ms after the last. A reading is therefore
+about 5 ms late if the machine is not busy. `python -m i2t.collect --arm emulated --skin emulated` starts its own lab.
 """
 
 import subprocess
@@ -41,11 +41,11 @@ run_lab = partial(processes.run_emulator, "i2t.emulators.lab")  # takes options;
 class EmulatedLabArgs(ur_controller.ControllerArgs):
     """An emulated lab."""
 
-    link: Path  # path that names the skin's port
-    board: str = DEFAULT_BOARD  # board of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file
-    rig: Path | None = None  # calibration of the lab, with the pose of the object
+    link: Path  # symbolic link to create as the name of the skin's port
+    board: str = DEFAULT_BOARD  # board of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file (.toml)
+    rig: Path | None = None  # the lab's calibration file, with the pose of the object; by default, the emulated lab's
     carried: Annotated[tyro.conf.UseAppendAction[tuple[tuple[str, Path], ...]], tyro.conf.arg(metavar="NAME LINK")] = ()
-    """A further skin of the rig, and the path that names its port."""
+    """Name of a further skin in the rig, and the symbolic link to create as the name of its port."""
     world: Annotated[WorldArgs, tyro.conf.OmitArgPrefixes] = field(default_factory=WorldArgs)
     plane: tyro.conf.Suppress[tuple[float, float]] = (0.0, 0.0)  # replaced by the object
 

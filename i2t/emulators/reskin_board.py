@@ -4,9 +4,9 @@
     python -m i2t.hardware.reskin --port /tmp/skin
 
 The first line of output is the port's path (the link, if there is one). With `--field`, the second line is the address
-for fields. Like a real board, it waits until somebody opens the port. At rest, it sends a uniform ambient field in the
+for fields. Like a real board, it waits until the port is opened. At rest, it sends a uniform ambient field in the
 axes of its chips (`i2t.skin.boards`), with noise and steps as measured on real boards. Presses can be added. Times of
-faults count from the first opening. The emulator runs on Linux and macOS, without JAX.
+faults count from when the port is first opened. The emulator runs on Linux and macOS, without JAX.
 """
 
 import errno
@@ -42,43 +42,45 @@ run_board = partial(processes.run_emulator, "i2t.emulators.reskin_board")  # tak
 class BoardSignal:
     """Signal of an emulated board. Noise and steps are those measured on real boards, at the paper's settings."""
 
-    ambient: tuple[float, float, float] = (18.0, -7.0, -41.0)  # uT in tool axes, about the Earth's field
+    ambient: tuple[float, float, float] = (18.0, -7.0, -41.0)  # uT, ambient field in tool axes, about the Earth's field
     noise: tuple[float, float, float] = (3.1, 3.1, 4.6)  # uT, standard deviation of a sample of x, y and z
-    steps: tuple[float, float, float] = (0.150, 0.150, 0.242)  # uT, steps of the converter
-    temperature: float = 24.6  # degrees Celsius
+    steps: tuple[float, float, float] = (0.150, 0.150, 0.242)  # uT, step of the converter along x, y and z
+    temperature: float = 24.6  # degrees Celsius, mean temperature of the chips
     temperature_noise: float = 0.1
     temperature_step: float = 1 / 45.2
-    temperature_origin: float = 25.0  # degrees Celsius from which the converter counts
+    temperature_origin: float = 25.0  # degrees Celsius, temperature at which the converter counts 0
     press: tuple[tuple[float, float, float], ...] = ((9, 4, -38), (-14, 8, 12), (6, 20, 9), (-5, -16, 7), (11, -9, 13))
     """Change (uT) of a press on successive chips, repeated on larger boards."""
-    press_period: float = 4.0  # s
+    press_period: float = 4.0  # s, time from one press to the next
 
 
 @dataclass(frozen=True)
 class EmulatedBoardArgs:
     """An emulated ReSkin, AnySkin or eFlesh board."""
 
-    link: Path | None = None  # name of the port: a symbolic link that is made and removed
-    board: str = "reskin"  # reskin, anyskin, or grid-RxC for R rows and C columns of chips
-    format: tyro.conf.EnumChoicesFromValues[Format] = Format.BINARY  # format of its frames, by its firmware
-    rate: float = 400.0  # frames per second
-    noise: float = 1.0  # noise relative to real boards; 0 repeats one frame exactly
+    link: Path | None = None  # symbolic link to the port, created at the start and removed at the end
+    board: str = "reskin"  # board to emulate: reskin, anyskin, or grid-RxC for R rows and C columns of chips
+    # format of the frames, which depends on the board's firmware
+    format: tyro.conf.EnumChoicesFromValues[Format] = Format.BINARY
+    rate: float = 400.0  # frame rate (frames per second)
+    noise: float = 1.0  # noise as a multiple of that of real boards; 0 repeats the same values exactly
     press: float = 0.0  # size of a press every 4 s, in units of 57 uT (norm on 5 chips)
     field: bool = False  # receive the field (3 float32 per chip, little-endian, uT) in UDP datagrams
-    fail: tuple[int, ...] = ()  # chips that do not answer
-    fail_after: float = 0.0  # time (s) until they stop answering
-    freeze_after: float = float("inf")  # time (s) until it sends the same values for ever
+    fail: tuple[int, ...] = ()  # numbers of the chips that stop answering
+    fail_after: float = 0.0  # time (s) until the chips in --fail stop answering
+    freeze_after: float = float("inf")  # time (s) until the board begins to repeat the same values
     fail_share: float = 0.0  # fraction of the samples in which a chip does not answer, independently for each chip
-    empty: int = 1  # only every Nth frame holds values, as if the firmware read faster than the chips measure
+    # only every Nth frame holds values, as if the firmware read faster than the chips measure; 1 fills all frames
+    empty: int = 1
     skip: float = 0.0  # fraction of the frames that are lost
-    garbage_for: float = 0.0  # duration (s) of random bytes after each opening, which resets the board
-    silent_after: float = float("inf")  # time (s) until it falls silent
-    silent_for: float = float("inf")  # duration (s) of the silence
-    unplug_after: float = float("inf")  # time (s) until it is unplugged
-    replug_after: float = float("inf")  # time (s) until it is plugged in again, under the same link
-    baud: int | None = None  # rate of a real UART, at which any other rate gives random bytes
-    seed: int = 0  # seed of noise and damage
-    tethered: bool = False  # end when standard input closes, together with the program that started it
+    garbage_for: float = 0.0  # duration (s) of random bytes each time that the port is opened, which resets the board
+    silent_after: float = float("inf")  # time (s) until the board stops sending
+    silent_for: float = float("inf")  # duration (s) of the pause after --silent-after
+    unplug_after: float = float("inf")  # time (s) until the board is unplugged
+    replug_after: float = float("inf")  # time (s) until the board is plugged in again, under the same link
+    baud: int | None = None  # baud rate of an emulated UART; a client at any other rate receives random bytes
+    seed: int = 0  # seed of the noise and of the random faults
+    tethered: bool = False  # exit when standard input closes, so that the board ends with the program that started it
 
 
 class Readings:
@@ -160,7 +162,7 @@ class BoardPort:
         self._unlink()
 
     def is_open(self) -> bool:
-        """Test whether somebody has the port open."""
+        """Test whether a program has the port open."""
         if self.master is None:
             return False
         poll = select.poll()
@@ -214,7 +216,7 @@ def main(args: Sequence[str] | None = None) -> int:
         if options.link and options.link.exists() and not options.link.is_symlink():
             raise ValueError(f"--link {options.link}: exists and is not a link; give another name")
         if options.empty < 1 or any(not 0 <= chip < board.num_chips for chip in options.fail):
-            raise ValueError(f"the board has chips 0 to {board.num_chips - 1}, and --empty is 1 or more")
+            raise ValueError(f"--fail takes chips 0 to {board.num_chips - 1}, --empty takes 1 or more; correct them")
         port = BoardPort(options.link)
         try:
             print(port.plug(), flush=True)

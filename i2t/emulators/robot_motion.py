@@ -16,18 +16,18 @@ from i2t.geometry import so3_exp, so3_log
 Array: TypeAlias = NDArray[np.float64]
 Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotation (3, 3) of the tool -> wrench on it
 
-ROTATION_LEVER_M = 0.25  # length of path for which a radian counts
+ROTATION_LEVER_M = 0.25  # m, length of path that counts as a rotation by one radian
 
 
 class LinearMotion(NamedTuple):
     """Straight motion between two poses, with a proportional rotation about a fixed axis."""
 
-    position: Array  # (3,) m, at the start
-    rotation: Array  # (3, 3)
-    displacement: Array  # (6,) to the end: m and rotation vector
-    length: float  # m
-    speed: float  # m/s
-    acceleration: float  # m/s^2
+    position: Array  # (3,) m, position of the tool at the start
+    rotation: Array  # (3, 3) rotation of the tool at the start
+    displacement: Array  # (6,) displacement from start to end: m and rotation vector (rad)
+    length: float  # m, length of the path
+    speed: float  # m/s, maximum speed
+    acceleration: float  # m/s^2, acceleration at both ends
 
 
 class Braking(NamedTuple):

@@ -33,21 +33,21 @@ from i2t.skin.dipoles import rest_field
 from i2t.skin.pad import press_force
 from i2t.types import Array, Board, Pad, Surface
 
-LINE_LENGTH_M = 0.12  # length of the line on which the object is searched
+LINE_LENGTH_M = 0.12  # m, length of the line along tool z on which the object is searched for
 LINE_TOLERANCE_M = 20e-6  # maximum distance of a tool that counts as on its line
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
-ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # base axes: about the Earth's field in its southern half
+ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # uT in base axes: about the Earth's field on the southern hemisphere
 
 
 class ContactLine(NamedTuple):
     """Contact of the skin along its own z axis."""
 
     T_b_t: Array  # (4, 4) pose at the beginning of the line
-    first: float  # m from there to first contact; inf if there is none
-    past_contact: Array  # (k,) m past first contact, from 0
-    force: Array  # (k,) N
+    first: float  # m, distance from the beginning of the line to first contact; inf if there is none
+    past_contact: Array  # (k,) m, tabulated travel past first contact, from 0
+    force: Array  # (k,) N, force at each tabulated travel
     centre: Array  # (k, 2) m, centre of pressure in the tool's x and y
-    reading: Array  # (k, 3 chips) uT, without noise
+    reading: Array  # (k, 3 chips) uT, reading at each tabulated travel, without noise
 
     def distance_along(self, position: Array, rotation: Array) -> float | None:
         """Compute the distance of a pose along the line.

@@ -1,33 +1,34 @@
-"""An emulated Universal Robots controller, as a process of its own, that the real ur_rtde client accepts.
+"""An emulated Universal Robots controller in its own process, to which the real ur_rtde client can connect.
 
     python -m i2t.emulators.ur_controller --host 127.0.0.9
 
-It opens the ports of the client (30004 RTDE, 29999 dashboard, 30003 script) and acts like the script that the client
-uploads: commands and results pass through registers. A tool without arm or joints moves in time, in straight lines with
-a trapezoidal speed profile. Joint values are therefore zero, and the tool has the reported pose, whatever the TCP. Each
-address 127.0.0.x is a separate robot.
+The emulator opens the ports that the client uses (30004 RTDE, 29999 dashboard, 30003 script) and acts like the script
+that the client uploads: commands and results pass through registers. A tool without arm or joints moves in real time,
+in straight lines with a trapezoidal speed profile. Joint values are therefore zero, and the tool has the reported pose,
+whatever the TCP. Each address 127.0.0.x is a separate robot.
 
-The tool meets a horizontal plane like a spring (`--plane`), or an object in `i2t.emulators.lab`. A command takes effect
-at the next tick of 2 ms.
+The tool can press a horizontal plane, which yields like a spring (`--plane`), or an object in `i2t.emulators.lab`. A
+command takes effect at the next tick of 2 ms.
 
-Faults on demand. A fourth port, 30100, receives a line and answers with one, for instance
+Faults on demand. A fourth port, 30100, receives a command as one line and answers with one line, for instance
 `echo protective | nc -q1 127.0.0.9 30100`:
 
     protective            protective stop; the dashboard's "unlock protective stop" releases it
     stall | resume        RTDE packets stop while connections stay open | and are sent again
     stall-control         only packets to the connections that write registers stop, until "resume"
-    forge NAME NUMBERS    an output is sent as these numbers, even nan or inf; "forge" alone ends that
+    forge NAME NUMBERS    send these numbers as the output NAME, even nan or inf; "forge" alone ends this
     mute                  every port still accepts connections, but answers nothing more
-    drop-control          the connections that write registers are closed, and can be made again
-    drop-state            the connections that only listen are closed, and can be made again
+    drop-control          the connections that write registers are closed; new ones are accepted
+    drop-state            the connections that only listen are closed; new ones are accepted
     kill-program          the running program ends at once, as when someone presses stop on the pendant
-    local | remote        control is refused (local mode, scripts are ignored) | and allowed again
+    local | remote        control is refused (local mode, scripts are ignored) | and accepted again
     wrench X Y Z A B C    a constant force (N) and torque (Nm) on the tool, in base axes, added to the plane's
     plane Z STIFFNESS     move the plane: height in metres, newtons per metre; stiffness 0 removes it
     tcp X Y Z RX RY RZ    the TCP on the pendant (m, rotation vector), with which a program begins
     speed FRACTION        the speed slider on the pendant
     status                a JSON object: pose, twist, program, number of uploads, commands received, maximum speed so
-                          far, when the tool last moved and when the client was last heard (s, controller's clock)
+                          far, and times of the tool's last motion and of the client's last message (s, controller's
+                          clock)
 
 Sources: Universal Robots' RTDE guide, dashboard server and URScript manuals (watchdog: `rtde_set_watchdog` with the
 action "stop"); the register handshake was observed from ur_rtde 1.6.5. The stopping distance, the lever by which
@@ -112,11 +113,12 @@ class ControllerArgs:
 
     host: str = "127.0.0.9"  # address to listen on
     pose: Annotated[PoseVector, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)
-    """Pose of the tool at the start: metres and rotation vector. By default it points down."""
+    """Pose of the tool at the start: position (m) and rotation vector (rad). By default, the tool points down."""
     plane: Annotated[tuple[float, float], tyro.conf.arg(metavar="Z STIFFNESS")] = (0.0, 0.0)
-    """A plane that the tool meets: its height (m) and stiffness (N/m), 0 for no plane."""
-    noise: float | None = None  # standard deviation (N) of the force sensor per axis; by default 0, in a lab 0.1
-    tethered: bool = False  # end when standard input closes
+    """Height (m) and stiffness (N/m) of a plane that the tool can press; stiffness 0 removes the plane."""
+    # standard deviation (N) of the force sensor per axis; by default, 0, and 0.1 in an emulated lab
+    noise: float | None = None
+    tethered: bool = False  # exit when standard input closes
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from i2t.emulators import rtde_protocol
 from i2t.emulators.robot_motion import Robot
 
-TICK = 0.002  # s
+TICK = 0.002  # s, period of the controller
 STOPPED, PLAYING, PAUSED = 1, 2, 4  # values of the runtime state
 
 

@@ -38,7 +38,7 @@ def read_pad(path: Path | None, board: str | None = None) -> "Pad":
     pad = load_pad(path)
     if board is not None and not same_board(pad.board, make_board(board)):
         raise ValueError(
-            f"{path}: is a pad on another board, of {pad.board.num_chips} chips, than {board}, of "
+            f"{path}: is a pad on a board of {pad.board.num_chips} chips, which differs from {board}, of "
             f"{make_board(board).num_chips}; pass the --board that it was made for, or another --pad"
         )
     return pad

@@ -80,8 +80,8 @@ def check_archive(path: str | Path, data: bytes) -> None:
     too_many = len(entries) > READ_LIMITS.archive_entries
     if too_many or total > max_bytes or len({entry.filename for entry in entries}) < len(entries):
         raise DataError(
-            f"{path}: is an archive of {len(entries)} entries that unpacks to {readable_size(total)}, as none of i2t's "
-            "does; restore a copy or make it again"
+            f"{path}: is an archive of {len(entries)} entries that unpacks to {readable_size(total)}, unlike any file "
+            "of i2t; restore a copy or make it again"
         )
     if any(entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) for entry in entries):
         raise DataError(f"{path}: is packed in a way that i2t does not use; restore a copy or make it again")

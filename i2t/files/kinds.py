@@ -83,7 +83,7 @@ def encoding_of(path: str | Path, head: bytes, *, whole: bool) -> str:
     """Detect the encoding of a text.
 
     UTF-8, UTF-16 and UTF-32 are recognised by their byte order marks, and UTF-16 of ASCII characters also without a
-    mark. Any other text is taken for UTF-8 if its bytes allow it, and otherwise for Windows-1252, which spreadsheets
+    mark. Any other text is read as UTF-8 if its bytes allow it, and otherwise as Windows-1252, which spreadsheets
     write.
 
     Args:

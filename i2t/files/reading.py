@@ -96,8 +96,7 @@ def read_bytes(path: str | Path, max_bytes: int = READ_LIMITS.file_bytes) -> byt
         size = os.fstat(file.fileno()).st_size
         if size > max_bytes:
             raise DataError(
-                f"{path}: has {readable_size(size)} where at most {readable_size(max_bytes)} are read; name another "
-                "file"
+                f"{path}: has {readable_size(size)}, but at most {readable_size(max_bytes)} are read; name another file"
             )
         return file.read(max_bytes)
 
@@ -242,13 +241,11 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     # The parser's time grows with the square of a key's length.
     longest = max(map(len, text.splitlines()), default=0)
     if longest > READ_LIMITS.toml_line_bytes:
-        raise DataError(
-            f"{path}: is not TOML that can be read (a line has {longest} characters); restore it from a copy"
-        )
+        raise DataError(f"{path}: cannot be read as TOML (a line has {longest} characters); restore it from a copy")
     try:
         return tomllib.loads(text)
     except RecursionError as error:
-        raise DataError(f"{path}: is not TOML that can be read (nested too deep); restore it from a copy") from error
+        raise DataError(f"{path}: cannot be read as TOML (nested too deep); restore it from a copy") from error
     except ValueError as error:  # TOMLDecodeError, and integers of thousands of digits
         raise DataError(f"{path}: is not TOML ({error}); correct it there") from error
 
@@ -269,7 +266,7 @@ def parse_json(text: str | bytes, whose: str | Path) -> Any:
     try:
         return json.loads(text)
     except RecursionError as error:
-        raise DataError(f"{whose}: is not JSON that can be read (nested too deep); restore it from a copy") from error
+        raise DataError(f"{whose}: cannot be read as JSON (nested too deep); restore it from a copy") from error
     except ValueError as error:
         raise DataError(f"{whose}: is not JSON ({error}); restore it from a copy") from error
 

@@ -24,7 +24,7 @@ from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path, replacing
 
 FORMAT_VERSION = 1
-HEADER_ENTRY = "about"
+HEADER_ENTRY = "about"  # name of the archive's entry that holds kind and version of the file
 
 Tree = TypeVar("Tree")
 
@@ -94,7 +94,9 @@ def load(
     try:
         return _build(form, arrays, ""), header["about"]
     except KeyError as error:
-        raise SerializationError(f"{path}: lacks {error}; it was written by another i2t, make it again") from error
+        raise SerializationError(
+            f"{path}: lacks {error}; it was written by another version of i2t; make it again"
+        ) from error
 
 
 def file_kind(path: Path | str) -> str:
@@ -143,7 +145,7 @@ def check_arrays(path: Path | str, tree: Any, shapes: Mapping[str, tuple[int, ..
         path: The path of the file that the arrays come from.
         tree: The NamedTuple that `load` returned.
         shapes: The required shape of each array to check, by the array's dotted name.
-        remedy: The end of the message, which says what to do.
+        remedy: The end of the message, which states the remedy.
 
     Raises:
         SerializationError: An array has another shape or a non-finite value.

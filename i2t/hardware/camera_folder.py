@@ -33,7 +33,7 @@ from i2t.files.reading import read_text, read_toml
 from i2t.files.writing import as_path
 from i2t.hardware.protocols import View
 
-DEPTH_UNIT_M = 1e-4  # of the files that `save_views` writes: 16 bits hold up to 6.5 m
+DEPTH_UNIT_M = 1e-4  # m per unit of the files that `save_views` writes: 16 bits hold up to 6.5 m
 DESCRIPTION = "camera.toml"
 NOT_TOML = (
     f"not TOML: write its numbers to {DESCRIPTION}, as KEY = VALUE under the same names (width, height, K, "
@@ -200,7 +200,7 @@ def _is_part(value: Any, whole: tuple[Any, ...]) -> bool:
 def _use_projection(own: dict[str, Any], matrix: list[float]) -> None:
     """Take the lens of a rectified image if the file has no other.
 
-    Refuse a file with a different lens or a distortion for the raw image, because it does not say which of the two
+    Refuse a file with a different lens or a distortion for the raw image, because it does not show which of the two
     images the depth belongs to.
     """
     names, rectified = ("fx", "fy", "cx", "cy"), _pinhole("P", matrix)

@@ -31,12 +31,12 @@ class CarriedSkin:
 
     name: str
     device: str = "reskin"  # reskin, simulated, emulated, or a device of another package, as --skin
-    T_tool_skin: Array = field(default_factory=lambda: np.eye(4))  # (4, 4)
+    T_tool_skin: Array = field(default_factory=lambda: np.eye(4))  # (4, 4) pose of the skin in the tool, m
     # Name for `i2t.skin.boards.make_board`; empty if the device of another package brings its own.
     board: str = DEFAULT_BOARD
-    address: str = ""  # its port; empty to find it by its serial number
-    serial_number: str = ""  # of a USB board
-    pad: str = ""  # name of the pad in the data set; by default the skin's
+    address: str = ""  # port of the skin; empty to find it by its serial number
+    serial_number: str = ""  # serial number of the skin's USB board
+    pad: str = ""  # name of the pad in the data set; by default, the name of the skin
 
     def __post_init__(self) -> None:
         try:
@@ -67,7 +67,7 @@ def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:
     boards = [skin.serial_number or skin.address for skin in skins if skin.device == "reskin"]
     for name in names:
         if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_-]{0,31}", name):
-            raise ValueError(f"{name!r} is not a name of a skin; give a letter, and then letters, digits, - or _")
+            raise ValueError(f"{name!r} is not a valid name of a skin; give a letter, and then letters, digits, - or _")
     for values in (names, boards):
         twice = [value for value in values if values.count(value) > 1]
         if twice:

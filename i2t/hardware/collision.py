@@ -25,7 +25,7 @@ def overrun_force(speed: float, stiffness: float, *, braking: float, delay: floa
     """Calculate the force that a contact gains until the tool stands.
 
     Args:
-        speed: Speed in m/s at first contact, or when the tool is told to stop.
+        speed: Speed in m/s at first contact, or when a stop is commanded.
         stiffness: Stiffness of the contact in N/m.
         braking: Deceleration in m/s^2.
         delay: Time in s until the tool begins to brake.

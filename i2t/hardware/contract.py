@@ -30,7 +30,7 @@ class _Contract:
 
     make_device: Callable[[], Any]  # builds a device without connecting it
     sources: tuple[str, ...] = ("real", "emulated", "simulated", "replay")
-    patience: float = 20.0  # s, which a busy machine may need
+    patience: float = 20.0  # s, waiting time that a busy machine may need
     state_timeout: float = 3.0  # s, maximum age of a state
 
     @pytest.fixture
@@ -45,10 +45,10 @@ class ArmContract(_Contract):
     limits: MotionLimits
     home: Array  # (4, 4) T_b_t, with the tool pointing down, 50 mm inside the box on all sides
     floor: float | None = None  # m, height of a springy plane, 20 to 60 mm below home
-    stiffness: float = 5e3  # N/m, of this plane
-    pose_tolerance: float = 1e-3  # m, and for a rotation's elements
-    force_tolerance: float = 2.0  # N and Nm, of the wrench at rest
-    speed_tolerance: float = 0.1  # share of the requested speed
+    stiffness: float = 5e3  # N/m, stiffness of the springy plane
+    pose_tolerance: float = 1e-3  # tolerance of a pose: m, and the same number for a rotation's elements
+    force_tolerance: float = 2.0  # N and Nm, tolerance of the wrench at rest
+    speed_tolerance: float = 0.1  # tolerance of a speed, as a share of the requested one
 
     def pose(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
         """Calculate a pose near home.
@@ -152,7 +152,7 @@ class ArmContract(_Contract):
 class SkinContract(_Contract):
     """Requirements of every skin, which need only measure the Earth's field."""
 
-    rate: float = 400.0  # Hz, nominal
+    rate: float = 400.0  # Hz, nominal rate of the samples
     has_temperature: bool = True
 
     def test_only_features_work_before_connecting(self, make: Callable[[], Skin]) -> None:
@@ -197,7 +197,7 @@ class CameraContract(_Contract):
     """Requirements of every depth camera; an object lies 90 to 200 mm in front of it."""
 
     depth_range: tuple[float, float] = (0.09, 0.2)  # m, distance of the object
-    min_measured_share: float = 0.9  # of the pixels that are measured
+    min_measured_share: float = 0.9  # smallest share of the pixels that must be measured
 
     def test_views_are_whole_in_metres_and_in_order(self, make: Callable[[], DepthCamera]) -> None:
         """Depth is in metres with NaN for holes, colours are of the same pixels; also after the camera was closed."""
@@ -241,7 +241,7 @@ def at_rest(arm: GuardedArm, state_timeout: float, patience: float) -> tuple[Arm
         patience: Maximum wait, s.
 
     Returns:
-        The state at rest, and the highest speed on the way (m/s).
+        The state at rest, and the highest speed during the motion (m/s).
     """
     fastest, end = 0.0, time.monotonic() + patience
     while True:

@@ -98,7 +98,9 @@ class MotionWatch:
         if not state.moving or not np.array_equal(state.T_b_t, before.T_b_t):
             self._change_time = now
         if not now - self._change_time <= self._stall_timeout:
-            raise DeviceError(f"{self._name} reports a motion, but its pose stands still; is its speed slider at 0?")
+            raise DeviceError(
+                f"{self._name} reports a motion, but its pose does not change; check whether its speed slider is at 0"
+            )
         self._newest = state
         force, torque = np.linalg.norm(state.wrench.reshape(2, 3), axis=1)
         return "force" if not force <= self._force else "torque" if not torque <= self._torque else None
@@ -139,7 +141,7 @@ def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
     force, torque = (float(norm) for norm in np.linalg.norm(np.reshape(wrench, (2, 3)), axis=1))
     if not (force <= SAFETY.max_start_load * limits.force and torque <= SAFETY.max_start_load * limits.torque):
         raise DeviceError(
-            f"The arm feels {force:.0f} N and {torque:.0f} Nm before it moves: free the tool with the pendant, and "
+            f"The arm measures {force:.0f} N and {torque:.0f} Nm before it moves: free the tool with the pendant, and "
             "check the payload."
         )
     growth = SAFETY.max_retreat_growth
@@ -210,7 +212,7 @@ class PolledArm(DeviceBase):
         raise NotImplementedError
 
     def brake(self) -> None:
-        """Brake without waiting for the stand."""
+        """Brake without waiting until the arm stands."""
         raise NotImplementedError
 
     def zero_sensor(self) -> None:
@@ -259,9 +261,9 @@ class PolledArm(DeviceBase):
             The newest state.
 
         Raises:
-            DeviceTimeoutError: The state is older; the arm was told to stop.
+            DeviceTimeoutError: The state is older; a stop was sent to the arm.
             DeviceError: The state is invalid, or a motion that `move` started met something or deviates from the
-                request; the arm was told to stop.
+                request; a stop was sent to the arm.
         """
         if not self._open:
             raise NotConnectedError(f"{self.name} is not connected; call connect() or use with")
@@ -467,7 +469,7 @@ class PolledArm(DeviceBase):
     def _halt(self, ended: threading.Event | None = None) -> None:
         """Brake until the arm stands, repeatedly if the driver fails.
 
-        Give up after the stop timeout, or when `ended` says that the motion is over.
+        Give up after the stop timeout, or when `ended` returns that the motion is over.
         """
         deadline = self.clock.now() + SAFETY.stop_timeout_s
         while self.clock.now() <= deadline and not (ended and ended.is_set()):
@@ -479,7 +481,7 @@ class PolledArm(DeviceBase):
                 return
 
     def _call(self, method: Callable[..., T], *arguments: Any) -> T:
-        """Call a method of the driver, and turn whatever it raises into a DeviceError."""
+        """Call a method of the driver, and turn every exception that it raises into a DeviceError."""
         try:
             return method(*arguments)
         except DeviceError:

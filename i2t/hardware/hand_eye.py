@@ -1,4 +1,4 @@
-"""Camera in tool from views of a printed board: print it, lay it down, view it from 15 tilted poses, estimate.
+"""Pose of the camera in the tool, from about 15 views of a printed board at different tilts.
 
     python -m i2t.hardware.hand_eye board board.png                    # print it at 100 %, measure a square
     python -m i2t.hardware.hand_eye capture DIR --host 192.168.0.2     # move the arm by hand, press Enter, repeat
@@ -7,9 +7,9 @@
 The board is a ChArUco board of OpenCV (`--dictionary APRILTAG_36h11` makes one of AprilTags). `capture` reads a
 RealSense's colour image and the arm's pose, without controlling the arm; the TCP set on the pendant must be the rig's
 T_flange_tool. Arms and cameras of other packages (`--arm`, `--camera`) also need the rig, and such an arm is released
-between views. DIR may come from elsewhere:
+between views. Another program may also write DIR:
 
-    DIR/camera.toml      the images' lens in pixels (keys of `i2t.depth.camera.Camera`), and T_camera_image (4 rows),
+    DIR/camera.toml      lens of the images in pixels (keys of `i2t.depth.camera.Camera`), and T_camera_image (4 rows),
                          the frame of the images in the depth camera's, if another sensor took them
     DIR/images/NAME.png  images of the board, one from each pose
     DIR/poses.csv        NAME.png, x, y, z (m), rx, ry, rz (rotation vector, rad): T_base_tool as the pendant shows it
@@ -48,11 +48,11 @@ from i2t.types import Array
 class CharucoBoard:
     """A ChArUco board; drawing or finding an impossible board raises ValueError."""
 
-    columns: int = 8  # number of squares
-    rows: int = 6  # number of squares
-    square: float = 0.015  # m, edge of a square
-    marker: float = 0.011  # m, edge of a marker
-    dictionary: str = "4X4_50"  # of markers in OpenCV; APRILTAG_36h11 makes a board of AprilTags
+    columns: int = 8  # number of squares in a row
+    rows: int = 6  # number of rows of squares
+    square: float = 0.015  # edge (m) of a square
+    marker: float = 0.011  # edge (m) of a marker
+    dictionary: str = "4X4_50"  # OpenCV's dictionary of markers; APRILTAG_36h11 makes a board of AprilTags
 
     def image(self, pixels_per_mm: float = 300 / 25.4) -> Array:
         """Draw the board for printing, with a margin of a square.
@@ -93,7 +93,7 @@ class CharucoBoard:
         aruco = opencv().aruco
         code = getattr(aruco, f"DICT_{self.dictionary}", None)
         if code is None:
-            raise ValueError(f"OpenCV has no dictionary {self.dictionary!r}; give one as 4X4_50 or APRILTAG_36h11")
+            raise ValueError(f"OpenCV has no dictionary {self.dictionary!r}; give one such as 4X4_50 or APRILTAG_36h11")
         markers = aruco.getPredefinedDictionary(code)
         return aruco.CharucoBoard((self.columns, self.rows), self.square, self.marker, markers)
 
@@ -191,10 +191,10 @@ class DrawArgs(CharucoBoard):
     file: tyro.conf.Positional[Path]  # image to write
 
     def run(self) -> None:
-        """Write the image."""
+        """Write the image of the board."""
         suffixes = (".png", ".tif", ".pdf")  # of formats that keep the size on paper
         if self.file.is_dir() or self.file.suffix.lower() not in suffixes:
-            raise ValueError(f"{self.file}: is not a name of a picture; let it end in {' or '.join(suffixes)}")
+            raise ValueError(f"{self.file}: is not the name of a picture; use the ending {' or '.join(suffixes)}")
         with replacing(self.file) as temporary:
             Image.fromarray(self.image()).save(temporary, dpi=(300, 300))
         print(f"{self.file}: print it at 100 %; a square must measure {1e3 * self.square:g} mm")
@@ -202,21 +202,20 @@ class DrawArgs(CharucoBoard):
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureArgs(CharucoBoard):
-    """Take views with the camera on an arm that a person moves."""
+    """Take views with the camera on an arm that is moved by hand."""
 
     folder: tyro.conf.Positional[Path]  # new folder for the views
-    arm: str = "ur"  # or an arm of another package: its registered name, or package.module:Class
-    host: str | None = None  # address of the arm's controller; a UR arm needs one
-    camera: str = REALSENSE  # or a camera of another package
-    serial: str | None = (
-        None  # serial number of the RealSense, if there are several; address of another package's camera
-    )
+    arm: str = "ur"  # ur, or an arm of another package by its registered name or as package.module:Class
+    host: str | None = None  # address of the arm's controller; required for a UR arm
+    camera: str = REALSENSE  # depth camera: realsense, or a camera of another package, named as for --arm
+    # serial number of the RealSense, if several are plugged in; or the address of a camera of another package
+    serial: str | None = None
     size: Annotated[tuple[int, int] | None, tyro.conf.arg(metavar="WIDTH HEIGHT")] = None
-    """Pixels of a RealSense's images: 640 360 by default."""
-    rig: Path | None = None  # the lab's calibration file, which devices of other packages need
+    """Image size of a RealSense in pixels; by default 640 360."""
+    rig: Path | None = None  # the lab's calibration file; required for devices of other packages
 
     def run(self) -> None:
-        """Take the views."""
+        """Take the views and save them."""
         rig = Rig.read(self.rig) if self.rig is not None else None
         check_device("camera", self.camera, {"size": self.size})
         if rig is None and self.camera != REALSENSE:
@@ -247,8 +246,8 @@ class EstimateArgs(CharucoBoard):
     """Estimate the pose of the camera in the tool."""
 
     folder: tyro.conf.Positional[Path]  # folder of the views
-    rig: Path | None = None  # a lab's calibration file, for comparison
-    write: bool = False  # write the estimate into the rig
+    rig: Path | None = None  # the lab's calibration file, with which the estimate is compared
+    write: bool = False  # write the estimate to the calibration file
 
     def run(self) -> None:
         """Print the estimate, and write it."""

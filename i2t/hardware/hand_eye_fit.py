@@ -30,29 +30,30 @@ class HandEyeConfig:
     """Requirements on the views, and the refinement of the fit."""
 
     min_views: int = 6
-    min_corners: int = 6  # of each view
-    min_tilt: float = math.radians(5)  # rad, RMS rotation about a second axis; below, the problem is nearly singular
-    max_steps: int = 100  # evaluations of the refinement; about ten suffice
-    loss_scale: float = 1.0  # pixels, error from which a corner counts less than its square
+    min_corners: int = 6  # smallest number of corners in each view
+    # rad, smallest RMS rotation about a second axis; below it, the problem is nearly singular
+    min_tilt: float = math.radians(5)
+    max_steps: int = 100  # largest number of evaluations in the refinement; about ten suffice
+    loss_scale: float = 1.0  # pixels, error beyond which a corner counts less than its square
 
 
 class BoardView(NamedTuple):
     """A board seen from one pose of the tool."""
 
-    T_b_t: Array  # (4, 4)
-    corners: Array  # (k, 3) m, on the board
-    rays: Array  # (k, 2) lines of sight, x / z and y / z
+    T_b_t: Array  # (4, 4) pose of the tool in the base when the view was taken, m
+    corners: Array  # (k, 3) m, positions of the visible corners on the board
+    rays: Array  # (k, 2) lines of sight of the corners, x / z and y / z
 
 
 class HandEyeResult(NamedTuple):
     """Pose of a camera in a tool, with its errors."""
 
-    T_t_c: Array  # (4, 4)
-    T_b_o: Array  # (4, 4), the board
-    rms: float  # pixels, of all corners
-    view_rms: Array  # (n,) pixels, of each view
+    T_t_c: Array  # (4, 4) pose of the camera in the tool, m
+    T_b_o: Array  # (4, 4) pose of the board in the base, m
+    rms: float  # pixels, RMS error of all corners
+    view_rms: Array  # (n,) pixels, RMS error of each view's corners
     position_error: float  # m, standard error of the camera's position
-    rotation_error: float  # rad, standard error of its rotation
+    rotation_error: float  # rad, standard error of the camera's orientation
 
 
 def pixel_rays(camera: Camera, pixels: Array) -> Array:
@@ -75,7 +76,9 @@ def pixel_rays(camera: Camera, pixels: Array) -> Array:
         return np.stack(brown_conrady(camera, *seen.T), axis=1)
     if camera.model in (Distortion.BROWN_CONRADY, Distortion.MODIFIED_BROWN_CONRADY):
         return np.stack(invert_brown_conrady(camera, *seen.T), axis=1)
-    raise ValueError(f"camera: a hand-eye calibration needs another lens than {camera.model}; give undistorted images")
+    raise ValueError(
+        f"camera: a hand-eye calibration does not support the lens {camera.model}; give undistorted images"
+    )
 
 
 def fit(views: Sequence[BoardView], focal: float, *, config: HandEyeConfig = HandEyeConfig()) -> HandEyeResult:

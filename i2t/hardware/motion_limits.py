@@ -27,12 +27,13 @@ class MotionLimits:
 
     lower: tuple[float, float, float]  # m, lower corner of the box for the tool's origin, in the base
     upper: tuple[float, float, float]  # m, upper corner of the box
-    speed: float = 0.25  # m/s
-    acceleration: float = 0.5  # m/s^2
-    force: float = 30.0  # N, in any motion; an approach has its own, lower limit
-    torque: float = 10.0  # Nm
-    approach_distance: float = 0.1  # m, length of the longest approach
-    stiffness: float = ARM_STIFFNESS_N_PER_M  # N/m, of skin, arm and mount in series, for the force of a collision
+    speed: float = 0.25  # m/s, maximum speed
+    acceleration: float = 0.5  # m/s^2, maximum acceleration
+    force: float = 30.0  # N, largest force in any motion; an approach has its own, lower limit
+    torque: float = 10.0  # Nm, largest torque in any motion
+    approach_distance: float = 0.1  # m, longest distance of an approach
+    # N/m, stiffness of skin, arm and mount in series, from which the force of a collision is computed
+    stiffness: float = ARM_STIFFNESS_N_PER_M
 
     def __post_init__(self) -> None:
         reach = SAFETY.max_reach_m

@@ -59,24 +59,25 @@ class DeviceSetup:
     arm: Arm | None = None  # arm that carries the device
     skin: CarriedSkin | None = None  # pose of a skin on the tool, and its serial number
     board: str | None = None  # board of the skin, or of the skin that the arm carries
-    watch: Mapping[str, Any] = field(default_factory=dict)  # state_timeout (s), watchdog_rate (Hz), if given
-    size: tuple[int, int] | None = None  # pixels of a camera's images
+    # timeouts of the arm's watch that were given: state_timeout (s), watchdog_rate (Hz)
+    watch: Mapping[str, Any] = field(default_factory=dict)
+    size: tuple[int, int] | None = None  # image size of a camera in pixels
     world: WorldArgs = field(default_factory=WorldArgs)  # world of a simulated or emulated device
     clock: Clock = field(default_factory=MonotonicClock)  # clock that the devices share
-    stack: ExitStack = field(default_factory=ExitStack)  # closes what was started for the device
+    stack: ExitStack = field(default_factory=ExitStack)  # stack that closes what was started for the device
 
 
 @dataclass(frozen=True)
 class DevicePlugin:
     """Description of a device that takes options besides its address, or requires its address."""
 
-    make: Callable[[DeviceSetup], Any]  # builds the device without connecting it; imports its library
+    make: Callable[[DeviceSetup], Any]  # function that builds the device without connecting it, and imports its library
     takes: frozenset[str] = frozenset({"address"})  # names of the accepted options, as on the command line
     needs_address: bool = False
-    needs_rig: bool = False  # otherwise the emulated lab's rig is the default
+    needs_rig: bool = False  # whether a rig must be given; otherwise the emulated lab's rig is the default
     arms: frozenset[str] = frozenset()  # names of the arms on which a simulated skin works; empty for a real skin
-    address_follows_arm: bool = False  # whether a skin needs an address exactly if its arm has one
-    # makes the clock of a lab that has such devices only, from a Unix time
+    address_follows_arm: bool = False  # whether a skin needs an address if and only if its arm has one
+    # function that makes, from a Unix time, the clock of a lab of simulated devices only
     make_clock: Callable[[float], Clock] = lambda begin: MonotonicClock()
 
 
@@ -130,7 +131,7 @@ def check_device(kind: DeviceKind, name: str, options: Mapping[str, Any]) -> Non
     for option, value in options.items():
         flag = KINDS[kind].address_flag if option == "address" else f"--{option.replace('_', '-')}"
         if value is not None and option not in plugin.takes:
-            raise ValueError(f"{flag} means nothing to --{kind} {name}; leave it out")
+            raise ValueError(f"{flag} has no effect with --{kind} {name}; leave it out")
         if value is None and option == "address" and plugin.needs_address:
             raise ValueError(f"--{kind} {name} needs an address; pass {flag}")
 

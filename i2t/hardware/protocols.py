@@ -41,8 +41,8 @@ class SkinFeatures(NamedTuple):
     name: str  # name of the device, for messages
     source: str  # real, emulated or simulated; files record it with the readings
     channels: tuple[str, ...]  # names of the values of a reading, in the board's order
-    unit: str  # of the readings: uT
-    rate: float  # Hz, nominal
+    unit: str  # unit of the readings: uT
+    rate: float  # Hz, nominal rate of the samples
 
 
 def channel_names(chips: int) -> tuple[str, ...]:
@@ -69,15 +69,15 @@ class Samples(NamedTuple):
 class SkinCounters(NamedTuple):
     """Counts of samples, bytes and losses since the skin was first connected. Only `rate` can fall."""
 
-    samples: int = 0  # delivered samples
-    lost: int = 0  # incomplete frames, by the board's own counter or by the bytes of their remains
-    gaps: int = 0  # places where frames are missing
-    bytes: int = 0  # received bytes
-    skipped: int = 0  # received bytes outside frames
-    empty: int = 0  # frames in which no chip answered; they are not delivered
-    missing: int = 0  # chips that did not answer, summed over all samples
-    connects: int = 0  # connections
-    rate: float = 0.0  # Hz, over the last second
+    samples: int = 0  # number of delivered samples
+    lost: int = 0  # number of incomplete frames, by the board's own counter or by the bytes of their remains
+    gaps: int = 0  # number of places where frames are missing
+    bytes: int = 0  # number of received bytes
+    skipped: int = 0  # number of received bytes outside frames
+    empty: int = 0  # number of frames in which no chip answered; they are not delivered
+    missing: int = 0  # number of missing chips, summed over all samples
+    connects: int = 0  # number of connections that were made
+    rate: float = 0.0  # Hz, rate of the samples over the last second
 
     @property
     def loss(self) -> float:
@@ -141,20 +141,20 @@ class ArmFeatures(NamedTuple):
 
     name: str  # name of the device, for messages
     source: str  # real, emulated or simulated
-    rate: float  # Hz, of its states
+    rate: float  # Hz, rate of the arm's states
     box: Array  # (2, 3) m, lower and upper corner of the box for the tool's position in the base
-    speed: float  # m/s, maximum
-    acceleration: float  # m/s^2, maximum
+    speed: float  # m/s, maximum speed
+    acceleration: float  # m/s^2, maximum acceleration
 
 
 class ArmState(NamedTuple):
     """State of an arm at one moment."""
 
-    time: float  # s, monotonic time
+    time: float  # s, monotonic time of the state
     T_b_t: Array  # (4, 4) measured pose of the tool in the base, m
-    joints: Array  # (joints,) rad
-    velocity: Array  # (6,) of the tool, along the base's axes: m/s, rad/s
-    wrench: Array  # (6,) on the tool, along the tool's axes: N, Nm, zeroed by `zero_wrench`
+    joints: Array  # (joints,) rad, joint angles
+    velocity: Array  # (6,) velocity of the tool along the base's axes: m/s, rad/s
+    wrench: Array  # (6,) wrench on the tool along the tool's axes: N, Nm, zeroed by `zero_wrench`
     moving: bool  # whether a motion is under way
     safe: bool  # False in a protective stop, an emergency stop or a violation of safety limits
 
@@ -180,7 +180,7 @@ class Arm(Device, Protocol):
             The newest state.
 
         Raises:
-            DeviceTimeoutError: The newest state is older; the arm was told to stop, if it can be reached.
+            DeviceTimeoutError: The newest state is older; a stop was sent to the arm if it can be reached.
         """
 
     def move(self, T_b_t: Array, speed: float, acceleration: float) -> Array:
@@ -240,8 +240,8 @@ class CameraFeatures(NamedTuple):
 
     name: str  # name of the device, for messages
     source: str  # real, simulated or replay
-    nearest: float  # m, shortest depth that it measures; NaN if only the device knows it
-    rate: float  # Hz, nominal
+    nearest: float  # m, shortest depth that the camera measures; NaN if only the device knows it
+    rate: float  # Hz, nominal rate of the views
 
 
 class View(NamedTuple):
@@ -249,16 +249,16 @@ class View(NamedTuple):
 
     time: float  # s, monotonic time of the exposure, as precise as possible
     depth: Array  # (h, w) m along the optical axis; NaN for unmeasured pixels
-    colour: Array | None  # (h, w, 3) uint8 RGB
+    colour: Array | None  # (h, w, 3) uint8 RGB, colour of the same pixels
 
 
 class ColourImage(NamedTuple):
     """A colour image as the sensor took it, for fine print: the colours of a `View` have the holes of its depth."""
 
-    time: float  # s, monotonic time
-    image: Array  # (h, w, 3) uint8 RGB
+    time: float  # s, monotonic time of the exposure
+    image: Array  # (h, w, 3) uint8 RGB image
     camera: Camera  # lens of this image
-    T_c_colour: Array  # (4, 4), frame of the image in the depth camera's, m
+    T_c_colour: Array  # (4, 4) pose of the image's frame in the depth camera's, m
 
 
 @runtime_checkable
@@ -294,8 +294,8 @@ class ApproachResult(NamedTuple):
     reason: StopReason  # what ended the approach
     answer: Any  # answer of the caller's stop condition if it stopped the arm, otherwise None
     trigger: ArmState  # state that made the arm brake
-    state: ArmState  # state at rest
-    distance: float  # m, from the start to the position at rest
+    state: ArmState  # state of the arm at rest after the approach
+    distance: float  # m, distance from the start to the position at rest
 
 
 @runtime_checkable
@@ -315,7 +315,7 @@ class GuardedArm(Arm, Protocol):
 
         Raises:
             ValueError: The goal is outside the box, or the motion is too fast; nothing has moved.
-            DeviceError: The arm met something, or was lost; it was told to stop, if it can be reached.
+            DeviceError: The arm met something, or was lost; a stop was sent to it if it can be reached.
         """
 
     def approach(

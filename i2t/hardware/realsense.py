@@ -1,17 +1,17 @@
 """A RealSense depth camera over pyrealsense2, or a file that it recorded: depth in metres, colour of the same pixels.
 
     python -m i2t.hardware.realsense                        # the only camera that is plugged in: model, lens, range
-    python -m i2t.hardware.realsense --save DIR --count 5   # keep views as `i2t.hardware.camera_folder` reads them
+    python -m i2t.hardware.realsense --save DIR --count 5   # save views for `i2t.hardware.camera_folder`
 
 The lens, with its distortion, is that of the depth image as the device reports it; images are not undistorted. A view
 is exposed after the call if the camera's clock is the computer's (global or system time, the default on Linux and
 Windows). Otherwise, and for a recording, frames that may have been under way at the call are dropped.
 
-Stereo cameras measure nothing nearer than focal length x baseline / maximum disparity; NEAREST_MM holds the values of
-the maker. At the paper's 104 mm only a D405 measures, at any resolution. A D435 needs 105 mm even at its smallest image
-(424 x 240) and 150 mm at the paper's 640 x 360, where its lens is like the paper's; D415 and D455 need 160 mm and more,
-SR300 and L515 200 and 250 mm. A disparity shift, set with the maker's viewer, lets a D435 measure nearer; then leave
-out `distance`, which would refuse the model.
+Stereo cameras measure nothing nearer than focal length x baseline / maximum disparity; NEAREST_MM holds the
+manufacturer's values. At the paper's 104 mm only a D405 measures, at any resolution. A D435 needs 105 mm even at its
+smallest image (424 x 240) and 150 mm at the paper's 640 x 360, where its lens is like the paper's; D415 and D455 need
+160 mm and more, SR300 and L515 200 and 250 mm. A disparity shift, set with the manufacturer's viewer, lets a D435
+measure nearer; then leave out `distance`, which would refuse the model.
 
 Sources: RealSense D400 series data sheet (337029), "Minimum-Z depth"; data sheets of SR300 and L515.
 """
@@ -40,7 +40,7 @@ from i2t.hardware.protocols import CameraFeatures, ColourImage, View
 from i2t.types import Array
 
 SIZES_PX = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))
-NEAREST_MM = {  # of each model at the sizes in SIZES_PX
+NEAREST_MM = {  # shortest depth (mm) that each model measures, at each of the sizes in SIZES_PX
     "D405": (40, 45, 55, 70, 70, 100),
     "D415": (160, 180, 240, 310, 310, 450),
     "D435": (105, 120, 150, 175, 195, 280),
@@ -82,15 +82,15 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
         distance: Distance in m from which the camera is to look.
 
     Raises:
-        TooNearError: The camera measures nothing as near; the message says what to change.
+        TooNearError: The camera measures nothing as near; the message states the remedy.
     """
     minimum = nearest(model, width, height)
     if distance < minimum:
         fits = [f", or take {w} x {h} pixels" for w, h in SIZES_PX if nearest(model, w, h) <= distance][-1:]
         others = [f", or mount a {name}" for name in NEAREST_MM if nearest(name, width, height) <= distance][:1]
         raise TooNearError(
-            f"the {model} measures nothing nearer than {1e3 * minimum:.0f} mm at {width} x {height} pixels, and is to "
-            f"look from {1e3 * distance:.0f} mm: look from {1e3 * minimum:.0f} mm{''.join(fits + others)}"
+            f"the {model} measures nothing nearer than {1e3 * minimum:.0f} mm at {width} x {height} pixels, so it "
+            f"cannot look from {1e3 * distance:.0f} mm: look from {1e3 * minimum:.0f} mm{''.join(fits + others)}"
         )
 
 
@@ -285,13 +285,14 @@ def _camera(lens: Any) -> Camera:
 class RealSenseArgs:
     """Show what a depth camera sees, and save views of it."""
 
-    serial: str | None = None  # serial number of the camera, if there are several
-    file: Path | None = None  # play this recording instead
-    size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (640, 360)  # pixels
-    rate: Count = 30  # Hz
-    distance: float | None = None  # m from which the camera is to look
-    save: Path | None = None  # new folder for the views
-    count: Count = 1  # number of views
+    serial: str | None = None  # serial number of the camera, if several are plugged in
+    file: Path | None = None  # recording to play instead of reading a camera
+    size: Annotated[tuple[int, int], tyro.conf.arg(metavar="WIDTH HEIGHT")] = (640, 360)  # image size in pixels
+    rate: Count = 30  # frame rate (Hz)
+    # working distance (m) of the camera; a camera that cannot measure so near is refused. By default, all are accepted
+    distance: float | None = None
+    save: Path | None = None  # new folder in which the views are saved
+    count: Count = 1  # number of views to take
 
 
 def _show(args: RealSenseArgs) -> None:

@@ -30,31 +30,33 @@ from i2t.types import Array
 class PlausibleRig:
     """Ranges of the values of a plausible rig, in metres, kilograms and degrees."""
 
-    tool_distance: tuple[float, float] = (10e-3, 0.35)  # from the flange to the skin
-    min_forward_cosine: float = 0.3  # between the direction from flange to skin and the skin's axis
-    mass: tuple[float, float] = (0.05, 4.0)  # of skin, camera and mount
-    max_mass_overhang: float = 0.1  # of the centre of mass, further from the flange than the skin
-    camera_distance: tuple[float, float] = (10e-3, 0.35)  # from skin to camera
-    max_camera_overhang: float = 5e-3  # of the camera in front of the skin's face
-    min_looking_gap: float = 10e-3  # between the skin and a surface at the looking distance
-    focal_share: tuple[float, float] = (0.4, 4.0)  # fx over the image's width (103 to 14 degrees)
-    max_pixel_aspect: float = 1.1  # fx over fy
-    centre_share: tuple[float, float] = (0.3, 0.7)  # of the principal point, over width and height
-    min_skin_pixels: float = 10  # of the skin's edge, at the looking distance
-    focal_tolerance: float = 0.1  # relative difference to the camera's own focal length
-    centre_tolerance: float = 0.05  # difference to the camera's own principal point, over the width
-    base_tilts: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0, 180.0)  # on a table, a wall, a ceiling, a torso
+    tool_distance: tuple[float, float] = (10e-3, 0.35)  # m, range of the distance from the flange to the skin
+    min_forward_cosine: float = 0.3  # smallest cosine between the direction from flange to skin and the skin's axis
+    mass: tuple[float, float] = (0.05, 4.0)  # kg, range of the mass of skin, camera and mount
+    max_mass_overhang: float = 0.1  # m, largest distance of the centre of mass beyond the skin, seen from the flange
+    camera_distance: tuple[float, float] = (10e-3, 0.35)  # m, range of the distance from skin to camera
+    max_camera_overhang: float = 5e-3  # m, largest distance of the camera in front of the skin's face
+    min_looking_gap: float = 10e-3  # m, smallest gap between the skin and a surface at the looking distance
+    focal_share: tuple[float, float] = (0.4, 4.0)  # range of fx over the image's width (103 to 14 degrees)
+    max_pixel_aspect: float = 1.1  # largest ratio of fx and fy
+    centre_share: tuple[float, float] = (0.3, 0.7)  # range of the principal point over width and height
+    min_skin_pixels: float = 10  # smallest number of pixels along the skin's edge at the looking distance
+    focal_tolerance: float = 0.1  # largest relative difference to the camera's own focal length
+    centre_tolerance: float = 0.05  # largest difference to the camera's own principal point, over the image's width
+    # tilts of a base on a table, a wall, a ceiling or a torso
+    base_tilts: tuple[float, ...] = (0.0, 45.0, 90.0, 135.0, 180.0)
     base_tilt_tolerance: float = 4.0
     max_box_edge: float = 1.5
     max_box_below_table: float = 20e-3
-    object_size: tuple[float, float] = (8e-3, 0.6)  # largest edge of the object's box
+    object_size: tuple[float, float] = (8e-3, 0.6)  # range of the largest edge of the object's box
     max_object_below_table: float = 5e-3
     max_object_above_table: float = 30e-3
     min_box_above_object: float = 40e-3
-    max_position_std: float = 30e-3  # of an object's pose, above which nothing is known of it
+    # m, largest standard deviation of the object's position; above it the position counts as unknown
+    max_position_std: float = 30e-3
     max_rotation_std: float = 30.0
-    max_skin_overhang: float = 0.02  # of a further skin, in front of the skin that presses
-    min_skin_spacing: float = 0.01  # between two skins that face the same way
+    max_skin_overhang: float = 0.02  # m, largest distance of a further skin in front of the pressing skin
+    min_skin_spacing: float = 0.01  # m, smallest distance between two skins that face the same way
 
 
 Doubts: TypeAlias = Iterator[tuple[bool | np.bool_, str]]  # whether a value is implausible, and the sentence about it

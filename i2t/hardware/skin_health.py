@@ -39,37 +39,39 @@ class HealthConfig:
     The typical noise was recorded on ReSkin boards at rest, at the paper's settings.
     """
 
-    rest_duration: float = 0.5  # s of samples at rest, once there are `min_samples`
-    rest_samples: int = 200  # samples at rest that are enough, even in less time
-    min_samples: int = 24  # samples that a judgement needs
-    samples_per_read: int = 8  # few, so that a board of some hertz is judged too
-    read_timeout: float = 3.0  # s
-    typical_noise_ut: tuple[float, float, float] = (3.1, 3.1, 4.6)  # standard deviation of a sample along x, y and z
-    noise_factor: float = 3.0  # times the expected noise that is too noisy
+    rest_duration: float = 0.5  # s, duration of the samples at rest, once there are `min_samples`
+    rest_samples: int = 200  # number of samples at rest that suffice even in less time than `rest_duration`
+    min_samples: int = 24  # smallest number of samples that a judgement needs
+    samples_per_read: int = 8  # number of samples per read; few, so that a board of some hertz is judged too
+    read_timeout: float = 3.0  # s, waiting time for the samples of a read
+    # uT, typical standard deviation of a sample along x, y and z
+    typical_noise_ut: tuple[float, float, float] = (3.1, 3.1, 4.6)
+    noise_factor: float = 3.0  # factor on the typical noise above which a chip is too noisy
     max_noise_ut: float = 15.0
     glitch_share: float = 0.01  # share of the differences, the largest ones, that are left out of the noise
-    frozen_probability: float = 1e-6  # of an unchanged axis by chance
-    saturation_share: float = 0.98  # of the converter's range
+    # probability of an unchanged axis by chance, below which the axis counts as frozen
+    frozen_probability: float = 1e-6
+    saturation_share: float = 0.98  # share of the converter's range from which a value counts as saturated
     clipped_share: float = 0.3  # share of the samples at the largest value that means saturation
-    min_chip_share: float = 0.5  # share of the chips that must answer
-    min_response_ut: float = 4.0  # of a reading to a press, even by a flat; noise alone stays below
-    min_press_force: float = 1.5  # N of a press that must change the reading
+    min_chip_share: float = 0.5  # smallest share of the chips that must answer
+    min_response_ut: float = 4.0  # uT, smallest reading of a press, even on a flat; noise alone stays below
+    min_press_force: float = 1.5  # N, smallest force of a press that must change the reading
 
 
 class SkinDefect(NamedTuple):
     """A defect of a skin."""
 
     sentence: str
-    stops: bool  # whether no session may start
+    stops: bool  # whether the defect prevents a session from starting
 
 
 class SkinHealth(NamedTuple):
     """Health of a skin, judged from samples at rest."""
 
-    rate: float  # Hz
+    rate: float  # Hz, rate of the samples
     noise: Float[np.ndarray, " c"]  # uT, standard deviation of one sample; NaN for a missing chip
     temperature: Float[np.ndarray, " chips"]  # degrees Celsius; NaN if the skin does not report it
-    missing: tuple[int, ...]  # chips that did not answer
+    missing: tuple[int, ...]  # numbers of the chips that did not answer
     defects: tuple[SkinDefect, ...]
 
     @property

@@ -27,29 +27,29 @@ class StreamConfig:
     """Size of the queue of a skin, and its times in seconds."""
 
     queue_samples: int = 4096
-    poll_period: float = 0.02  # maximum time between two looks into the queue
-    read_margin: float = 2.0  # by which samples may be late, as on a busy computer; the arm stands meanwhile
-    max_time_ahead: float = 0.25  # of a sample's time, which may come from another clock
-    first_sample_timeout: float = 3.0  # after a connection
-    rate_window: float = 1.0  # over which the rate is measured
-    min_rate_span: float = 0.2  # of the samples in this window, below which the rate is unknown
-    join_timeout: float = 1.0  # for the end of the thread
+    poll_period: float = 0.02  # s, maximum time between two looks into the queue
+    read_margin: float = 2.0  # s, delay that is allowed for samples, as on a busy computer; the arm stands meanwhile
+    max_time_ahead: float = 0.25  # s, largest time by which a sample may be ahead; its time may come from another clock
+    first_sample_timeout: float = 3.0  # s, waiting time for the first sample after a connection
+    rate_window: float = 1.0  # s, duration over which the rate is measured
+    min_rate_span: float = 0.2  # s, shortest span of the samples in the window from which the rate is computed
+    join_timeout: float = 1.0  # s, waiting time for the end of the thread
 
 
 class StreamRow(NamedTuple):
     """One sample, as in `i2t.hardware.protocols.Samples`."""
 
     number: int
-    time: float  # s
-    reading: Array  # (c,) uT, NaN for a missing chip
+    time: float  # s, monotonic time of the sample
+    reading: Array  # (c,) uT, reading of the sample; NaN for a missing chip
     temperature: Array  # (chips,) degrees Celsius, NaN if the board does not report it
 
 
 class Measurement(NamedTuple):
     """A sample as a driver receives it, not yet numbered."""
 
-    time: float  # s, monotonic
-    reading: Array  # (c,) uT
+    time: float  # s, monotonic time
+    reading: Array  # (c,) uT, reading
     temperature: Array  # (chips,) degrees Celsius
 
 
@@ -274,7 +274,9 @@ class StreamedSkin(QueuedSkin):
             if (np.shape(row.reading), np.shape(row.temperature)) != ((3 * chips,), (chips,)):
                 raise DeviceError(f"{self._name} sends samples that do not have {3 * chips} values; check its driver")
             if not row.time <= now + self.stream_config.max_time_ahead:
-                raise DeviceError(f"{self._name} dates samples in the future; its driver must use time.monotonic()")
+                raise DeviceError(
+                    f"{self._name} sends samples with times in the future; its driver must use time.monotonic()"
+                )
         with self._lock:
             if not measured or stop.is_set():
                 return

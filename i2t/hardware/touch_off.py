@@ -4,22 +4,22 @@
 
 WARNING: The command moves the arm. Set the speed slider to a fifth and keep a hand on the emergency stop.
 
-A rigid, level flat lies at a known height in the robot's base: the table, or a gauge block on it. The tool is tilted so
-that one corner of the skin is lowest, and lowered until the corner feels the flat. From the tool's pose T_b_t at that
-moment, the corner (x, y) of the skin has in the tool the height
+The flat is a rigid, level surface at a known height in the robot's base: the table, or a gauge block on it. The tool is
+tilted so that one corner of the skin is lowest, and lowered until the arm feels the flat. From the tool's pose
+T_b_t at that moment, the height in the tool of the corner (x, y) of the skin is
 
     z = (height - o_z - R_zx x - R_zy y) / R_zz,        T_b_t = (R, o),
 
 and four corners determine a plane, z = z0 + sx x + sy y by least squares: the face of the skin. The tool's frame is
-moved along its z axis and tilted onto this plane. A flat reveals nothing about sideways shifts or rotations about z. A
-plane needs three corners; the distance by which the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around, is
-reported.
+moved along its z axis and tilted onto this plane. A flat reveals nothing about lateral offsets or rotations about z.
+Three corners determine a plane; the distance by which the four miss it, |z1 - z2 + z3 - z4| / 4 in their order around
+the skin, is reported.
 
-A press begins before it is felt. A corner that sinks into an elastic layer by d touches over an area of d^2 at a mean
-strain proportional to d, so its force grows as d^3. With a spring of stiffness k in series, the travel since first
-contact is a F^(1/3) + F / k. First contact, a and k are fitted to the forces on the way by least squares. On the skin
-of the simulated world the result is 0.03 mm early at this tilt; a straight line through the forces would be 0.5 mm
-late.
+A press begins before its force can be measured. A corner that sinks into an elastic layer by d touches over an area of
+d^2 at a mean strain proportional to d, so its force grows as d^3. With a spring of stiffness k in series, the travel
+since first contact is a F^(1/3) + F / k. First contact, a and k are fitted to the measured forces by least squares. On
+the skin of the simulated world the result is 0.03 mm early at this tilt; a straight line through the forces would be
+0.5 mm late.
 """
 
 import math
@@ -47,29 +47,30 @@ from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW
 from i2t.types import Array
 
-CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # signs of x and y of the corners, in their order around
+# signs of x and y of the skin's corners, in their order around the skin
+CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 
 @dataclass(frozen=True)
 class TouchOffConfig:
     """Motions of a touch-off, and how the force of a corner is judged."""
 
-    tilt: float = math.radians(6)  # rad, of the tool while it touches
-    clearance: float = 6e-3  # m above the flat, from where the lowest corner is lowered
-    transfer_speed: float = 0.05  # m/s between the corners
-    lowering_speed: float = 0.02  # m/s down to the clearance
-    approach_speed: float = 2e-3  # m/s onto the flat
-    approach_acceleration: float = 0.1  # m/s^2
-    softness_guess: float = 0.8e-3  # m/N^(1/3), of a corner
-    contact_force_share: float = 0.2  # share of the largest force that counts as felt
-    min_contact_samples: int = 5  # samples that must feel the flat
+    tilt: float = math.radians(6)  # rad, tilt of the tool while it touches
+    clearance: float = 6e-3  # m, height of the lowest corner above the flat before it is lowered slowly
+    transfer_speed: float = 0.05  # m/s, speed between the corners
+    lowering_speed: float = 0.02  # m/s, speed down to the clearance
+    approach_speed: float = 2e-3  # m/s, speed from the clearance onto the flat
+    approach_acceleration: float = 0.1  # m/s^2, acceleration onto the flat
+    softness_guess: float = 0.8e-3  # m/N^(1/3), first guess of a corner's softness `a`
+    contact_force_share: float = 0.2  # share of the largest force from which a sample counts as in contact
+    min_contact_samples: int = 5  # smallest number of samples in contact
 
 
 class FittedPlane(NamedTuple):
     """Plane of the skin's face, fitted to the touches of its corners."""
 
-    T_tool_skin: Array  # (4, 4), in the tool's frame of the rig: a shift along z and a tilt
-    flatness_error: float  # m, by which each corner misses the plane
+    T_tool_skin: Array  # (4, 4) pose of the skin in the rig's tool frame: a shift along z and a tilt, m
+    flatness_error: float  # m, distance of each corner from the fitted plane
 
 
 def corner_rotation(side: tuple[int, int], tilt: float = TouchOffConfig.tilt) -> Float[Array, "3 3"]:
@@ -92,7 +93,7 @@ def contact_onset(
     """Estimate the distance to first contact in a press of a corner.
 
     Args:
-        distance: (n,) distance of each sample on the way, m.
+        distance: (n,) distance of the tool from the start at each sample, m.
         force: (n,) force of each sample, N.
         config: Thresholds of the force.
 
@@ -247,11 +248,11 @@ class TouchOffArgs:
     """Find the pose of the skin in the tool by touching a flat with each corner of the skin."""
 
     rig: Path  # the lab's calibration file
-    height: float  # of the flat in the base, m
-    at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # the flat's position in the base, m
-    arm: str = "ur"  # or an arm of another package: its registered name, or package.module:Class
-    host: str | None = None  # address of the arm's controller; a UR arm needs one
-    write: bool = False  # write the result into the rig
+    height: float  # height (m) of the flat in the robot's base frame
+    at: Annotated[tuple[float, float], tyro.conf.arg(metavar="X Y")]  # position (m) of the flat in the base frame
+    arm: str = "ur"  # ur, or an arm of another package by its registered name or as package.module:Class
+    host: str | None = None  # address of the arm's controller; required for a UR arm
+    write: bool = False  # write the result to the calibration file
 
 
 def _touch_off(args: TouchOffArgs) -> None:

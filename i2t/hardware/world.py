@@ -14,11 +14,11 @@ class WorldArgs:
 
     FLAT: ClassVar[bool] = True  # flags are --object, not --world.object
 
-    object: str = "hexagon"  # name in the catalogue, or a mesh file
-    # unit of a mesh file, which does not contain it; so there is no default
-    unit: Literal["m", "cm", "mm", "inch"] | None = None
+    object: str = "hexagon"  # name of the object in the catalogue, or a mesh file
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file; required for a mesh file
     largest_piece: bool = False  # touch only the largest piece of a mesh file; the arm avoids the rest
-    pad: Path | None = None  # pad file for simulated and emulated skins; by default a random pad
+    pad: Path | None = None  # pad file for simulated and emulated skins; by default, a random pad
     seed: Seed = 0  # seed of the sites and of the simulation
-    no_pose_error: bool = False  # simulated: object and camera are exactly where the rig has them
-    stiffness: Annotated[float, Limits(100, 1e6)] = ARM_STIFFNESS_N_PER_M  # simulated: stiffness of arm and mount, N/m
+    no_pose_error: bool = False  # simulate object and camera exactly at their poses in the rig, without errors
+    # stiffness (N/m) of the simulated arm and its mount
+    stiffness: Annotated[float, Limits(100, 1e6)] = ARM_STIFFNESS_N_PER_M

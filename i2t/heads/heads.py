@@ -104,8 +104,8 @@ HEAD_CONFIG = HeadConfig()
 class HeadPrediction(NamedTuple):
     """Predictions of a head for n readings."""
 
-    mean: Float[np.ndarray, "n d"]  # in the library's unit; NaN if a reading is not finite
-    std: Float[np.ndarray, "n d"]  # in the same unit; NaN if a reading is not finite
+    mean: Float[np.ndarray, "n d"]  # predicted target in the library's unit; NaN if a reading is not finite
+    std: Float[np.ndarray, "n d"]  # standard deviation in the library's unit; NaN if a reading is not finite
     unfamiliar: Bool[np.ndarray, " n"]  # whether the reading is far from all known ones
 
 
@@ -115,10 +115,10 @@ class SpreadRecord(NamedTuple):
     features: FeatureMap
     known: Float[np.ndarray, "m k"]  # features of known readings
     likeness: Float[np.ndarray, "m 2"]  # log length and log distance from other folds, standardised
-    middle: Float[np.ndarray, " 2"]  # mean of these before standardisation
-    width: Float[np.ndarray, " 2"]  # standard deviation of these
-    square: Float[np.ndarray, "m d"]  # squared errors
-    factor: Float[np.ndarray, " d"]  # factor on the standard deviation
+    middle: Float[np.ndarray, " 2"]  # mean of the log lengths and log distances before standardisation
+    width: Float[np.ndarray, " 2"]  # standard deviation of the log lengths and log distances before standardisation
+    square: Float[np.ndarray, "m d"]  # squared errors of the known readings
+    factor: Float[np.ndarray, " d"]  # factor on the predicted standard deviation
     far: Float[np.ndarray, ""]  # distance from which a reading is unfamiliar
 
 
@@ -126,7 +126,7 @@ class StackRecord(NamedTuple):
     """A weighted sum of methods about the mean, m + sum w_i (f_i - m); methods without weight are None."""
 
     centre: Float[np.ndarray, " d"]  # m, mean of the targets
-    weights: Float[np.ndarray, " methods"]  # in the order of HEAD_METHODS
+    weights: Float[np.ndarray, " methods"]  # weights of the methods, in the order of HEAD_METHODS
     histories: Int[np.ndarray, " methods"]  # number of earlier rows that each method uses
     mean: Regression | None = None
     linear: Regression | None = None
@@ -145,11 +145,13 @@ class HeadRecord(NamedTuple):
 
     stack: StackRecord
     spread: SpreadRecord
-    values: Int[np.ndarray, ""]  # number of channels of the skin
+    values: Int[np.ndarray, ""]  # number of values of a reading of the skin
     channels: Int[np.ndarray, " used"]  # channels that the head uses
     history: Int[np.ndarray, ""]  # number of earlier rows that any method uses
-    near_stack: StackRecord | None = None  # replaces `stack` near known readings; None if `stack` serves everywhere
-    gate: Float[np.ndarray, " 2"] | None = None  # distances up to which `near_stack` predicts, and from which `stack`
+    # stack that replaces `stack` near known readings; None if `stack` serves everywhere
+    near_stack: StackRecord | None = None
+    # distance up to which only `near_stack` predicts, and distance from which only `stack` predicts
+    gate: Float[np.ndarray, " 2"] | None = None
 
 
 @dataclass(frozen=True)
@@ -240,9 +242,11 @@ def load_head(path: Path | str) -> Head:
     record, about = serialization.load(path, FILE_KIND_OF_HEAD, HeadRecord)
     with serialization.fitting(path):
         target = about.get("target")
-        target = "travel" if target == "depth" else target  # as earlier files call it
+        target = "travel" if target == "depth" else target  # name in earlier files
         if target not in HEAD_TARGETS:
-            raise serialization.SerializationError(f"{path}: names no target that this version knows; fit it again")
+            raise serialization.SerializationError(
+                f"{path}: has a target that this version does not support; fit it again"
+            )
         return Head(target, record, about["validation"], about["about"])
 
 
@@ -339,9 +343,9 @@ def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
     if not count:
         raise ValueError(f"{recording.name} has no known {target}")
     if count < min_rows:
-        raise ValueError(f"{recording.name} has a known {target} in {count} rows: {min_rows} are needed")
+        raise ValueError(f"{recording.name} has a known {target} in only {count} rows, but {min_rows} are needed")
     if not recording.rows(usable).varies(target):
-        raise ValueError(f"{recording.name} has only one {target}, so no head can be fitted to it")
+        raise ValueError(f"{recording.name} has only one value of {target}, so no head can be fitted to it")
     return np.flatnonzero(usable)
 
 
@@ -411,8 +415,8 @@ class _Trial(NamedTuple):
 
     settings: Settings
     history: int
-    predicted: np.ndarray  # (ways, n, d)
-    error: float  # geometric mean over the ways
+    predicted: np.ndarray  # (ways, n, d) predictions for each way of holding out rows
+    error: float  # geometric mean of the errors over the ways of holding out rows
 
 
 class _Candidate(NamedTuple):
@@ -422,7 +426,7 @@ class _Candidate(NamedTuple):
     methods: dict[str, _Trial]
     weights: dict[str, float]
     near: "_Candidate | None" = None
-    gate: np.ndarray | None = None  # distances up to which `near` predicts, and from which it does not
+    gate: np.ndarray | None = None  # distance up to which only `near` predicts, and distance from which it does not
 
 
 class _Trials(NamedTuple):

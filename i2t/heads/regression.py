@@ -66,19 +66,19 @@ class SearchGrid:
 class HeadBudget(NamedTuple):
     """Numbers of rows that a fit uses, at most."""
 
-    selection_rows: int = 700  # for the choice of settings, whose cost grows with the cube
-    known_rows: int = 2500  # of a GP
-    rows: int = 12000  # of the recording
+    selection_rows: int = 700  # largest number of rows for the choice of settings, whose cost grows with the cube
+    known_rows: int = 2500  # largest number of rows that a Gaussian process keeps
+    rows: int = 12000  # largest number of rows of the recording that are used
 
 
 class FeatureMap(NamedTuple):
     """Map from readings to features, as arrays that a file can hold."""
 
-    kind: Int[np.ndarray, ""]  # a `FeatureKind`
+    kind: Int[np.ndarray, ""]  # kind of the features, a `FeatureKind`
     channel: Float[np.ndarray, " c"]  # uT, root mean square of each channel
     overall: Float[np.ndarray, ""]  # uT, root mean square of all channels
     middle: Float[np.ndarray, " k"]  # mean of the features before they are scaled
-    spread: Float[np.ndarray, ""]  # root mean square distance from the mean
+    spread: Float[np.ndarray, ""]  # root mean square distance of the features from their mean
 
     def __call__(self, readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n k"]:
         """Compute the features of readings.
@@ -95,13 +95,13 @@ class FeatureMap(NamedTuple):
 class Regression(NamedTuple):
     """A fitted method, as arrays that a file can hold; fields that a method does not use are None."""
 
-    method: Int[np.ndarray, ""]  # index into HEAD_METHODS
-    settings: Float[np.ndarray, " s"]  # from `choose_settings`
+    method: Int[np.ndarray, ""]  # index of the method in HEAD_METHODS
+    settings: Float[np.ndarray, " s"]  # settings of the method, from `choose_settings`
     features: FeatureMap
     centre: Float[np.ndarray, " d"]  # mean of the targets
     scale: Float[np.ndarray, " d"]  # standard deviation of the targets
     known: Float[np.ndarray, "m k"] | None = None  # features of the rows that the method keeps
-    weights: Float[np.ndarray, "m d"] | None = None  # of these rows, or of the features
+    weights: Float[np.ndarray, "m d"] | None = None  # weights of the known rows, or of the features
 
 
 def make_feature_map(kind: int, readings: Float[np.ndarray, "n c"]) -> FeatureMap:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from i2t.objects.solids import Mesh, place_on_table
 
-Real: TypeAlias = float | int  # of a drawing
+Real: TypeAlias = float | int  # a number of a drawing
 
 
 def mesh_from_solid(solid: Manifold) -> Mesh:

@@ -23,8 +23,9 @@ from i2t.objects.solids import Mesh
 class CleaningConfig:
     """Which vertices are equal, and which pieces are dust."""
 
-    merge_distance: float = 1e-8  # m
-    max_dust_fraction: float = 1e-3  # area of one grain relative to the largest piece, and of all dust to the mesh
+    merge_distance: float = 1e-8  # m, distance within which vertices are merged
+    # largest area of one dropped grain relative to the largest piece, and of all grains to the mesh
+    max_dust_fraction: float = 1e-3
 
 
 @dataclass(frozen=True)
@@ -33,16 +34,16 @@ class CleaningReport:
 
     path: str
     faces_read: int
-    faces: int  # faces that were kept
+    faces: int  # number of faces that were kept
     vertices_merged: int
-    degenerate: int  # faces without area, dropped
-    repeated: int  # repeated faces and walls between two bodies, dropped
-    pieces: int  # edge-connected pieces that were kept
-    pieces_dropped: int  # dust, or all pieces except the largest if only that was requested
+    degenerate: int  # number of faces without area, which were dropped
+    repeated: int  # number of repeated faces and walls between two bodies, which were dropped
+    pieces: int  # number of edge-connected pieces that were kept
+    pieces_dropped: int  # number of dropped pieces: dust, or all except the largest if only that was requested
     area_dropped: float  # fraction of the area that is in the dropped pieces
-    turned: int  # faces whose winding was reversed
-    open_edges: int  # edges with an odd number of faces; 0 is watertight
-    size: tuple[float, float, float]  # m
+    turned: int  # number of faces whose winding was reversed
+    open_edges: int  # number of edges with an odd number of faces; 0 is watertight
+    size: tuple[float, float, float]  # m, edges of the mesh's bounding box
 
     @property
     def watertight(self) -> bool:

@@ -22,7 +22,7 @@ from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
 from i2t.objects.solids import Mesh, Object, table_transform, transform_mesh
 
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}
-MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # longest side of an object that is touched
+MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, limits of the longest side of an object
 
 
 def read_mesh(

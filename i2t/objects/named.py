@@ -39,7 +39,7 @@ def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bo
             raise ValueError(f"{subject}: {what}, as there is no such file; check the name{_folder_hint(path)}")
         raise ValueError(f"{subject}: {what}" + (f"; {did_you_mean(name, NAMES, CATALOGUE_HINT)}" if catalogue else ""))
     if unit is None:
-        raise ValueError(f"{subject}: say in which unit the file is, for instance --unit mm")
+        raise ValueError(f"{subject}: its unit is missing; give it, for instance --unit mm")
 
 
 def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> "Object":

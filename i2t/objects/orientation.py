@@ -30,10 +30,12 @@ class OrientationConfig:
     dipole_distance: float = 3.0  # distance, in radii of a part, beyond which the part is treated as one dipole
     max_judged_parts: int = 2000  # with more parts, closed ones are judged by their volume, and open ones not at all
     max_holed_parts: int = 8  # with more parts with holes, each is judged only by the mean winding number next to it
-    min_evidence: float = 0.65  # evidence to turn a part: 0 for a sheet, 0.63 for half a sphere, 1 for a closed body
-    min_gain: float = 1.0  # evidence from the numbers next to all parts, to turn a part with holes
+    # smallest evidence for turning a part: 0 for a sheet, 0.63 for half a sphere, 1 for a closed body
+    min_evidence: float = 0.65
+    min_gain: float = 1.0  # smallest evidence, from the numbers next to all parts, for turning a part with holes
     inside_out_number: float = -0.9  # winding number below which a point is in a body that is inside out
-    min_inside_out_fraction: float = 1e-3  # difference in area next to such points by which one result is better
+    # smallest difference of the area next to inside-out points, as a fraction, by which one result is better
+    min_inside_out_fraction: float = 1e-3
 
 
 def turn_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) -> Mesh:
@@ -67,7 +69,7 @@ def directed_edges(faces: NDArray) -> NDArray:
 class _Parts(NamedTuple):
     """Faces that are turned together."""
 
-    of_face: NDArray  # (n,) the part of each face
+    of_face: NDArray  # (n,) index of the part of each face
     closed: NDArray  # (parts,) whether all edges of the part have two faces
     holed: NDArray  # (parts,) whether an edge of the part has only one face
     halved: NDArray  # (parts,) whether half of the part's area was given turned

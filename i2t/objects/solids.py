@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from i2t.types import in_one_line
 
 MM_PER_M = 1e3  # primitives take metres, solids are drawn in millimetres
-STAMP_RELIEF_MM = 3.5  # height of a stamp above its base
-STAMP_BASE_MM = (20.0, 5.0)  # edge and height of the base
+STAMP_RELIEF_MM = 3.5  # mm, height of a stamp's relief above its base
+STAMP_BASE_MM = (20.0, 5.0)  # mm, edge and height of a stamp's base
 
 
 @in_one_line
@@ -36,8 +36,9 @@ class Object(NamedTuple):
 
     name: str
     mesh: Mesh
-    family: str  # "primitive", "stamp", "tool" or "file"
-    T_file_object: NDArray[np.float64] = np.broadcast_to(np.eye(4), (4, 4))  # to the mesh file's frame, m; read-only
+    family: str  # kind of the object: "primitive", "stamp", "tool" or "file"
+    # (4, 4) pose of the object in the mesh file's frame, m; read-only
+    T_file_object: NDArray[np.float64] = np.broadcast_to(np.eye(4), (4, 4))
     obstacles: Mesh | None = None  # pieces of the file that are not touched but obstruct the arm
 
 

@@ -28,7 +28,7 @@ class Classifier:
     steps: int = 2400
     batch: int = 128
     rate: float = 1e-3
-    decay: float = 0.0  # decoupled weight decay, of matrices only
+    decay: float = 0.0  # decoupled weight decay, applied to matrices only
     members: int = 1
 
 

@@ -18,7 +18,7 @@ class PaperOptions:
     decoder_width: int = 500
     auxiliary_width: int = 2000
     auxiliary_weight: float = 1.0  # weight of the decoded patch in the loss; the paper states none
-    tolerance: float = CONTACT_TOLERANCE_M  # m behind the nearest point, up to which a mask counts as contact
+    tolerance: float = CONTACT_TOLERANCE_M  # m, depth behind the nearest point up to which a mask counts as contact
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""
@@ -36,8 +36,9 @@ class PaperConfig(PaperOptions):
 
     pixels: int = PATCH_PIXELS
     readings: int = 15  # number of values of a reading, 3 for each chip of the board
-    input: ImageKind = "depth"  # "depth" as in the text; "mask" as in the published code; "pressure" in N, unchanged
-    reach: float = REACH  # m, depth that is scaled to 1
+    # image that the network takes: "depth" as in the text; "mask" as in the published code; "pressure" in N, unchanged
+    input: ImageKind = "depth"
+    reach: float = REACH  # m, depth of a patch that is scaled to 1
 
     def __post_init__(self) -> None:
         """Refuse impossible values (ValueError)."""

@@ -22,13 +22,13 @@ from i2t.types import Surface
 
 State = TypeVar("State")  # state of the episodes
 
-TOUCHES = 10  # touches of an episode in the paper
+TOUCHES = 10  # number of touches of an episode in the paper
 
 
 class LoopResult(NamedTuple):
     """Results of the paper's loop for e episodes of t touches each."""
 
-    distance: Float[np.ndarray, "e t objects"]  # of each touch from each object
+    distance: Float[np.ndarray, "e t objects"]  # distance of each touch from each object
     hypothesis: Int[np.ndarray, "e t"]  # object on which each touch was drawn
     site: Int[np.ndarray, "e t"]  # number of the site on that object
 

@@ -31,9 +31,9 @@ Params: TypeAlias = dict[str, dict[str, Array]]  # {layer: {"kernel": ..., "bias
 class Prediction(NamedTuple):
     """Output of the network for one touch."""
 
-    reading: Float[Array, " c"]  # tau~, standardised
-    image: Float[Array, "n n"]  # x~: the reconstructed patch (logits for a mask)
-    latent: Float[Array, " b"]  # z
+    reading: Float[Array, " c"]  # predicted reading tau~, standardised
+    image: Float[Array, "n n"]  # reconstructed patch x~ (logits for a mask)
+    latent: Float[Array, " b"]  # latent code z
 
 
 class PaperNetwork(nn.Module):

@@ -37,13 +37,15 @@ from i2t.types import in_one_line
 class BaselineConfig:
     """Options from which the baselines choose on held-out groups, and lower bounds of their standard deviations."""
 
-    max_components: int = 30  # principal components of images
+    max_components: int = 30  # largest number of principal components of images
     neighbour_counts: tuple[float, ...] = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
     penalties: tuple[float, ...] = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
     folds: int = 5
-    min_relative_variance: float = 0.05  # of the mean held-out variance, even for a neighbour at distance zero
-    min_relative_std: float = 1e-3  # of the standard deviation over all channels, for dead channels
-    min_std: float = 1e-6  # uT
+    # smallest variance relative to the mean held-out variance, even for a neighbour at distance zero
+    min_relative_variance: float = 0.05
+    # smallest standard deviation of a channel relative to that of all channels, for dead channels
+    min_relative_std: float = 1e-3
+    min_std: float = 1e-6  # uT, smallest standard deviation
 
 
 _CONFIG = BaselineConfig()
@@ -53,18 +55,18 @@ _CONFIG = BaselineConfig()
 class TouchFeatures(NamedTuple):
     """Map from a touch to a vector."""
 
-    image_mean: Float[np.ndarray, " pixels"]  # m, or N for contact pressures
+    image_mean: Float[np.ndarray, " pixels"]  # mean training image: m, or N for contact pressures
     basis: Float[np.ndarray, "k pixels"]
     length: Float[np.ndarray, ""]  # m or N, root mean square length of the training images' components
-    measured_mean: Float[np.ndarray, " m"]  # N or m
-    measured_std: Float[np.ndarray, " m"]  # N or m
+    measured_mean: Float[np.ndarray, " m"]  # mean of the measurement over the training touches: N or m
+    measured_std: Float[np.ndarray, " m"]  # standard deviation of the measurement over the training touches: N or m
 
 
 @dataclass(frozen=True)
 class MeanReading(TouchModel):
     """The mean of the training readings, for every touch."""
 
-    mean: Float[np.ndarray, " c"]  # uT
+    mean: Float[np.ndarray, " c"]  # uT, mean of the training readings
     spread: Float[np.ndarray, " c"]  # uT, standard deviation of the training readings
 
     @property
@@ -109,7 +111,7 @@ class NearestTouches(OnFeatures):
     """The mean reading of the nearest training touches."""
 
     points: Float[np.ndarray, "n d"]
-    readings: Float[np.ndarray, "n c"]  # uT
+    readings: Float[np.ndarray, "n c"]  # uT, readings of the training touches
     neighbours: Float[np.ndarray, ""]
     growth: Float[np.ndarray, "2"]  # variance in spread^2: at distance zero, and per squared distance
 
@@ -125,9 +127,9 @@ class RidgeOnImages(OnFeatures):
     """Linear regression with a squared penalty."""
 
     centre: Float[np.ndarray, " d"]
-    weights: Float[np.ndarray, "d c"]  # uT
-    mean: Float[np.ndarray, " c"]  # uT
-    inverse: Float[np.ndarray, "d d"]  # inverse of the system, for the leverage
+    weights: Float[np.ndarray, "d c"]  # uT, weights of the features
+    mean: Float[np.ndarray, " c"]  # uT, mean of the training readings
+    inverse: Float[np.ndarray, "d d"]  # inverse of the system's matrix, for the leverage
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
         """Predict, as in `TouchModel.predict_batch`."""

@@ -47,7 +47,7 @@ METHODS: Mapping[str, str] = {  # by the name on the command line; of equally go
     "pressure-network": "i2t.prediction.networks:OnPressure",
     "gp": "i2t.prediction.gp_method:GaussianProcess",
 }
-ASSUMED_FORCE_N = 1.0  # of touches whose force was not recorded
+ASSUMED_FORCE_N = 1.0  # N, force of touches whose force was not recorded
 
 Shared = TypeVar("Shared")
 
@@ -208,7 +208,9 @@ def find_methods(names: Sequence[str]) -> tuple[Method, ...]:
     titles = [method.title for method in methods.values()]
     for name, method in methods.items():
         if titles.count(method.title) > 1:
-            raise ValueError(f"the method {name} has the title of another, {method.title!r}; give it its own")
+            raise ValueError(
+                f"the method {name} has the same title as another method, {method.title!r}; give it another title"
+            )
     return tuple(methods.values())
 
 

@@ -13,13 +13,14 @@ import numpy as np
 class Score(NamedTuple):
     """Accuracy of predicted readings."""
 
-    r2: float  # pooled over all channels
-    r2_median: float  # median over channels
-    rmse: float  # uT
-    rmse_sigma: float  # in standard deviations of the sensor's noise; NaN if the noise is unknown
-    cosine: float  # median over touches
-    r2_axis: tuple[float, float, float]  # x, y and z, each pooled over the chips
-    rmse_axis: tuple[float, float, float]  # uT
+    r2: float  # R2 pooled over all channels
+    r2_median: float  # median of the channels' R2
+    rmse: float  # uT, root mean square error
+    # root mean square error in standard deviations of the sensor's noise; NaN if the noise is unknown
+    rmse_sigma: float
+    cosine: float  # median over touches of the cosine between predicted and measured reading
+    r2_axis: tuple[float, float, float]  # R2 of x, y and z, each pooled over the chips
+    rmse_axis: tuple[float, float, float]  # uT, root mean square error of x, y and z
 
 
 def score(truth: np.ndarray, predicted: np.ndarray, noise: np.ndarray | None = None) -> Score:

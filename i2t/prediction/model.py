@@ -40,14 +40,14 @@ class Inputs(NamedTuple):
     """Inputs of a network for one touch."""
 
     image: Float[Array, "n n"]  # a patch in m, or another image by `PaperConfig.input`
-    conditions: Float[Array, " k"]  # in the order of `ModelConfig.conditions`: N, m, m
+    conditions: Float[Array, " k"]  # conditions in the order of `ModelConfig.conditions`: N, m, m
 
 
 class MemberPrediction(NamedTuple):
     """Prediction of one member for one touch, in standardised units."""
 
     reading: Float[Array, " c"]
-    log_variance: Float[Array, " c"] | None  # None unless heteroscedastic
+    log_variance: Float[Array, " c"] | None  # predicted log variance of the reading; None unless heteroscedastic
     image: Float[Array, "n n"] | None  # the input image as the auxiliary head decodes it (logits for a mask)
     latent: Float[Array, " b"]
 

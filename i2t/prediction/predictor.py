@@ -481,7 +481,7 @@ def _surface_of(mesh: Any, unit: str | None) -> Surface:
         from i2t.objects import load_mesh
 
         if unit is None:
-            raise ValueError(f"{mesh}: say in which unit the file is, for instance unit='mm'")
+            raise ValueError(f"{mesh}: its unit is missing; give it, for instance unit='mm'")
         mesh = load_mesh(mesh, unit)
     elif unit is not None:
         raise ValueError("unit is that of a file; vertices of a mesh are in metres: scale them, and omit unit")

@@ -28,7 +28,8 @@ class InputLimits:
     """Limits beyond which a user's input is refused or warned of."""
 
     unknown_force_ratio: float = 10.0  # largest training force over the median one, if only the median is known
-    max_force_ratio: float = 4.0  # to the largest training force; beyond it a prediction means nothing
+    # largest ratio of a force to the largest training force; beyond it a prediction means nothing
+    max_force_ratio: float = 4.0
     max_travel: float = 20e-3  # m past first contact; a skin is 2 to 20 mm thick
     max_gap: float = 10e-3  # m between the skin and the surface at a pose of contact
     unnoticed_gap: float = 1e-3  # m, gap without a warning: the errors of cameras and arms

@@ -40,16 +40,16 @@ from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.skin_models.likelihood import Likelihood, outlier_range
 from i2t.types import in_one_line
 
-MIN_PROBABILITY = 1e-30  # smaller probabilities are treated as equal
+MIN_PROBABILITY = 1e-30  # probability below which probabilities are treated as equal
 
 
 @in_one_line
 class TouchObservation(NamedTuple):
     """Measurements at a touch of a site."""
 
-    reading: Float[Array, " c"]  # uT
+    reading: Float[Array, " c"]  # uT, change of the reading
     force: Float[Array, ""]  # N
-    advance: Float[Array, ""]  # m, from the site to the end of the press, along the approach
+    advance: Float[Array, ""]  # m, travel from the site to the end of the press, along the approach
     contact: Bool[Array, ""]  # whether the touch met anything
 
 
@@ -57,8 +57,8 @@ class TouchObservation(NamedTuple):
 class Particles(NamedTuple):
     """Pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
 
-    twist: Float[Array, "k 6"]  # m
-    covariance: Float[Array, "k 6 6"]  # m^2, about each particle
+    twist: Float[Array, "k 6"]  # m, twist of each pose particle
+    covariance: Float[Array, "k 6 6"]  # m^2, covariance of the pose about each particle
 
 
 @in_one_line
@@ -66,10 +66,10 @@ class Belief(NamedTuple):
     """Belief after some touches of an episode."""
 
     log_weight: Float[Array, "objects k"]  # log probability of object, particle and all touches so far
-    mean: Float[Array, "objects k 6"]  # m, mean twist about the particle
-    covariance: Float[Array, "objects k 6 6"]  # m^2
-    bias: Float[Array, " c"]  # uT, bias of the sensor
-    bias_variance: Float[Array, ""]  # uT^2
+    mean: Float[Array, "objects k 6"]  # m, mean twist about each particle
+    covariance: Float[Array, "objects k 6 6"]  # m^2, covariance of the twist about each particle
+    bias: Float[Array, " c"]  # uT, mean bias of the sensor
+    bias_variance: Float[Array, ""]  # uT^2, variance of the sensor's bias
 
 
 class Evidence(NamedTuple):
@@ -77,8 +77,8 @@ class Evidence(NamedTuple):
 
     tactile: Float[Array, "..."]  # log density of the reading
     spatial: Float[Array, "..."]  # log density of the position
-    presence: Float[Array, "..."]  # log probability of meeting something, or nothing
-    reading: Float[Array, "... c"]  # uT, the predicted reading
+    presence: Float[Array, "..."]  # log probability of having met the object, or of having met nothing
+    reading: Float[Array, "... c"]  # uT, predicted reading
     mean: Float[Array, "... 6"]
     covariance: Float[Array, "... 6 6"]
 

@@ -58,15 +58,15 @@ class EnvironmentConfig:
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=PressLimits)
     touches: int = 16  # number of touches in an episode
-    law: PressLaw | None = press_pad  # the reading of a press of the pad; None: see `simulate_touch`
+    law: PressLaw | None = press_pad  # law that gives the reading of a press of the pad; None: see `simulate_touch`
     presses_before: int = 1000  # presses of the pad before an episode, because the skin has been used in training
     safety: SiteLimits = RECOGNITION_LIMITS
     refusal_cost: float = 0.1
 
     @property
     def press_errors(self) -> SimulationErrors:
-        """Errors of a press, without those of the sensor. Environments that differ in the latter alone share compiled
-        programs, even if whole numbers differ.
+        """Errors of a press, without those of the sensor. Environments that differ only in the sensor's errors share
+        compiled programs, even if whole numbers in these errors differ.
         """
         none = SimulationErrors.error_free()
         return replace(self.errors, noise=none.noise, faults=none.faults)
@@ -76,7 +76,7 @@ class TouchOutcome(NamedTuple):
     """The end of a touch, as read by an ideal skin."""
 
     reading: Float[Array, "*batch c"]  # uT
-    force: Float[Array, "*batch"]  # N, measured
+    force: Float[Array, "*batch"]  # N, measured force
     T_w_t: Float[Array, "*batch 4 4"]  # pose of the tool at the end of the press, as the arm reports it
     contact: Bool[Array, "*batch"]  # whether the touch met anything
 
@@ -86,7 +86,8 @@ class TabulatedTouches(NamedTuple):
 
     reading: Float[Array, "pads objects placements sites c"]  # uT
     force: Float[Array, "pads objects placements sites"]  # N
-    advance: Float[Array, "pads objects placements sites"]  # m, from the site to the press's end, along the approach
+    # m, travel from the site to the end of the press, along the approach
+    advance: Float[Array, "pads objects placements sites"]
     contact: Bool[Array, "pads objects placements sites"]  # whether the touch met anything
 
 
@@ -100,7 +101,7 @@ class OutcomeTable(NamedTuple):
 class TouchBeliefs(NamedTuple):
     """Predictions from which an environment computes its posterior (`i2t.recognition.environment_beliefs`)."""
 
-    predicted: PredictedTouch  # (pads, sites, objects, k)
+    predicted: PredictedTouch  # (pads, sites, objects, k) predicted touches
     likelihood: Likelihood
     particles: Particles
 
@@ -108,12 +109,12 @@ class TouchBeliefs(NamedTuple):
 class EnvironmentParams(NamedTuple):
     """The possible objects, the pads, and the sites of their touches."""
 
-    surfaces: Surface  # of the objects, stacked
-    pads: Pad  # stacked
-    response: PadResponse  # of each pad
+    surfaces: Surface  # stacked surfaces of the objects
+    pads: Pad  # stacked pads
+    response: PadResponse  # linear response of each pad
     T_w_site: Float[Array, "sites 4 4"]
     owner: Int[Array, " sites"]  # object on which each site was drawn
-    allowed: Bool[Array, " sites"]  # sites that are safe on every object
+    allowed: Bool[Array, " sites"]  # True for sites that are safe on every object
     table: OutcomeTable | None = None
     beliefs: TouchBeliefs | None = None
 
@@ -153,8 +154,9 @@ class EnvironmentParams(NamedTuple):
 class TouchAction(NamedTuple):
     """Site of the next touch, and the predicted object."""
 
-    touch: Int[Array, ""]  # index of a site
-    prediction: Float[Array, " o"] | None = None  # logits of the objects; None for the environment's own posterior
+    touch: Int[Array, ""]  # index of the site to touch
+    # logits of the objects, as predicted by the agent; None for the environment's own posterior
+    prediction: Float[Array, " o"] | None = None
 
 
 class EnvironmentObservation(NamedTuple):
@@ -162,12 +164,12 @@ class EnvironmentObservation(NamedTuple):
 
     reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
-    advance: Float[Array, ""]  # m, from the site to the end of the press, along the approach
+    advance: Float[Array, ""]  # m, travel from the site to the end of the press, along the approach
     T_w_t: Float[Array, "4 4"]  # pose of the tool at the end of the press, as the arm reports it
     contact: Bool[Array, ""]  # whether the touch met anything
     refused: Bool[Array, ""]  # whether the touch was unsafe and not made
-    remaining: Float[Array, ""]  # fraction of the touches that are left
-    posterior: Float[Array, " o"]  # of the objects; empty without `EnvironmentParams.beliefs`
+    remaining: Float[Array, ""]  # fraction of the episode's touches that are left
+    posterior: Float[Array, " o"]  # posterior probabilities of the objects; empty without `EnvironmentParams.beliefs`
 
 
 class EpisodeState(NamedTuple):
@@ -175,12 +177,12 @@ class EpisodeState(NamedTuple):
 
     object: Int[Array, "*e"]
     pad: Int[Array, "*e"]
-    placement: Int[Array, "*e"]  # row of the table
+    placement: Int[Array, "*e"]  # row of the table with the episode's placement
     session: SessionErrors  # errors that stay the same during the episode
     # key of the sensor's errors, as bits, which can be selected and moved to the host
     sensor_key: UInt32[Array, "*e 2"]
     site: Int[Array, "*e t"]
-    outcomes: TouchOutcome  # (*e, t)
+    outcomes: TouchOutcome  # (*e, t) outcomes of the touches that were made
     num_touched: Int[Array, "*e"]  # number of touches made
     num_refused: Int[Array, "*e"]  # number of refused touches
     belief: Belief | None

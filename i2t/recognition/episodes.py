@@ -30,7 +30,7 @@ from i2t.skin_models.likelihood import Likelihood
 from i2t.skin_models.reading_model import LinearReadingModel
 from i2t.types import ReturnCode, Surface, Touches
 
-EPISODES_PER_BATCH = 8  # episodes whose posteriors are computed together
+EPISODES_PER_BATCH = 8  # number of episodes whose posteriors are computed together
 
 # Weights of each kind of evidence: of readings, of positions of the ends of presses, and of presence.
 EVIDENCE = {
@@ -48,9 +48,9 @@ class Episodes(NamedTuple):
     """Record of e episodes of t touches each."""
 
     truth: Int[np.ndarray, " e"]  # index of the true object
-    site: Int[np.ndarray, "e t"]  # index in the pool
-    observations: TouchObservation  # (e, t)
-    T_w_t: Float[np.ndarray, "e t 4 4"]  # poses of the tool at the ends of the presses
+    site: Int[np.ndarray, "e t"]  # index of each touch's site in the pool
+    observations: TouchObservation  # (e, t) observations of the touches
+    T_w_t: Float[np.ndarray, "e t 4 4"]  # (4, 4) poses of the tool in W at the ends of the presses, m
 
 
 class MeasuredTouches(NamedTuple):
@@ -68,7 +68,7 @@ def episodes_from_dataset(
 
     A recording contains the ends of presses, so the site of a press with contact is its end, and its advance is zero. A
     press without contact ended `overtravel` beyond its site. Its site is placed that far back, so that the belief
-    learns that the way was free, and not that nothing lies farther on.
+    contains that the path was free, but not that there is nothing beyond it.
 
     Args:
         recorded: Touches with measured forces.

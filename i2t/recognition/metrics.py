@@ -23,7 +23,7 @@ from i2t.intervals import (
 )
 from i2t.types import Array
 
-PROBABILITY_FLOOR = 1e-6  # smaller probabilities are raised to it before logarithms
+PROBABILITY_FLOOR = 1e-6  # smallest probability in a logarithm; smaller ones are raised to it
 
 
 def to_json(values: Any) -> Any:
@@ -123,8 +123,8 @@ def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "
 class PairedComparison(NamedTuple):
     """Differences between two methods on the same episodes."""
 
-    last: Estimate  # difference in accuracy after the last touch
-    mean: Estimate  # difference in mean accuracy over touches
+    last: Estimate  # difference of the accuracies after the last touch
+    mean: Estimate  # difference of the accuracies averaged over touches
 
 
 def compare_paired(
@@ -169,8 +169,8 @@ class CalibrationError(NamedTuple):
     """Expected calibration error, and its distribution for calibrated decisions of the same confidences."""
 
     error: float
-    chance: float  # mean of that distribution
-    chance_high: float  # 95 % quantile of that distribution
+    chance: float  # mean calibration error of decisions that are right as often as predicted
+    chance_high: float  # 95 % quantile of the calibration error of decisions that are right as often as predicted
 
 
 def calibration_error(
@@ -228,7 +228,7 @@ class Stopping(NamedTuple):
     error: Estimate  # fraction of wrong decisions
     predicted_error: float  # mean of 1 - the decided class's probability, which equals `error` for calibrated beliefs
     stopped: Estimate  # fraction of episodes that became as confident as requested
-    stopped_error: Estimate  # fraction of wrong decisions among these
+    stopped_error: Estimate  # fraction of wrong decisions among the episodes that became as confident as requested
     stopped_predicted_error: float
     touches: Estimate
 
@@ -309,7 +309,7 @@ def values_of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> F
     """Select the values of the true classes.
 
     Args:
-        values: (episodes, touches, classes).
+        values: (episodes, touches, classes) values of all classes.
         truth: (episodes,) true classes.
 
     Returns:

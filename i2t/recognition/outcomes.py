@@ -42,20 +42,20 @@ class PredictedContact(NamedTuple):
 
     hit: Bool[Array, ""]  # whether the skin meets the object before the press gives up
     approach_distance: Float[Array, ""]  # m, from the site to first contact; the overtravel without contact
-    jacobian: Float[Array, "6"]  # derivative of that distance by the twist of the object's pose
+    jacobian: Float[Array, "6"]  # derivative of `approach_distance` by the twist of the object's pose
     indentation: Float[Array, " l"]  # m past first contact at each load, on the layer
-    newtons: Float[Array, "l cells"]  # N on each cell of 1 mm
+    newtons: Float[Array, "l cells"]  # N, force on each cell of 1 mm at each load
 
 
 class PredictedTouch(NamedTuple):
     """A predicted touch at the l loads of the `LinearReadingModel`."""
 
-    hit: Bool[Array, ""]  # as in `PredictedContact`
-    approach_distance: Float[Array, ""]  # m
+    hit: Bool[Array, ""]  # whether the skin meets the object before the press gives up
+    approach_distance: Float[Array, ""]  # m, travel from the site to first contact; the overtravel without contact
     jacobian: Float[Array, "6"]
     indentation: Float[Array, " l"]  # m past first contact
-    reading: Float[Array, "l c"]  # uT
-    variance: Float[Array, " l"]  # of the reading, relative to the square of a channel's signal
+    reading: Float[Array, "l c"]  # uT, predicted reading
+    variance: Float[Array, " l"]  # variance of the reading, relative to the square of a channel's signal
 
 
 def predict_contact(

@@ -38,8 +38,10 @@ NO_SITE = -1  # index of the chosen site if no site is allowed
 class InformationGain(NamedTuple):
     """Expected information of a touch (nats)."""
 
-    object: Float[Array, "..."]  # about the object
-    object_and_pose: Float[Array, "..."]  # about the object and its pose, as far as the compared particles differ
+    object: Float[Array, "..."]  # expected information about the object
+    object_and_pose: Float[
+        Array, "..."
+    ]  # expected information about object and pose, as far as the compared particles differ
 
 
 class _Compared(NamedTuple):
@@ -54,9 +56,10 @@ class _Draws(NamedTuple):
     """Hypotheses and errors, the same for all sites."""
 
     object: Int[Array, " n"]
-    particle: Int[Array, " n"]  # index among the compared particles
-    twist: Float[Array, "n 6"]  # m, about the particle
-    noise: Float[Array, "n noise"]  # c whitened errors of the reading, then those of position (m) and indentation
+    particle: Int[Array, " n"]  # index of the drawn particle among the compared particles
+    twist: Float[Array, "n 6"]  # m, twist of the pose about the particle
+    # c whitened errors of the reading, followed by those of position (m) and indentation
+    noise: Float[Array, "n noise"]
 
 
 def expected_information_gain(

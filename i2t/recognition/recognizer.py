@@ -65,18 +65,21 @@ class RecognizerConfig:
         recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, meshes, config=config)
     """
 
-    num_sites: int = 24  # candidate sites of each object
-    num_particles: int = 64  # poses of each object
+    num_sites: int = 24  # number of candidate sites of each object
+    num_particles: int = 64  # number of poses of each object
     max_touches: int = 10
-    min_touches: int = 1  # before it may stop because it is certain, up to max_touches
-    max_excluded: int = 30  # number of sites that could not be touched, after which none is chosen
-    max_error_probability: float = 0.05  # it stops when the most probable object is wrong with at most this probability
+    # smallest number of touches before an episode may end for certainty; `max_touches` always ends it
+    min_touches: int = 1
+    # number of sites that could not be touched after which the recogniser chooses no further site
+    max_excluded: int = 30
+    # the episode ends when the most probable object is wrong with at most this probability
+    max_error_probability: float = 0.05
     prior_unknown: float = 0.0  # prior probability that the object is an unknown one
-    num_surrogates: int = 16  # objects that represent an unknown one
-    skin_change: float = PressLimits.skin_change  # uT at which presses end
-    overtravel: float = PressLimits.overtravel  # m beyond a site at which a press without contact ends
+    num_surrogates: int = 16  # number of objects that represent an unknown one
+    skin_change: float = PressLimits.skin_change  # uT, change of the reading at which presses end
+    overtravel: float = PressLimits.overtravel  # m, distance beyond a site at which a press without contact ends
     site_limits: touch_sites.SiteLimits = field(default=touch_sites.RECOGNITION_LIMITS)
-    seed: int = 0  # of pose particles and choices
+    seed: int = 0  # seed of the pose particles and of choices
 
     def __post_init__(self) -> None:
         if not 0 <= self.prior_unknown < 1:
@@ -105,20 +108,22 @@ class SiteObservation(NamedTuple):
 class RecognizerState(NamedTuple):
     """Belief, and the sites touched so far."""
 
-    belief: Belief  # over objects and their poses
-    touched: Bool[np.ndarray, " sites"]  # touched or excluded sites
-    touches: int  # number of touches in the belief
-    probability: Float[np.ndarray, " objects"]  # calibrated, of the known objects; an unknown one has the rest
+    belief: Belief  # belief over objects and their poses
+    touched: Bool[np.ndarray, " sites"]  # True for sites that were touched or excluded
+    touches: int  # number of touches that the belief contains
+    # calibrated probabilities of the known objects; an unknown one has the rest
+    probability: Float[np.ndarray, " objects"]
 
 
 @in_one_line
 class RecognitionInfo(NamedTuple):
     """Calibrated belief after a touch."""
 
-    probability: Float[np.ndarray, " objects"]  # of the known objects, in the order of `ObjectRecognizer.names`
+    # probabilities of the known objects, in the order of `ObjectRecognizer.names`
+    probability: Float[np.ndarray, " objects"]
     unknown: float  # probability of an unknown object
-    name: str | None  # the most probable object; None for an unknown one
-    confidence: float  # its probability
+    name: str | None  # name of the most probable object; None for an unknown one
+    confidence: float  # probability of the most probable object
 
 
 class ObjectRecognizer:

@@ -55,10 +55,12 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
     usable = measured & np.asarray(with_mesh)[touches.object]
     if not usable.any():
         names = sorted({dataset.objects[i] for i in touches.object[measured]})
-        raise DataError(f"there is no mesh of {', '.join(names)}; give them (--objects FILE ... --unit mm)")
+        raise DataError(f"there is no mesh of {', '.join(names)}; give their files (--objects FILE ... --unit mm)")
     pads = sorted({dataset.pads[i] for i in touches.pad[usable]})
     if len(pads) > 1:
-        raise DataError(f"the training touches are of several skins ({', '.join(pads)}), and a pad model is of one")
+        raise DataError(
+            f"the training touches are of several skins ({', '.join(pads)}), but a pad model describes one skin"
+        )
     sessions = len(np.unique(touches.session[usable]))
     # A pad model needs more touches than a reading has values, and sessions to leave out for its hyperparameters.
     min_touches, min_sessions = max(20, touches.reading.shape[-1] + 5), 2

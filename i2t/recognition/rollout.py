@@ -39,7 +39,8 @@ from i2t.runtime.compiling import jit_by_amount, jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.types import Pad, Surface
 
-EPISODE_BATCH = 16  # touches and episodes at a time; a small last batch wastes little, and the data fit the caches
+# number of touches and episodes computed at a time; a small last batch wastes little, and the data fit the caches
+EPISODE_BATCH = 16
 
 TouchNumber: TypeAlias = tuple[int, int, int]  # index of the touch, of the episode and of the site
 SitePolicy: TypeAlias = Callable[[Array, EpisodeState, EnvironmentParams], Array]
@@ -50,9 +51,10 @@ class RunningEpisodes(NamedTuple):
 
     environment: TouchEnvironment
     params: EnvironmentParams
-    key_touch: UInt32[np.ndarray, "2"]  # data of the random key of all touches
-    states: EpisodeState  # (e, ...), all with the same number of touches
-    new: Mapping[TouchNumber, TouchOutcome] = {}  # touches of the last call of `advance` that were not shared
+    key_touch: UInt32[np.ndarray, "2"]  # key data of the random key from which all touches are drawn
+    states: EpisodeState  # (e, ...) states of the episodes, all with the same number of touches
+    # touches that the last call of `advance` made and that no episodes shared
+    new: Mapping[TouchNumber, TouchOutcome] = {}
 
 
 def begin_episodes(

@@ -38,9 +38,10 @@ from i2t.types import Surface, in_one_line
 class SiteDraws:
     """Batches in which safe sites are drawn."""
 
-    sites: int = 256  # at a time
-    candidates_per_site: int = 2  # about half of the candidates are safe
-    min_safe_fraction: float = 1 / 64  # of candidates; an object with a smaller fraction has too few safe sites
+    sites: int = 256  # number of sites drawn at a time
+    candidates_per_site: int = 2  # number of candidates for each site; about half of the candidates are safe
+    # smallest fraction of safe candidates; an object with fewer has too few safe sites
+    min_safe_fraction: float = 1 / 64
 
 
 _DRAWS = SiteDraws()

@@ -178,8 +178,8 @@ def _safe_sites(
     good = np.flatnonzero(safe)
     if len(good) < count:
         raise ValueError(
-            f"{len(good)} of {len(pool.owner)} sites are safe on every object, and {count} are wanted; ask for fewer "
-            "sites, or for objects of one height"
+            f"{len(good)} of {len(pool.owner)} sites are safe on every object, but {count} are needed; ask for fewer "
+            "sites, or use objects of one height"
         )
     # The sites are interleaved: the first of each object, then the second, and so on.
     rank = np.array([np.sum(pool.owner[good][:i] == owner) for i, owner in enumerate(pool.owner[good])])

@@ -2,7 +2,7 @@
 
   points   points whose signed distance is given: zero on the surface, negative behind it
   pad      points of the pad, at least one of them on the surface, because the pad met it there
-  free     points of free space with a lower bound of the signed distance: space that a pad swept on its way, or that a
+  free     points of free space with a lower bound of the signed distance: space that a pad swept on its path, or that a
            camera looked through
 
 A touch without its reading only shows that its pad met the surface somewhere; the reading shows where. Lengths are in
@@ -29,24 +29,25 @@ from i2t.types import Array
 class EvidenceConfig:
     """Sampling and uncertainties of the evidence of touches and views."""
 
-    pad_edge: int = 7  # points along each edge of the pad, one of which met the surface
-    swept_edge: int = 5  # points along each edge of the pad, in the space behind it
-    swept_depths: tuple[float, ...] = (0.5e-3, 3e-3, 8e-3, 16e-3, 28e-3)  # m behind the pad's plane
-    max_swept: float = 10.0  # m, longest accepted way
-    centre_std: float = 0.6e-3  # m, distance of the surface from a centre of pressure
-    patch_edge: int = 8  # free points along each edge of the patch's window
+    pad_edge: int = 7  # number of points along each edge of the pad, one of which met the surface
+    swept_edge: int = 5  # number of points along each edge of the pad in the swept space behind it
+    # m, depths of the swept points behind the pad's plane
+    swept_depths: tuple[float, ...] = (0.5e-3, 3e-3, 8e-3, 16e-3, 28e-3)
+    max_swept: float = 10.0  # m, longest accepted length of a sweep
+    centre_std: float = 0.6e-3  # m, standard deviation of the surface's distance from a centre of pressure
+    patch_edge: int = 8  # number of free points along each edge of the patch's window
     free_quantile: float = 0.05  # quantile of the posterior's depths down to which space is free
-    free_fraction: float = 0.8  # fraction of that depth that counts as free
+    free_fraction: float = 0.8  # fraction of the `free_quantile` depth that counts as free
     min_free: float = 0.4e-3  # m, smaller free depths are ignored
-    inside_depth: float = 3e-3  # m behind a contact, where the object is expected to be solid
-    inside_std: float = 2e-3  # m, of the signed distance there
-    view_points: int = 150  # points of the surface in a view
+    inside_depth: float = 3e-3  # m, depth behind a contact at which the object is expected to be solid
+    inside_std: float = 2e-3  # m, standard deviation of the signed distance at `inside_depth`
+    view_points: int = 150  # number of points of the surface in a view
     view_free_points: int = 300
-    view_free_range: float = 40e-3  # m before the surface within which the free points lie
+    view_free_range: float = 40e-3  # m, range before the surface of a view within which free points are placed
     view_observations: float = 15.0  # number of independent observations that a view is worth
-    view_std: float = 1.5e-3  # m, of the points of a view
-    view_margin: float = 3e-3  # m before the seen surface at which space starts to count as free
-    table_margin: float = 2e-3  # m above the table, below which a point is not the object's
+    view_std: float = 1.5e-3  # m, standard deviation of the points of a view
+    view_margin: float = 3e-3  # m, distance before the seen surface at which free space starts
+    table_margin: float = 2e-3  # m, height above the table below which a point does not belong to the object
     outline_pixels: int = 3  # width of the filter that keeps free space away from the edge of a surface
 
 
@@ -54,10 +55,10 @@ _CONFIG = EvidenceConfig()
 
 
 class Sweep(NamedTuple):
-    """Space that a pad swept on a straight way to a pose."""
+    """Space that a pad swept on a straight path to a pose."""
 
-    T_o_t: Float[np.ndarray, "4 4"]  # pose of the tool at first contact, or where the way through air ended
-    length: float  # m, length of the way to that pose
+    T_o_t: Float[np.ndarray, "4 4"]  # (4, 4) pose of the tool at first contact, or at the end of a sweep through air
+    length: float  # m, length of the path to `T_o_t`
 
     def lower_bound(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
         """Bound the signed distance of points from below by their depth in the swept space.
@@ -77,7 +78,8 @@ class Sweep(NamedTuple):
 class SeenThrough(NamedTuple):
     """Space between a camera and the surfaces that it saw."""
 
-    depth: Float[np.ndarray, "h w"]  # m, +inf where there is no surface, NaN where the camera measured nothing
+    # m, depth image: +inf where there is no surface, NaN where the camera measured nothing
+    depth: Float[np.ndarray, "h w"]
     camera: Camera
     T_o_c: Float[np.ndarray, "4 4"]
 
@@ -104,13 +106,14 @@ class SurfaceEvidence(NamedTuple):
     """Evidence of one touch or one view."""
 
     region: Sweep | SeenThrough  # free space, which is carved out of the surface exactly
-    free: Float[np.ndarray, "f 3"]  # m, points of free space
-    free_bound: Float[np.ndarray, " f"]  # m, lower bounds of the signed distance at them
-    points: Float[np.ndarray, "n 3"] = np.zeros((0, 3))  # m
-    values: Float[np.ndarray, " n"] = np.zeros(0)  # m, signed distances at them
-    std: Float[np.ndarray, " n"] = np.zeros(0)  # m, standard deviations of the values
-    pad_points: Float[np.ndarray, "s 3"] = np.zeros((0, 3))  # m, one lies on the surface; empty without contact
-    observations: float = 1.0  # number of independent observations that the points are worth
+    free: Float[np.ndarray, "f 3"]  # m, points in free space
+    free_bound: Float[np.ndarray, " f"]  # m, lower bounds of the signed distance at `free`
+    points: Float[np.ndarray, "n 3"] = np.zeros((0, 3))  # m, points with known signed distances
+    values: Float[np.ndarray, " n"] = np.zeros(0)  # m, signed distances at `points`
+    std: Float[np.ndarray, " n"] = np.zeros(0)  # m, standard deviations of `values`
+    # m, points of the pad, one of which is on the surface; empty without contact
+    pad_points: Float[np.ndarray, "s 3"] = np.zeros((0, 3))
+    observations: float = 1.0  # number of independent observations that `points` are worth
 
     @property
     def is_contact(self) -> bool:
@@ -122,19 +125,19 @@ def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: flo
     """Build the evidence of a touch from its pose alone.
 
     Args:
-        T_o_t: Pose of the tool at first contact, or where the way through air ended.
+        T_o_t: Pose of the tool at first contact, or at the end of the path through air.
         hit: Whether there was a contact.
-        swept: Length (m) of the straight way to that pose.
+        swept: Length (m) of the straight path to that pose.
 
     Returns:
         Evidence that the surface lies somewhere on the pad's square and that the swept space is free.
 
     Raises:
-        ValueError: The pose is not rigid and finite, or the way is not between 0 and 10 m.
+        ValueError: The pose is not rigid and finite, or the path is not between 0 and 10 m long.
     """
     T_o_t = validation.pose("T_o_t", T_o_t)
     if not 0 < swept < _CONFIG.max_swept:
-        raise ValueError(f"swept: is {swept}; give a way in metres, above 0 and below {_CONFIG.max_swept:g}")
+        raise ValueError(f"swept: is {swept}; give a distance in metres, above 0 and below {_CONFIG.max_swept:g}")
     sweep = Sweep(T_o_t, float(swept))
     edge = 0.9 * PAD_WINDOW * (np.arange(_CONFIG.swept_edge) / (_CONFIG.swept_edge - 1) - 0.5)
     free = _to_object(T_o_t, _grid(edge, edge, -np.array(_CONFIG.swept_depths)))
@@ -152,14 +155,14 @@ def reading_evidence(
     Args:
         T_o_t: Pose of the tool at first contact.
         posterior: Posterior of the patch that the pad met, from `infer_patch`.
-        swept: Length (m) of the straight way to that pose.
+        swept: Length (m) of the straight path to that pose.
 
     Returns:
         Evidence that the centre of pressure lies on the surface and that the space which nearly all patches leave free
         is free.
 
     Raises:
-        ValueError: The pose is not rigid and finite, or the way is not between 0 and 10 m.
+        ValueError: The pose is not rigid and finite, or the path is not between 0 and 10 m long.
     """
     touch = contact_evidence(T_o_t, swept=swept)
     centre = np.append(np.asarray(posterior.centre, float), 0.0)

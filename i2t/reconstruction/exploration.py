@@ -46,10 +46,11 @@ class ExplorationConfig:
     """Options for sites and approaches."""
 
     policy: PolicyName = "reduction"
-    limits: SiteLimits = field(default_factory=SiteLimits)  # limits of safe sites; the paper's collection on a table
+    # limits of safe sites; by default, the paper's collection on a table
+    limits: SiteLimits = field(default_factory=SiteLimits)
     candidates: int = 48  # number of sites proposed at a time
     stride: int = 2  # step of the grid on which sites are sought
-    overtravel: float = 10e-3  # m beyond a site at which a touch ends without contact
+    overtravel: float = 10e-3  # m, distance beyond a site at which a touch ends without contact
     noise: float = 2e-3  # m, standard deviation of the expected measurement
     probes: int = 400  # number of surface points over which the error is summed
 
@@ -64,14 +65,14 @@ class SiteProposals(NamedTuple):
     """Sites on the estimated surface."""
 
     T_o_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at contact, its z into the object
-    std: Float[np.ndarray, " n"]  # m, standard deviation of the surface there
+    std: Float[np.ndarray, " n"]  # m, standard deviation of the surface at the sites
     safe: Bool[np.ndarray, " n"]
 
 
 class TouchChoice(NamedTuple):
     """Next touch, and the sites among which it was chosen."""
 
-    T_o_t: Float[np.ndarray, "4 4"] | None  # None if no site is safe
+    T_o_t: Float[np.ndarray, "4 4"] | None  # (4, 4) pose of the tool at the chosen site; None if no site is safe
     score: float  # the policy's score of the site; NaN if no site is safe
     proposals: SiteProposals
 
@@ -89,7 +90,7 @@ def choose_touch(
     Args:
         model: The prior knowledge of the surface.
         state: The evidence so far.
-        config: The policy, the limits of safe sites, and the way in which sites are proposed.
+        config: The policy, the limits of safe sites, and how sites are proposed.
         seed: Seed of the random numbers; the same seed gives the same proposals.
         estimate: The estimated surface of this state; computed if it is not given.
 

@@ -40,14 +40,14 @@ from i2t.types import Pad, Surface
 class LibraryConfig:
     """Loads and tilts of a library's presses, and the batches in which it is computed."""
 
-    # N, from below the load of a 25 uT press to the force at which a press ends
+    # N, loads of the presses, from below that of a 25 uT press to the force at which a press ends
     loads: tuple[float, ...] = (0.25, 0.8, 2.5, 8.0)
-    tilt: tuple[float, float] = (math.radians(1.0), math.radians(6.0))  # rad
-    batch_size: int = 64  # patches pressed at a time
+    tilt: tuple[float, float] = (math.radians(1.0), math.radians(6.0))  # rad, standard deviation of the tilt of a press
+    batch_size: int = 64  # number of patches pressed at a time
     # Shapes with at most this many faces form a size class, because larger shapes would slow them down.
     small_faces: int = 512
-    candidates_per_site: int = 4  # for each safe site
-    sites_per_batch: int = 16  # sites of one shape at a time, so that any number of sites compiles once
+    candidates_per_site: int = 4  # number of candidates for each safe site
+    sites_per_batch: int = 16  # number of sites of one shape at a time, so that any number of sites compiles once
 
 
 _CONFIG = LibraryConfig()
@@ -56,11 +56,11 @@ _CONFIG = LibraryConfig()
 class FirstContacts(NamedTuple):
     """First contacts with one shape, and the patches there."""
 
-    T_o_t: Float[Array, "n 4 4"]  # tool pose at first contact
-    patch: Float[Array, "n p p"]  # m beyond the plane of contact, clipped to the reach
-    height: Float[Array, "n g g"]  # m, over the cells of `i2t.skin.contact.GRID`, uncut
-    coarse: Float[Array, "n h h"]  # m, over cells of 1 mm
-    met: Bool[Array, " n"]  # false where the tool met nothing, or where too few sites are safe
+    T_o_t: Float[Array, "n 4 4"]  # (4, 4) tool pose at first contact
+    patch: Float[Array, "n p p"]  # m, depth beyond the plane of contact, clipped to the reach
+    height: Float[Array, "n g g"]  # m, height over the cells of `i2t.skin.contact.GRID`, not clipped
+    coarse: Float[Array, "n h h"]  # m, height over cells of 1 mm
+    met: Bool[Array, " n"]  # False where the tool met nothing, or where too few sites are safe
 
 
 def build_library(

@@ -43,12 +43,13 @@ from i2t.skin.contact import cells_in_contact
 class PatchLibrary(NamedTuple):
     """Patches of many shapes, and their presses by a pad of nominal stiffness; the same for every pad."""
 
-    patch: Float[Any, "n p p"]  # m beyond the plane of first contact, clipped to the reach
-    height: Float[Any, "n g g"]  # m, the same over the cells of the pad, uncut (+inf where there is no surface)
+    patch: Float[Any, "n p p"]  # m, depth beyond the plane of first contact, clipped to the reach
+    # m, depth beyond the plane of first contact over the cells of the pad, not clipped (+inf where there is no surface)
+    height: Float[Any, "n g g"]
     object: Int[Any, " n"]  # index of the shape of each patch
-    loads: Float[Any, " l"]  # N, ascending
-    newtons: Float[Any, "n l cells"]  # N on each cell of 1 mm, row along tool y
-    indentation: Float[Any, "n l"]  # m past first contact, of the nominal layer
+    loads: Float[Any, " l"]  # N, loads of the presses, ascending
+    newtons: Float[Any, "n l cells"]  # N, force on each cell of 1 mm, row along tool y
+    indentation: Float[Any, "n l"]  # m, indentation of the nominal layer past first contact
     centre: Float[Any, "n l 2"]  # m, centre of pressure (x, y)
 
 
@@ -57,13 +58,16 @@ class PatchLikelihood(NamedTuple):
     chooses on validation objects.
     """
 
-    slant_std: Float[Array, ""] | float = 0.01745  # m/m, of the press's motion along x and y (1 degree)
-    force_std: Float[Array, ""] | float = 0.1  # N, of each stop
-    travel_std: Float[Array, ""] | float = 0.07e-3  # m, of each stop
-    contact_std: Float[Array, ""] | float = 0.1e-3  # m, of first contact, the same at all stops of a press
-    relative_error: Float[Array, ""] | float = 0.1  # of the reading's norm, error of predicted readings
+    # m/m, standard deviation of the slant of the press's motion along x and y (1 degree)
+    slant_std: Float[Array, ""] | float = 0.01745
+    force_std: Float[Array, ""] | float = 0.1  # N, standard deviation of the force at each stop
+    travel_std: Float[Array, ""] | float = 0.07e-3  # m, standard deviation of the travel at each stop
+    # m, standard deviation of first contact, the same at all stops of a press
+    contact_std: Float[Array, ""] | float = 0.1e-3
+    relative_error: Float[Array, ""] | float = 0.1  # error of predicted readings, relative to the reading's norm
     dof: Float[Array, ""] | float = 6.0  # degrees of freedom of Student's t
-    temperature: Float[Array, ""] | float = 2.0  # T, multiplied by the number of stops, whose errors are alike
+    # divisor T of the log likelihood, multiplied by the number of stops, whose errors are alike
+    temperature: Float[Array, ""] | float = 2.0
     prior_share: Float[Array, ""] | float = 0.02  # fraction of the prior in the weights
     blur: Float[Array, ""] | float = 1.0  # pixels, smoothing of the probabilities of masks
 
@@ -75,26 +79,28 @@ class PressModel(NamedTuple):
     that of the patches last, because every touch needs all patches.
     """
 
-    loads: Float[Array, " l"]  # N
-    reading: Float[Array, "l c n"]  # uT
-    sliding: Float[Array, "l 2 c n"]  # uT for a slant of 1 m/m along x and y
-    travel: Float[Array, "l n"]  # m past first contact, with the compliance of arm and mount
-    axes: Float[Array, "c c"]  # turns a reading to those axes: axes @ reading
-    noise: Float[Array, " c"]  # uT^2, noise variance along each axis
+    loads: Float[Array, " l"]  # N, loads of the presses
+    reading: Float[Array, "l c n"]  # uT, predicted readings at each load
+    sliding: Float[Array, "l 2 c n"]  # uT, change of the reading by a slant of 1 m/m along x and y
+    travel: Float[Array, "l n"]  # m, travel past first contact, including the deflection of arm and mount
+    axes: Float[Array, "c c"]  # matrix that turns a reading to independent axes: axes @ reading
+    noise: Float[Array, " c"]  # uT^2, noise variance along each of those independent axes
     likelihood: PatchLikelihood
 
 
 class PatchPosterior(NamedTuple):
     """Posterior over patches. The k samples have equal weights; `weight` has a value for each patch of the library."""
 
-    weight: Float[Array, " n"]  # of the library's patches; sums to 1
-    rows: Int[Array, " k"]  # of the samples in the library
-    patch: Float[Array, "k p p"]  # m beyond the plane of first contact
-    mean: Float[Array, "p p"]  # m
-    mask_probability: Float[Array, "p p"]  # that the surface is within 1.5 mm of that plane (the paper's mask)
-    contact_probability: Float[Array, "g g"]  # that a cell of 1 mm bears pressure, at the load nearest the last stop's
-    centre: Float[Array, "2"]  # m, centre of pressure (x, y) at that load
-    centre_covariance: Float[Array, "2 2"]  # m^2
+    weight: Float[Array, " n"]  # weights of the library's patches; they sum to 1
+    rows: Int[Array, " k"]  # rows of the samples in the library
+    patch: Float[Array, "k p p"]  # m, sampled patches: depth beyond the plane of first contact
+    mean: Float[Array, "p p"]  # m, mean patch
+    # probability that the surface is within 1.5 mm of the plane of first contact (the paper's mask)
+    mask_probability: Float[Array, "p p"]
+    # probability that a cell of 1 mm bears pressure, at the load nearest the last stop's
+    contact_probability: Float[Array, "g g"]
+    centre: Float[Array, "2"]  # m, centre of pressure (x, y) at the load nearest the last stop's
+    centre_covariance: Float[Array, "2 2"]  # m^2, covariance of the centre of pressure
 
 
 def infer_patch(
@@ -267,10 +273,10 @@ class _Differences(NamedTuple):
 
     reading: Float[Array, "s c n"]
     travel: Float[Array, "s n"]
-    sliding: Float[Array, "s 2 c n"]  # readings, for a slant of one standard deviation
-    by_force: Float[Array, "s c n"]  # readings, for an error of the force
+    sliding: Float[Array, "s 2 c n"]  # change of the readings for a slant of one standard deviation
+    by_force: Float[Array, "s c n"]  # change of the readings for an error of the force
     travel_by_force: Float[Array, "s n"]
-    contact: Float[Array, " s"]  # travel, for an error of first contact
+    contact: Float[Array, " s"]  # change of the travel for an error of first contact
 
 
 def _at_force(

@@ -33,9 +33,9 @@ from i2t.types import Board, Pad
 class FrictionConfig:
     """Accuracy of the friction, and of the effect of a slanted press."""
 
-    tolerance: float = 3e-2  # of the largest displacement, for 1 % of a reading
+    tolerance: float = 3e-2  # tolerance relative to the largest displacement, for 1 % of a reading
     max_steps: int = 15
-    slant_patches: int = 256  # patches at which the effect of a slant is computed
+    slant_patches: int = 256  # number of patches at which the effect of a slant is computed
     slant: float = 0.0175  # m/m, the slant at which its effect is computed: a degree
     slant_ridge: float = 0.1  # penalty of the regression, relative to the mean square of the pressures
 

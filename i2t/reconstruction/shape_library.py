@@ -16,7 +16,7 @@ from jaxtyping import Float, Int, Int8
 from i2t.objects.solids import Mesh, centre_box
 from i2t.reconstruction.signed_distances import VoxelGrid, grid_around, signed_distance_grid
 
-STEP_M = 0.25e-3  # resolution of the stored distances
+STEP_M = 0.25e-3  # m, resolution of the stored signed distances
 
 # The turns of a square about z, and their mirror images.
 TURNS = np.stack(

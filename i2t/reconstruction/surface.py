@@ -42,25 +42,26 @@ from i2t.types import Array
 class SurfaceConfig:
     """Assumptions on shapes, and on the errors of evidence."""
 
-    across: int = 32  # points of the grid along x and along y
-    margin: float = 6e-3  # m, of the grid around the shapes
+    across: int = 32  # number of points of the grid along x and along y
+    margin: float = 6e-3  # m, margin of the grid around the shapes
     on_table: bool = True  # whether objects stand on z = 0; otherwise their box is about the origin
     shapes: int = 128  # number of shapes that represent the whole library, by weight
     likeliest: bool = False  # whether the likeliest shapes represent it, instead of shapes drawn by weight
     temperature: float = 2.0  # divisor of the log likelihoods of shapes
-    misfit: float = 1.5e-3  # m, by which a shape of the library may miss a similar unknown object
-    dof: float = 4.0  # degrees of freedom of the Student's t of that misfit
-    residual: float = 1.5e-3  # m, standard deviation s of the part that no shape of the library has
-    length: float = 8e-3  # m, correlation length of that part
-    smooth_residual: float = 15e-3  # m, the same standard deviation for an empty library
-    smooth_length: float = 25e-3  # m
-    radius: float = 30e-3  # m, of the ball that stands in for an empty library
-    pose_std: float = 0.3e-3  # m, of every point, from the uncertainty of the tool's pose
-    contact_std: float = 2e-3  # m, if the point of contact in the pad's square is a guess
-    free_tolerance: float = 0.5e-3  # m by which the mean may break into free space
-    free_std: float = 1e-3  # m
-    free_points: int = 4  # of a touch or view, at most, that keep the mean out of free space in each of two rounds
-    band_scale: float = 1.0  # factor of all standard deviations; `experiments.reconstruct` chooses it and the floor
+    misfit: float = 1.5e-3  # m, scale of the distance between a shape of the library and a similar unknown object
+    dof: float = 4.0  # degrees of freedom of the misfit's Student's t distribution
+    residual: float = 1.5e-3  # m, standard deviation of the part of the surface that no shape of the library has
+    length: float = 8e-3  # m, correlation length of the part of the surface that no shape of the library has
+    smooth_residual: float = 15e-3  # m, `residual` for an empty library
+    smooth_length: float = 25e-3  # m, `length` for an empty library
+    radius: float = 30e-3  # m, radius of the ball that replaces an empty library
+    pose_std: float = 0.3e-3  # m, standard deviation of every point due to the uncertainty of the tool's pose
+    contact_std: float = 2e-3  # m, standard deviation of a contact whose point in the pad's square is a guess
+    free_tolerance: float = 0.5e-3  # m, distance by which the mean surface may enter free space
+    free_std: float = 1e-3  # m, standard deviation of the points that keep the mean surface out of free space
+    # largest number of points of a touch or view that keep the mean out of free space in each of two rounds
+    free_points: int = 4
+    band_scale: float = 1.0  # factor on all standard deviations; `experiments.reconstruct` chooses it and `band_floor`
     band_floor: float = 1e-3  # m, standard deviation that no touch reduces, from the resolution of the grid
 
 
@@ -80,7 +81,7 @@ class SurfaceModel(NamedTuple):
 class SurfaceState(NamedTuple):
     """Evidence of all touches and views so far."""
 
-    log_weights: Float[np.ndarray, " k"]  # of the library's shapes, neither normalised nor tempered
+    log_weights: Float[np.ndarray, " k"]  # log weights of the library's shapes, neither normalised nor tempered
     evidence: tuple[SurfaceEvidence, ...]
     bound: Float[np.ndarray, " g"]  # m, lower bounds of the signed distance from free space; -inf elsewhere
 
@@ -88,7 +89,7 @@ class SurfaceState(NamedTuple):
 class SurfaceInfo(NamedTuple):
     """Result of an update."""
 
-    log_likelihood: Float[np.ndarray, " k"]  # of the evidence under each shape of the library
+    log_likelihood: Float[np.ndarray, " k"]  # log likelihood of the evidence under each shape of the library
     effective_shapes: float  # effective sample size of the weights
 
 
@@ -96,8 +97,8 @@ class SurfaceEstimate(NamedTuple):
     """A signed distance on the grid, with its standard deviation."""
 
     grid: VoxelGrid
-    distance: Float[np.ndarray, " g"]  # m
-    std: Float[np.ndarray, " g"]  # m
+    distance: Float[np.ndarray, " g"]  # m, signed distance to the surface
+    std: Float[np.ndarray, " g"]  # m, standard deviation of the signed distance
 
     @property
     def mesh(self) -> Mesh:
@@ -108,8 +109,9 @@ class SurfaceEstimate(NamedTuple):
 class SurfacePrior(NamedTuple):
     """Mean and covariance of the library's weighted shapes on the grid."""
 
-    mean: Float[np.ndarray, " g"]  # m
-    deviations: Float[np.ndarray, "g m"]  # m, of the shapes that count, times the square roots of their weights
+    mean: Float[np.ndarray, " g"]  # m, prior mean of the signed distance
+    # m, deviations of the shapes that count, times the square roots of their weights
+    deviations: Float[np.ndarray, "g m"]
 
 
 class SurfacePosterior(NamedTuple):
@@ -117,9 +119,9 @@ class SurfacePosterior(NamedTuple):
 
     prior: SurfacePrior
     points: Float[np.ndarray, "n 3"]  # m, points of the regression
-    deviations: Float[np.ndarray, "n m"]  # the prior's deviations at these points
-    factor: Float[np.ndarray, "n n"]  # lower Cholesky factor of their covariance
-    alpha: Float[np.ndarray, " n"]  # 1/m, their covariance solved for the errors of the prior mean
+    deviations: Float[np.ndarray, "n m"]  # the prior's deviations at `points`
+    factor: Float[np.ndarray, "n n"]  # lower Cholesky factor of the covariance of `points`
+    alpha: Float[np.ndarray, " n"]  # 1/m, covariance of `points` solved for the errors of the prior mean
 
 
 def surface_model(

@@ -67,19 +67,19 @@ COUNTER_PERIODS_S = {  # time after which a full counter restarts
 class ClockVerdict(NamedTuple):
     """Judgement on the stamps of some rows."""
 
-    damaged: Bool[np.ndarray, " n"]  # stamps that contradict the rows before and after them
-    restarts: Int[np.ndarray, " k"]  # rows at which the clock goes back and continues from there
+    damaged: Bool[np.ndarray, " n"]  # True for time stamps that contradict the rows before and after them
+    restarts: Int[np.ndarray, " k"]  # True for rows at which the clock goes back and continues from there
     settled: int  # number of rows whose judgement later rows cannot change
 
 
 class RowClock(NamedTuple):
     """Timing of the rows of a log."""
 
-    step: float  # s, between rows
-    by_rows: bool  # whether rows are evenly spaced because the stamps say nothing
-    resolution: float  # s, of the stamps or between batches if several rows share one; else 0
-    assumed: bool  # whether nothing determines the step
-    within: float = 0.0  # s, step up to which successive rows belong to one batch
+    step: float  # s, time between rows
+    by_rows: bool  # whether rows are taken as evenly spaced because the time stamps do not show the spacing
+    resolution: float  # s, resolution of the time stamps, or time between batches if several rows share one; else 0
+    assumed: bool  # whether the step is assumed because nothing determines it
+    within: float = 0.0  # s, largest step between successive rows of one batch
 
 
 def pause_threshold(step: float) -> float:
@@ -140,10 +140,10 @@ def unix_unit(number: float) -> float | None:
     """Determine the unit of a Unix time of this century by its size.
 
     Args:
-        number: The stamp.
+        number: The time stamp.
 
     Returns:
-        Seconds in the unit, or None if the number cannot be such a time.
+        Length of the unit in seconds, or None if the number cannot be a Unix time of this century.
     """
     units = ((1e9, 1.0), (1e12, 1e-3), (1e15, 1e-6), (1e18, 1e-9))
     return next((unit for smallest, unit in units if smallest <= number < 10 * smallest), None)
@@ -223,7 +223,7 @@ def _require_rate(step: float, rows: int, name: str) -> None:
         return
     pace = "slower than a press" if step >= CLOCK.max_step_s else "faster than any board"
     raise DataError(
-        f"{name} says that rows are {step:.3g} s apart, {pace}; name its column by the unit that it counts (time_s, "
+        f"by {name}, rows are {step:.3g} s apart, {pace}; name its column by the unit that it counts (time_s, "
         "time_ms, time_us), or give --rate-hz"
     )
 
@@ -251,7 +251,7 @@ def require_order(
     goes_back = np.diff(time) < 0
     back = int(np.sum(goes_back if begins is None else goes_back & ~begins[1:]))
     if back > max(CLOCK.max_backward_share * len(time), 3):
-        raise DataError(f"{name} goes back at {back} of {len(time)} rows, so they are in no order; {remedy}")
+        raise DataError(f"{name} goes back at {back} of {len(time)} rows, so they are not in order of time; {remedy}")
 
 
 def check_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bool = True) -> ClockVerdict:

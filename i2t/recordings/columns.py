@@ -1,7 +1,7 @@
 """Columns of tables: the names, quantities and units that all readers of recordings understand.
 
-A column is named by its stem and our unit, such as x_mm, force_N or b0x_uT. Other spellings and units of the same stems
-are converted to these.
+A column is named by its stem and i2t's unit, such as x_mm, force_N or b0x_uT. Other spellings and units of the same
+stems are converted to these.
 """
 
 import re
@@ -12,7 +12,7 @@ from i2t.errors import DataError
 from i2t.recordings.cells import parse_number
 
 NEWTONS_PER_GRAM = 9.80665e-3  # standard gravity, times one gram
-UNITS: dict[str, tuple[str, dict[str, float]]] = {  # our unit of each quantity, and factors from other units to ours
+UNITS: dict[str, tuple[str, dict[str, float]]] = {  # i2t's unit of each quantity, and factors from other units to it
     "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
     "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": NEWTONS_PER_GRAM, "kg": 9.80665}),
@@ -26,20 +26,23 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a
     "contact": ("contact",),
     "slip": ("slip",),
 }
-PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # height of the tip, instead of its travel
+PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])  # columns of the position and the travel of a press
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # columns that hold the height of the tip instead of a travel
+OTHER_STEMS = {"depth": "travel"}  # other names of quantities in tables of users
 FORCE, TIME, SOURCE_COLUMN = "force_N", "time_s", "source"
 NAME_COLUMNS = ("pad", "session")
 TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
 UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
-FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column of a chip's value or ambient field, without its unit
-FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # column of a chip's value under our name
+FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # name, without its unit, of the column of a chip's value or ambient field
+FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # name of the column of a chip's value
+# quantity of a column, whose units are in UNITS, by the stem of its name
 QUANTITY_OF_STEM = {"time": "time"}
 QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "travel", "height"), "length")
 QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
-OTHER_STEMS = {"depth": "travel"}  # names of the same quantity in tables of users
-STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")  # no unit
-MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))  # the last is that of cp850, read as cp1252
+# names of a time column without a unit
+STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")
+# signs for micro, which are read as u; the last is that of cp850, read as cp1252
+MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))
 
 
 def value_columns(chips: Iterable[int]) -> list[str]:
@@ -136,7 +139,7 @@ def is_library_column(name: str) -> bool:
         name: Name of a column as stated.
 
     Returns:
-        True for our name of the quantity and for other spellings and units.
+        True for i2t's name of the quantity and for other spellings and units.
     """
     stem, _, unit = library_name(name)[0].rpartition("_")
     quantity = _quantity_of(stem)
@@ -182,7 +185,7 @@ def normalised_name(name: str) -> str:
 
 
 def library_name(name: str) -> tuple[str, float]:
-    """Find our name of a column, and the factor from its unit to ours.
+    """Find i2t's name of a column, and the factor from its unit to i2t's.
 
     Args:
         name: Name of a column as stated.

@@ -88,7 +88,7 @@ def read_numbers(path: Path, columns: tuple[int, ...]) -> np.ndarray:
         `(rows, columns)` numbers as float64.
 
     Raises:
-        DataError: The file cannot be read, or is not such a table.
+        DataError: The file cannot be read, or is not a table of numbers with these columns.
     """
     text = read_text(path)
     if not text.strip():

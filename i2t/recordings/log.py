@@ -19,10 +19,10 @@ class ReadingLog:
     lines: list[str] = field(default_factory=list)
     damaged_rows: int = 0
     first_damage: str = ""
-    unit: str = "rows"  # what a reading is called in the notes
-    answered_rows: int = 0  # rows in which every chip answered
-    silent_rows: int = 0  # rows that are left out because a chip did not answer
-    silent_chips: Counter[int] = field(default_factory=Counter)  # rows in which each chip did not answer
+    unit: str = "rows"  # noun for a reading in the notes, such as "touches"
+    answered_rows: int = 0  # number of rows in which every chip answered
+    silent_rows: int = 0  # number of rows that are left out because a chip did not answer
+    silent_chips: Counter[int] = field(default_factory=Counter)  # number of rows in which each chip did not answer
 
     def info(self, line: str) -> None:
         """Note a sentence unless it has been noted before.

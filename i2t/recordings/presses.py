@@ -16,13 +16,15 @@ LoadName: TypeAlias = Literal["travel", "force", "none"]
 class Presses(NamedTuple):
     """n presses in the order of time; a column that was not recorded is None, and a missing value is NaN."""
 
-    position: Float[np.ndarray, "n 2"]  # m, of the tip's axis on the skin, along the skin's edges
-    readings: Float[np.ndarray, "n c"]  # uT, three channels for each chip; NaN for a chip that did not answer
-    height: Float[np.ndarray, " n"] | None = None  # m, of the tip along the skin's outward normal, from any origin
-    force: Float[np.ndarray, " n"] | None = None  # N along tool z, positive if the tip presses
+    position: Float[np.ndarray, "n 2"]  # m, position of the tip's axis on the skin, along the skin's edges
+    # uT, readings with three channels for each chip; NaN for a chip that did not answer
+    readings: Float[np.ndarray, "n c"]
+    # m, height of the tip along the skin's outward normal, from any origin
+    height: Float[np.ndarray, " n"] | None = None
+    force: Float[np.ndarray, " n"] | None = None  # N, force along tool z, positive if the tip presses
     time: Float[np.ndarray, " n"] | None = None  # s
-    pad: np.ndarray | None = None  # (n,) names
-    session: np.ndarray | None = None  # (n,) names
+    pad: np.ndarray | None = None  # (n,) names of the pads
+    session: np.ndarray | None = None  # (n,) names of the sessions
 
     def rows(self, which: Any) -> "Presses":
         """Select presses.
@@ -76,13 +78,13 @@ class LoadedPresses(NamedTuple):
     """n presses by position and one load, as the models that predict readings take them."""
 
     position: Float[np.ndarray, "n 2"]  # m
-    load: Float[np.ndarray, " n"]  # travel in m, or force in N; constant if unknown
+    load: Float[np.ndarray, " n"]  # load of each press: travel in m, or force in N; constant if unknown
     readings: Float[np.ndarray, "n c"]  # uT
     load_kind: LoadName
-    notes: tuple[str, ...] = ()  # irregularities of the loads, a sentence each
-    unnamed_board: Board | None = None  # board without a name, which `i2t.calibrate` tries besides the named ones
+    notes: tuple[str, ...] = ()  # irregularities of the loads, one sentence each
+    unnamed_board: Board | None = None  # board without a name, which `i2t.calibrate` also tries
     session: Int[np.ndarray, " n"] | None = None
-    row: Int[np.ndarray, " n"] | None = None  # rows of the recording
+    row: Int[np.ndarray, " n"] | None = None  # row of each press in the recording
 
     @property
     def by_force(self) -> bool:

@@ -56,7 +56,7 @@ from i2t.recordings.tables import MAX_TABLE_VALUE, TextTable, read_text_table
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board, ReturnCode
 
-MAX_STREAM_STEP_S = 0.5  # between rows of a stream
+MAX_STREAM_STEP_S = 0.5  # s, largest time between rows of a stream
 
 
 class TargetKind(NamedTuple):
@@ -327,7 +327,7 @@ def read_tables(path: Path) -> list[SkinRecording]:
         A recording for each pad.
 
     Raises:
-        DataError: The file is not such a table, or no row has a finite reading.
+        DataError: The file is not a table of readings, or no row has a finite reading.
     """
     table = _LooseTable.read(path)
     names, notes = _reading_columns(table, path), list(table.text.notes)
@@ -409,7 +409,7 @@ def _unused_columns(table: _LooseTable, readings: set[str]) -> list[str]:
     used = readings | {TIME, *NAME_COLUMNS, *HEIGHT_COLUMNS}.union(*TARGET_COLUMNS.values())
     notes = []
     if unknown := [name for name in table.columns if name not in used]:
-        notes.append(f"left out: columns {', '.join(unknown)}, which have no meaning here")
+        notes.append(f"left out: columns {', '.join(unknown)}, which are not used")
     if twice := sorted(name for name, count in Counter(table.text.header).items() if count > 1):
         notes.append(f"columns {', '.join(twice)} appear twice: the first of each is read")
     return notes

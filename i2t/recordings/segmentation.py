@@ -84,44 +84,45 @@ class SegmentedPresses(NamedTuple):
     """k presses in a recording of n rows."""
 
     start: Int[np.ndarray, " k"]  # first row of each press
-    end: Int[np.ndarray, " k"]  # row after its last
-    steady_start: Int[np.ndarray, " k"]  # first row of its steadiest part at full load
-    steady_end: Int[np.ndarray, " k"]  # row after the last of that part
-    reading: Float[np.ndarray, "k c"]  # uT, steady, minus the baseline before the press
-    baseline: Float[np.ndarray, "k c"]  # uT
-    start_time: Float[np.ndarray, " k"]  # s
-    end_time: Float[np.ndarray, " k"]  # s
+    end: Int[np.ndarray, " k"]  # row after the last row of each press
+    steady_start: Int[np.ndarray, " k"]  # first row of each press's steadiest part at full load
+    steady_end: Int[np.ndarray, " k"]  # row after the last row of each press's steadiest part
+    reading: Float[np.ndarray, "k c"]  # uT, steady reading of each press minus the baseline before it
+    baseline: Float[np.ndarray, "k c"]  # uT, reading at rest before each press
+    start_time: Float[np.ndarray, " k"]  # s, time of each press's first row
+    end_time: Float[np.ndarray, " k"]  # s, time of each press's end
 
 
 class SegmentedPress(NamedTuple):
     """One press; row numbers count from the first row of the recording."""
 
-    start: int  # first row
-    end: int  # row after the last
-    steady_start: int  # first row of the steadiest part at full load
-    steady_end: int  # row after the last of that part
-    reading: Float[np.ndarray, " c"]  # uT, steady, minus the baseline before the press
-    baseline: Float[np.ndarray, " c"]  # uT
-    at_start: Float[np.ndarray, " e"]  # other columns in the first row
-    across: Float[np.ndarray, "2 e"]  # other columns before and after the longest time step at the start
+    start: int  # first row of the press
+    end: int  # row after the last row of the press
+    steady_start: int  # first row of the press's steadiest part at full load
+    steady_end: int  # row after the last row of the press's steadiest part
+    reading: Float[np.ndarray, " c"]  # uT, steady reading minus the baseline before the press
+    baseline: Float[np.ndarray, " c"]  # uT, reading at rest before the press
+    at_start: Float[np.ndarray, " e"]  # values of the other columns in the press's first row
+    across: Float[np.ndarray, "2 e"]  # values of the other columns before and after the longest time step at the start
     steady: Float[np.ndarray, " e"]  # medians of the other columns over the steady part
-    start_time: float  # s
-    end_time: float  # s
+    start_time: float  # s, time of the press's first row
+    end_time: float  # s, time of the press's end
     gap: float  # s, the longest time step at the start
-    over: bool  # whether it ended before the recording did
+    over: bool  # whether the press ended before the recording did
     peak: float  # largest distance from rest, in standard deviations of a smoothed channel
 
 
 class SegmentationRules(NamedTuple):
     """Definition of a press in rows of one recording; blocks are groups of rows that are averaged."""
 
-    noise_std: Float[np.ndarray, " c"]  # uT, of a row
-    step: float  # s, between rows
-    width: int  # rows in a block
-    rest: int  # blocks in a baseline
-    gap: int  # blocks between presses, at least
-    longest: int  # blocks in a press, at most
-    spike: Float[np.ndarray, " c"]  # uT by which a spike stands out, at least; inf if one row may be a press
+    noise_std: Float[np.ndarray, " c"]  # uT, standard deviation of a row's noise
+    step: float  # s, time between rows
+    width: int  # number of rows in a block
+    rest: int  # number of blocks in a baseline
+    gap: int  # smallest number of blocks between presses
+    longest: int  # largest number of blocks in a press
+    # uT, smallest deviation of a spike from its neighbours; inf if one row may be a press
+    spike: Float[np.ndarray, " c"]
     fresh: float  # share of rows that do not repeat the row before
     config: SegmentationConfig
 
@@ -135,16 +136,16 @@ class OpenRecording(NamedTuple):
     """State of a recording that more rows may be added to."""
 
     rules: SegmentationRules
-    first: int  # row of the recording that is the first of the rows kept
-    time: Float[np.ndarray, " n"]  # s
-    readings: Float[np.ndarray, "n c"]  # uT
-    others: Float[np.ndarray, "n e"]  # other columns
-    at: int  # block, among those kept, up to which presses have been searched for
+    first: int  # row of the recording that is the first of the kept rows
+    time: Float[np.ndarray, " n"]  # s, times of the kept rows
+    readings: Float[np.ndarray, "n c"]  # uT, readings of the kept rows
+    others: Float[np.ndarray, "n e"]  # other columns of the kept rows
+    at: int  # block, among the kept ones, up to which presses have been searched for
     rest_from: int  # block from which the skin has been at rest; negative if that block was dropped
-    baseline: Float[np.ndarray, " c"] | None  # uT; None before the first rest
-    earlier: Float[np.ndarray, " c"] | None = None  # uT, the rest before, in this recording or in another
-    sure: bool = False  # whether the skin has come back to its rest
-    moved: tuple[np.ndarray, ...] = ()  # other columns in the rows in which the skin left a level for good
+    baseline: Float[np.ndarray, " c"] | None  # uT, reading at rest; None before the first rest
+    earlier: Float[np.ndarray, " c"] | None = None  # uT, previous reading at rest, in this recording or in another
+    sure: bool = False  # whether the skin has returned to its reading at rest
+    moved: tuple[np.ndarray, ...] = ()  # other columns in the rows at which the skin left a level for good
     spikes: int = 0  # number of rows with a spike
 
 

@@ -14,7 +14,7 @@ from i2t.recordings.diagnose import Finding, correction_of, find_force_sign, fin
 from i2t.recordings.presses import dataset_presses
 from i2t.types import ReturnCode
 
-MIN_TRAVEL_M = 10e-6  # travel from which a touch counts as a press
+MIN_TRAVEL_M = 10e-6  # m, travel from which a touch counts as a press
 
 
 def corrected_dataset(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:

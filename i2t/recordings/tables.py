@@ -47,7 +47,7 @@ from i2t.recordings.columns import (
 from i2t.recordings.files import os_errors_as_data_errors
 from i2t.recordings.log import ReadingLog
 
-MAX_TABLE_VALUE = 1e9  # in any unit; larger numbers are damage
+MAX_TABLE_VALUE = 1e9  # largest plausible value in any unit; larger numbers are damage
 COMMENT_MARK = "#"
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
 EMPTY = " \t\r\n\0\x1a\ufeff\u00a0"  # characters of empty cells; \x1a is the end-of-file mark of DOS
@@ -55,11 +55,11 @@ EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count
 
 
 class TextTable(NamedTuple):
-    """Texts of a table, with our names and units."""
+    """Texts of a table, with i2t's names and units."""
 
     header: list[str]
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
-    notes: list[str]  # what was changed, a sentence each
+    notes: list[str]  # what was changed in the table, one sentence each
 
 
 class TableRows(NamedTuple):
@@ -67,7 +67,7 @@ class TableRows(NamedTuple):
 
     header: list[str]
     rows: Iterator[tuple[int, list[str]]]  # number of the line in the file, and its fields
-    notes: list[str]  # what was changed, a sentence each; the last ones are added when the rows end
+    notes: list[str]  # what was changed in the table, one sentence each; the last ones are added when the rows end
 
 
 def read_text_table(path: Path) -> TextTable:
@@ -77,7 +77,7 @@ def read_text_table(path: Path) -> TextTable:
         path: Path of the file, plain or gzipped.
 
     Returns:
-        The texts of the table, with our names and units.
+        The texts of the table, with i2t's names and units.
 
     Raises:
         DataError: The file cannot be read, or is not a table.
@@ -239,19 +239,19 @@ def _lines(path: Path, encoding: str) -> Iterator[str]:
 class _Top(NamedTuple):
     """The lines before the first row of numbers, and the delimiter between fields."""
 
-    names: list[str]  # names of the columns as stated
-    delimiter: str  # a space stands for any number of spaces
-    before: int  # number of lines up to and including the names
-    comments: int  # number of comments among these lines
+    names: list[str]  # names of the columns as written in the file
+    delimiter: str  # delimiter of the columns; a space stands for any number of spaces
+    before: int  # number of lines up to and including that of the names
+    comments: int  # number of comments up to the line of the names
     titles: int  # number of other lines above the names
-    sample: list[str]  # the following lines, which were read already
+    sample: list[str]  # lines after the names that were read already
 
 
 class _Columns(NamedTuple):
     """Names and units of the columns that have a name."""
 
-    header: list[str]  # our names
-    factors: list[float]  # factors from the stated units to ours
+    header: list[str]  # i2t's names of the columns
+    factors: list[float]  # factors from the units in the file to i2t's
     stamps: bool  # whether times are dates or times of day
     texts: Sequence[str] = TEXT_COLUMNS  # columns without numbers
 
@@ -311,7 +311,7 @@ def _converted(
     changes: list[tuple[list[int], Callable[[str], str]]],
     notes: list[str],
 ) -> Iterator[tuple[int, list[str]]]:
-    """Yield rows with decimal points, in our units."""
+    """Yield rows with decimal points, in i2t's units."""
     width, all_named, before = len(top.names), len(named) == len(top.names), signs.sign
     scaled = columns.where(lambda _, factor: factor != 1)
     for line, cells in rows:
@@ -372,7 +372,7 @@ def _read_top(lines: Iterator[str], texts: Sequence[str]) -> _Top:
 
     The names are on the first line that is not a comment. If that line holds only numbers, the names are in the comment
     before it, as `numpy.savetxt` writes them. Below titles, the names are on the first line with all of `texts`, or
-    with two of our columns.
+    with two of i2t's columns.
     """
     before, comments, stated, comment, first = 0, 0, "", "", ""
     for line in lines:
@@ -446,7 +446,7 @@ def _notes_on(encoding: str, top: _Top) -> list[str]:
 
 
 def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str]) -> _Columns:
-    """Find our names and units of the columns, from the stated names and the non-empty cells of the first rows."""
+    """Find i2t's names and units of the columns, from the stated names and the non-empty cells of the first rows."""
     ours = _one_clock(stated, [library_name(name) for name in stated])
     header, factors = [name for name, _ in ours], [factor for _, factor in ours]
     bare = next((i for i, name in enumerate(stated) if normalised_name(name).lstrip("%") in STAMPS), None)

@@ -29,17 +29,17 @@ STUDENT_T_DOF = 4.0  # degrees of freedom of the residuals, a compromise that La
 class Contacts(NamedTuple):
     """Contacts with an object at its believed pose, and the faces that the skin may meet at each contact."""
 
-    prior_std: Float[Array, "6"]  # m, standard deviations of the twist
+    prior_std: Float[Array, "6"]  # m, prior standard deviations of the twist
     weight: Float[Array, " n"]
     T_t_o: Float[Array, "n 4 4"]  # believed pose of the object in the tool frame
-    corners: Float[Array, "n 3 3 k"]  # m, corners of each contact's candidate faces; faces are the last axis
+    corners: Float[Array, "n 3 3 k"]  # m, corners of each contact's candidate faces; the last axis is that of the faces
 
 
 class LinearisedContacts(NamedTuple):
     """Residuals of contacts after a motion, with their derivatives by z."""
 
-    residual: Float[Array, " n"]  # m, along the surface's normal
-    jacobian: Float[Array, "n 6"]  # m, for one standard deviation of the prior
+    residual: Float[Array, " n"]  # m, gap between skin and object along the surface's normal
+    jacobian: Float[Array, "n 6"]  # m, derivative of the residual by the twist, for one standard deviation of the prior
     stretch: Float[Array, " n"]  # ratio of the gap along tool z to the residual
 
 

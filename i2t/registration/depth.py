@@ -27,7 +27,8 @@ from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.registration.estimate import PoseEstimate
 
-BIWEIGHT_CUTOFF = 4.685  # scales beyond which Tukey's weight is zero, for 95 % efficiency on normal residuals
+# residual, in scales, beyond which Tukey's weight is zero, for 95 % efficiency on normal residuals
+BIWEIGHT_CUTOFF = 4.685
 STD_PER_MAD = 1.4826  # ratio of the standard deviation of a normal distribution to its median absolute deviation
 
 
@@ -36,16 +37,17 @@ class DepthRegistrationConfig:
     """Options of a pose search by depth image."""
 
     initial_reach: float = 15e-3  # m, largest distance of a point from the believed object at first
-    final_reach: float = 3e-3  # m, the same at the end
+    final_reach: float = 3e-3  # m, largest distance of a point from the believed object at the end
     reach_factor: float = 0.8  # factor of the distance from step to step
     max_steps: int = 40
     tolerance: float = 1e-6  # m, step length at which the search ends
-    max_points: int = 5000  # points drawn from the image
-    table_clearance: float = 2e-3  # m above the table, below which points are ignored
+    max_points: int = 5000  # largest number of points drawn from the image
+    table_clearance: float = 2e-3  # m, height above the table below which points are ignored
     min_points: int = 50
     min_overlap: float = 0.3  # smallest fraction of the points that must end within `final_reach` of the surface
     min_residual_scale: float = 1e-5  # m, smallest scale of the residuals, so that it exceeds their rounding
-    surface_samples: int = 40_000  # half a millimetre apart on an object of a decimetre
+    # number of points drawn on the surface: half a millimetre apart on an object of a decimetre
+    surface_samples: int = 40_000
     seed: int = 0
 
 
@@ -62,9 +64,9 @@ class _Scene(NamedTuple):
 class _Pairs(NamedTuple):
     """Points and the planes of their nearest samples at one pose."""
 
-    residual: Float[np.ndarray, " n"]  # m, distance from the plane
-    jacobian: Float[np.ndarray, "n 6"]  # derivative by a twist (m) of the object
-    weight: Float[np.ndarray, " n"]  # Tukey's biweight
+    residual: Float[np.ndarray, " n"]  # m, distance of the point from the plane
+    jacobian: Float[np.ndarray, "n 6"]  # derivative of the residual by a twist (m) of the object
+    weight: Float[np.ndarray, " n"]  # Tukey's biweight of the residual
     near: Bool[np.ndarray, " n"]  # whether a point is close enough to count
     variance: float  # m^2, variance of a residual times the number of points that share their noise
 

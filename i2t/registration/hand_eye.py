@@ -38,7 +38,7 @@ class HandEye(NamedTuple):
     """
 
     T_t_camera: Float[np.ndarray, "4 4"]  # pose of the camera in tool axes, relative to the hand-eye calibration
-    covariance: Float[np.ndarray, "6 6"]  # m^2, covariance of its twist (`i2t.geometry.from_twist`)
+    covariance: Float[np.ndarray, "6 6"]  # m^2, covariance of the twist (`i2t.geometry.from_twist`) of `T_t_camera`
     disagreement: float  # root mean square difference of the sessions, in standard deviations of their errors; about 1
     num_sessions: int  # number of pooled sessions
 

@@ -65,25 +65,28 @@ class SessionRegistrationConfig:
         estimate = i2t.register_session(touches, surface, config=config)
     """
 
-    placement: float = 1e-3  # m, position of the object along each axis
-    placement_angle: float = float(np.radians(1.0))  # rad, orientation of the object about each axis
-    hand_eye: float = 1e-3  # m, position of the camera in the tool frame along each axis
-    hand_eye_angle: float = float(np.radians(0.5))  # rad, orientation of the camera about each axis
-    contact: float = 0.1e-3  # m, position of a first contact
-    repeatability: float = 0.05e-3  # m, position of the arm along each axis, in each view
-    repeatability_angle: float = float(np.radians(0.03))  # rad, orientation of the arm about each axis
-    # m, position of the tool at the image's capture, in its axes at the end of the press: hand-eye errors act there
+    placement: float = 1e-3  # m, standard deviation of the object's position along each axis
+    # rad, standard deviation of the object's orientation about each axis
+    placement_angle: float = float(np.radians(1.0))
+    hand_eye: float = 1e-3  # m, standard deviation of the camera's position in the tool along each axis
+    # rad, standard deviation of the camera's orientation about each axis
+    hand_eye_angle: float = float(np.radians(0.5))
+    contact: float = 0.1e-3  # m, standard deviation of the position of a first contact
+    repeatability: float = 0.05e-3  # m, standard deviation of the arm's position along each axis, in each view
+    # rad, standard deviation of the arm's orientation about each axis
+    repeatability_angle: float = float(np.radians(0.03))
+    # m, position of the tool when the camera looked, in its axes at the end of the press: hand-eye errors act there
     tool_offset_at_capture: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    depth_noise: float = 0.3e-3  # m, depth of a pixel
-    depth_bleed: float = 1.0  # pixels, sideways displacement of a depth
+    depth_noise: float = 0.3e-3  # m, standard deviation of the depth of a pixel
+    depth_bleed: float = 1.0  # pixels, standard deviation of the lateral displacement of a depth
     window: float = field(default=PATCH_WINDOW, metadata={"static": True})  # m, edge of a patch
     reach: float = field(default=REACH, metadata={"static": True})  # m, depth at which views are clipped
-    num_starts: int = 8  # starts of the first search: the prior's mean and draws of the prior
-    kept_starts: int = 2  # ends with the lowest cost from which the next search starts
-    blurs: tuple[float, ...] = (8.0, 4.0, 1.5)  # pixels, standard deviation of the blur in each search
+    num_starts: int = 8  # number of starts of the first search: the prior's mean and draws of the prior
+    kept_starts: int = 2  # number of ends with the lowest cost from which the next search starts
+    blurs: tuple[float, ...] = (8.0, 4.0, 1.5)  # pixels, standard deviation of the image blur in each search
     # standard deviations, scale of the residuals at first: the prior's errors relative to the noise
     first_scale: float = field(default=10.0, metadata={"static": True})
-    steps: int = 12  # steps of each search
+    steps: int = 12  # number of steps of each search
     half_edge: float = PAD_WINDOW / 2  # m, half the edge of the skin's face
     candidate_faces: int = 128  # number of faces that are considered for each touch
     max_touches: int = 144  # number of touches of a session that are used
@@ -258,8 +261,8 @@ def _blurring(pixels: int, blur: float, finest: float) -> Float[np.ndarray, "k p
 class _SearchEnd(NamedTuple):
     """The end of a search."""
 
-    twist: Float[Array, "12"]  # m
-    covariance: Float[Array, "12 12"]  # m^2
+    twist: Float[Array, "12"]  # m, twist of the object at the end of the search
+    covariance: Float[Array, "12 12"]  # m^2, covariance of the twist
     cost: Float[Array, ""]  # cost at the last scale
     linearised: _Linearised
 

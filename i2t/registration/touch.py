@@ -48,11 +48,11 @@ from i2t.types import Surface
 class TouchRegistrationConfig:
     """Options of a pose search by touches."""
 
-    num_starts: int = 12  # starts of the search: the prior's mean and draws of the prior
-    annealing_steps: int = 10  # steps while the noise shrinks
-    steps: int = 10  # steps at the true noise
-    draws: int = 256  # draws in each round of importance sampling
-    rounds: int = 4  # rounds of importance sampling; 0 keeps the result of Laplace's method
+    num_starts: int = 12  # number of starts of the search: the prior's mean and draws of the prior
+    annealing_steps: int = 10  # number of steps while the noise shrinks
+    steps: int = 10  # number of steps at the true noise
+    draws: int = 256  # number of draws in each round of importance sampling
+    rounds: int = 4  # number of rounds of importance sampling; 0 keeps the result of Laplace's method
     proposal_dof: int = 5  # degrees of freedom of the draws, whose tails must be heavier than any posterior's
     half_edge: float = PAD_WINDOW / 2  # m, half the edge of the skin's face
     candidate_faces: int = 128  # number of faces that are considered for each touch
@@ -79,7 +79,8 @@ def register_by_touch(
         surface: The object, in its own frame.
         T_w_o: Believed pose of the object.
         T_w_contact: `(n, 4, 4)` poses of the tool at first contact, such as from `contact_poses`.
-        weight: `(n,)` weights of the touches. 0 or false leaves a touch out, whatever its pose, such as a touch in air.
+        weight: `(n,)` weights of the touches. 0 or false leaves a touch out even if its pose is not
+            finite, such as a touch in air.
         translation_std: Standard deviation (m) of the believed position along each axis.
         rotation_std: Standard deviation (rad) of the believed orientation about each axis.
         contact_std: Standard deviation (m) of a contact. It includes errors of the arm, of the object's shape, and of

@@ -13,7 +13,7 @@ import numpy as np
 
 from i2t.types import Surface
 
-CLUSTERS_PER_GROUP = 32  # a machine word holds a bit for each cluster of a group
+CLUSTERS_PER_GROUP = 32  # number of clusters in a group, one for each bit of a machine word
 EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of an empty box, which nothing meets
 
 
@@ -21,9 +21,9 @@ EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of an empty box, which nothing meet
 class ClusterSizes:
     """Number of faces in a cluster, by the size of the mesh and of its faces."""
 
-    fine: int = 2  # faces of a cluster in meshes of up to `max_fine_faces` faces
-    coarse: int = 4  # faces of a cluster in larger meshes
-    dense: int = 5  # faces of a cluster in larger meshes of small faces
+    fine: int = 2  # number of faces of a cluster in meshes of up to `max_fine_faces` faces
+    coarse: int = 4  # number of faces of a cluster in larger meshes
+    dense: int = 5  # number of faces of a cluster in larger meshes of small faces
     max_fine_faces: int = 4096
     small_face: float = 0.6e-6  # m^2, about five pixels of a patch: mean area of the face at a random point
 

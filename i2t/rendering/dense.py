@@ -49,9 +49,9 @@ from i2t.rendering.tiles import (
 class DenseDrawing:
     """Sizes of the parts in which dense meshes are drawn."""
 
-    lanes_per_block: int = 32  # tiles next to each other in memory
+    lanes_per_block: int = 32  # number of tiles next to each other in memory
     blocks_per_share: int = 72
-    groups_per_chunk: int = 8  # groups of a pose whose boxes are tested together
+    groups_per_chunk: int = 8  # number of groups of a pose whose boxes are tested together
     # reaches behind the expected hit of the first group, up to which clusters are drawn first
     front_slab_reaches: float = 1.25
 
@@ -62,9 +62,9 @@ _DRAWING = DenseDrawing()
 class _Scene(NamedTuple):
     """Constants of a batch of poses: meshes, poses and pixels."""
 
-    boxes: Float[Array, "groups 6 clusters"]  # m, centres and half extents of clusters
+    boxes: Float[Array, "groups 6 clusters"]  # m, centres and half extents of the clusters
     clusters: FaceClusters
-    view: ToolView  # the poses
+    view: ToolView  # poses to render
     grid: PixelGrid
 
     @property
@@ -76,8 +76,8 @@ class _Scene(NamedTuple):
 class _Slab(NamedTuple):
     """Range of tool z (m) of each pose in which a box must begin to be drawn now."""
 
-    low: Float[Array, "p 1"]  # excluded
-    high: Float[Array, "p 1"]  # included
+    low: Float[Array, "p 1"]  # m, nearer end of the slab, excluded
+    high: Float[Array, "p 1"]  # m, farther end of the slab, included
 
 
 class _Listed(NamedTuple):
@@ -94,7 +94,7 @@ class _Lanes(NamedTuple):
     pose: Int[Array, "blocks lanes"]
     tile: Int[Array, "blocks lanes"]
     view: ToolView
-    pixels: tuple[Array, ...]  # (blocks, lanes, pixels) m, x and y in the tool frame
+    pixels: tuple[Array, ...]  # (blocks, lanes, pixels) m, x and y of the pixels in the tool frame
 
 
 class _Queue(NamedTuple):

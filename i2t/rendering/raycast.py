@@ -58,9 +58,9 @@ from i2t.types import Surface
 class PassSizes:
     """Sizes of the passes in which the clusters of a pose are drawn."""
 
-    groups: int = 64  # groups listed in a pass
-    groups_per_chunk: int = 8  # groups whose boxes are tested together
-    clusters: int = 256  # clusters set up in a pass, a multiple of 32 and at most 1024
+    groups: int = 64  # number of groups listed in a pass
+    groups_per_chunk: int = 8  # number of groups whose boxes are tested together
+    clusters: int = 256  # number of clusters set up in a pass, a multiple of 32 and at most 1024
     # reaches behind the first box, up to which clusters are drawn first, to find out how near the surface is
     front_slab_reaches: int = 2
 

@@ -29,7 +29,7 @@ from i2t.rendering.bvh import CLUSTERS_PER_GROUP
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices, maximum, minimum
 
 MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, projected area below which a face is seen edge on
-FACE_TERMS = 13  # numbers of a face: three edges, its plane, its lowest corner
+FACE_TERMS = 13  # number of terms that describe a face: three edges, its plane, its lowest corner
 
 # Nearest hits so far as (p, tiles, pixels) arrays: heights (m) and, if requested, faces.
 Hits: TypeAlias = tuple[Array, ...]
@@ -102,8 +102,8 @@ class FaceClusters(NamedTuple):
 
     rows: Float[Array, "clusters size*9"]
     mesh: Int[Array, " p"]  # index of each pose's mesh
-    per_mesh: int  # clusters of a mesh
-    size: int  # faces of a cluster
+    per_mesh: int  # number of clusters of a mesh
+    size: int  # number of faces of a cluster
 
 
 class ClusterList(NamedTuple):
@@ -129,7 +129,7 @@ class _Table(NamedTuple):
 
     faces: Float[Array, "rows terms"]
     names: Int[Array, " rows"]
-    size: int  # faces of a cluster
+    size: int  # number of faces of a cluster
 
 
 class Scratch(NamedTuple):
@@ -145,10 +145,10 @@ class Scratch(NamedTuple):
 class _Share(NamedTuple):
     """Part of every pose's list that a pass draws. Its clusters lie next to each other in the scratch table."""
 
-    first: Int[Array, ""]  # number of its first cluster in a pose's list
-    counts: Int[Array, " p"]  # clusters of each pose
-    begins: Int[Array, " p"]  # rows of the table at which they begin
-    ends: Int[Array, " p"]  # and at which they end
+    first: Int[Array, ""]  # number of the share's first cluster in a pose's list
+    counts: Int[Array, " p"]  # number of clusters of each pose
+    begins: Int[Array, " p"]  # first row of each pose's clusters in the table
+    ends: Int[Array, " p"]  # row after the last of each pose's clusters in the table
 
 
 def draw_clusters(

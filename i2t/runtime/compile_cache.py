@@ -19,7 +19,7 @@ from pathlib import Path
 
 CACHE_VARIABLE = "I2T_COMPILE_CACHE"
 JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
-MAX_CACHE_BYTES = 2**28  # size of a processor's folder, which JAX scans whenever it stores a program
+MAX_CACHE_BYTES = 2**28  # bytes, largest size of a processor's folder, which JAX scans whenever it stores a program
 
 
 def use_compile_cache() -> Path | None:

@@ -37,7 +37,7 @@ class _Bar(tqdm):
 
 
 class _Lines(_Bar):
-    """Progress as lines."""
+    """Progress that is printed as lines instead of a bar."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
         self._last_line_at = time.monotonic()

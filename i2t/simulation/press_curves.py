@@ -26,10 +26,10 @@ from i2t.types import Array, Pad
 class PressCurve(NamedTuple):
     """Stops of a press: measurements, and the truth of the simulation."""
 
-    reading: Float[Array, "*batch s c"]  # uT
-    force: Float[Array, "*batch s"]  # N
+    reading: Float[Array, "*batch s c"]  # uT, reading at each travel
+    force: Float[Array, "*batch s"]  # N, force at each travel
     travel: Float[Array, "*batch s"]  # m past first contact, including the deflection of arm and mount
-    newtons: Float[Array, "*batch s cells"]  # true force on each cell of 1 mm
+    newtons: Float[Array, "*batch s cells"]  # N, true force on each cell of 1 mm
     centre: Float[Array, "*batch s 2"]  # m, true centre of pressure (x, y)
 
     @property

@@ -20,18 +20,20 @@ class SiteLimits:
         sites = i2t.sample_touch_sites(mesh, 36, limits=limits)
     """
 
-    # cosine of the angle between normal and up, at least; the paper's recognition uses 0.5
+    # smallest cosine of the angle between the surface normal and the vertical; the paper's recognition uses 0.5
     min_cos: Annotated[float, Limits(-1, 1)] = 0.25
-    # m, largest height of any surface above the contact plane inside the square
+    # largest height (m) of a surface above the contact plane within the sensor's square
     max_rise: Annotated[float, Limits(0, 0.1)] = 3e-3
-    half_edge: Annotated[float, Limits(1e-3, 0.1)] = PAD_WINDOW / 2  # m, half the edge of the sensor's square
-    # m, edge of the square bar that holds the skin, from the skin back to the flange
+    half_edge: Annotated[float, Limits(1e-3, 0.1)] = PAD_WINDOW / 2  # half the edge (m) of the sensor's square
+    # edge (m) of the square bar that connects the skin to the flange
     mount: Annotated[float, Limits(0, 0.5)] = PAD_WINDOW
-    flange: Annotated[float, Limits(0, 0.5)] = 75e-3  # m, edge of the square box around flange and wrist
-    flange_near: Annotated[float, Limits(0, 0.5)] = 30e-3  # m behind the skin, beginning of that box
-    flange_far: Annotated[float, Limits(0, 0.5)] = 100e-3  # m behind the skin, end of that box
-    table: Annotated[float, Limits(-1, 1)] = 0.0  # m, height of the table in W
-    clearance: Annotated[float, Limits(0, 0.1)] = 1e-3  # m, smallest distance of mount and flange from the table
+    flange: Annotated[float, Limits(0, 0.5)] = 75e-3  # edge (m) of the square box around flange and wrist
+    # distance (m) from the skin back to the front of the flange's box
+    flange_near: Annotated[float, Limits(0, 0.5)] = 30e-3
+    # distance (m) from the skin back to the rear of the flange's box
+    flange_far: Annotated[float, Limits(0, 0.5)] = 100e-3
+    table: Annotated[float, Limits(-1, 1)] = 0.0  # height (m) of the table in the world
+    clearance: Annotated[float, Limits(0, 0.1)] = 1e-3  # smallest distance (m) of mount and flange from the table
 
     def __post_init__(self) -> None:
         for name, hint in get_type_hints(type(self), include_extras=True).items():

@@ -33,7 +33,7 @@ RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 class Sites(NamedTuple):
     """Touch sites, and whether they passed the checks."""
 
-    T_w_t: Float[Array, "n 4 4"]  # contact frames
+    T_w_t: Float[Array, "n 4 4"]  # (4, 4) contact frames in W, m
     safe: Bool[Array, " n"]
 
 

@@ -61,20 +61,22 @@ class SimulationErrors:
         touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 1000)
     """
 
-    placement: float = 1e-3  # position of the object, per axis and session
+    placement: float = 1e-3  # m, standard deviation of the object's position, per axis and session
     placement_angle: float = math.radians(1.0)
-    hand_eye: float = 1e-3  # position of the camera in the tool frame, per axis and session
+    hand_eye: float = 1e-3  # m, standard deviation of the camera's position in the tool frame, per axis and session
     hand_eye_angle: float = math.radians(0.5)
-    repeatability: float = 0.05e-3  # position of the arm, per axis and touch
-    approach_angle: float = math.radians(0.3)  # between looking and pressing, per touch
-    slant: float = math.radians(1.0)  # between the press's motion and the tool's axis, per touch and along x and y
-    depth_noise: float = 0.3e-3  # depth of a pixel
-    depth_bleed: float = 1.0  # pixels, sideways displacement of depths
-    depth_quantum: float = 0.1e-3  # step of the depths
-    force: float = 0.1  # N, force of the wrench sensor after zeroing
+    repeatability: float = 0.05e-3  # m, standard deviation of the arm's position, per axis and touch
+    # rad, standard deviation of the angle between looking and pressing, per touch
+    approach_angle: float = math.radians(0.3)
+    # rad, standard deviation of the angle between press motion and tool axis, per touch and along x and y
+    slant: float = math.radians(1.0)
+    depth_noise: float = 0.3e-3  # m, standard deviation of a pixel's depth
+    depth_bleed: float = 1.0  # pixels, standard deviation of the lateral displacement of depths
+    depth_quantum: float = 0.1e-3  # m, step of the depths
+    force: float = 0.1  # N, standard deviation of the wrench sensor's force after zeroing
     noise: Noise = field(default_factory=Noise)
     faults: Faults = field(default_factory=Faults.typical)
-    num_pose_errors: ClassVar[int] = 7  # the first fields, which are errors of poses
+    num_pose_errors: ClassVar[int] = 7  # number of fields, the first ones, that are errors of poses
 
     @classmethod
     def error_free(cls) -> "SimulationErrors":
@@ -148,8 +150,8 @@ class _Press(NamedTuple):
     travel: Float[
         Array, ""
     ]  # m, motion of the arm past first contact: the indentation and the deflection of arm and mount
-    indentation: Float[Array, ""]  # m
-    force: Float[Array, ""]  # N
+    indentation: Float[Array, ""]  # m, largest indentation of the skin
+    force: Float[Array, ""]  # N, force of the press
     reading: Float[Array, " c"]  # uT, from an ideal sensor
     code: Int[Array, ""]
 

@@ -23,10 +23,11 @@ from i2t.files.reading import read_toml
 from i2t.patches.dimensions import ORTHOGONALITY_TOLERANCE, PAD_WINDOW
 from i2t.types import Board
 
-CHIP_PITCH_M = 7e-3  # from the centre chip to each of the others
-CHIP_DEPTH_M = 3.5e-3  # below the skin's surface: 2 mm of elastomer and 1.5 mm of package and cover
+CHIP_PITCH_M = 7e-3  # m, distance from the centre chip to each of the others
+# m, depth of the chips below the skin's surface: 2 mm of elastomer and 1.5 mm of package and cover
+CHIP_DEPTH_M = 3.5e-3
 AXES_OF_CHIP = 3
-MAX_CHIPS = 25  # on a board by name or in a file
+MAX_CHIPS = 25  # largest number of chips on a board by name or in a file
 DEFAULT_BOARD = "reskin"
 
 

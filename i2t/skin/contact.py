@@ -38,7 +38,7 @@ from i2t.skin.elasticity import FINE_GRID as FINE_GRID
 from i2t.skin.elasticity import GRID, Grid, clamped_shape, compliance, convolve
 from i2t.types import Pad
 
-MAX_HEIGHT_M = 1.0  # heights are clipped here, so that they may be infinite where there is no surface
+MAX_HEIGHT_M = 1.0  # m, height at which heights are clipped, so that they may be infinite where there is no surface
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,8 @@ class ContactSolver:
     # to 0.1 %, a hundred times this.
     tolerance: float = 1e-5
     max_steps: int = 200
-    max_linear_steps: int = 100  # of the conjugate gradients for a derivative; about 20 are enough
+    # largest number of steps of the conjugate gradients for a derivative; about 20 are enough
+    max_linear_steps: int = 100
     min_strain: float = 1e-9  # strain below which a problem is not scaled to 1, which avoids a division by zero
 
 
@@ -59,12 +60,13 @@ CONTACT_SOLVER = ContactSolver()
 class Contact(NamedTuple):
     """Solution of a contact problem."""
 
-    pressure: Float[Array, "n n"]  # Pa
-    force: Float[Array, ""]  # N, along -z on the skin
-    indentation: Float[Array, ""]  # m
-    gap: Float[Array, "n n"]  # m, between skin and surface; zero in contact up to the tolerance
-    residual: Float[Array, ""]  # largest violation of the conditions, as a gap, relative to the deepest deflection
-    steps: Int[Array, ""]  # number of convolutions
+    pressure: Float[Array, "n n"]  # Pa, pressure on each cell
+    force: Float[Array, ""]  # N, force along -z on the skin
+    indentation: Float[Array, ""]  # m, indentation of the skin
+    gap: Float[Array, "n n"]  # m, gap between skin and surface; zero in contact up to the tolerance
+    # largest violation of the contact conditions, as a gap relative to the deepest deflection
+    residual: Float[Array, ""]
+    steps: Int[Array, ""]  # number of convolutions that the solver used
     converged: Bool[Array, ""]
 
 
@@ -206,8 +208,8 @@ def _solver(grid: Grid, forced: bool, tolerance: float, max_steps: int) -> Calla
 class _Softness(NamedTuple):
     """K, for pressures in units of E and displacements in units of h."""
 
-    kernel: Array  # of each wave
-    mount: Array  # of the whole skin, per sum of w p
+    kernel: Array  # softness for each wave
+    mount: Array  # softness of the mount for the whole skin, per sum of w p
 
 
 def _softness(pad: Pad, grid: Grid) -> _Softness:
@@ -311,11 +313,11 @@ class ContactState(NamedTuple):
     """State of a descent on lanes. Values of a whole lane have axes of length 1 for the cells."""
 
     point: Array  # a point of the allowed set
-    gap: Array  # the gradient there, K x + offset
+    gap: Array  # gradient K x + offset at `point`
     level: Array  # constant of the gap that the set's own conditions leave free
     target: Array  # target of the next step
-    length: Array  # length of the gradient step to the target
-    residual: Array  # largest violation of the conditions, relative to the largest deflection
+    length: Array  # length of the gradient step to `target`
+    residual: Array  # largest violation of the contact conditions, relative to the largest deflection
     steps: Array  # number of applications of K
 
 

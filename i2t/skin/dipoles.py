@@ -31,10 +31,11 @@ from jaxtyping import Array, Float
 from i2t.skin.elasticity import GRID, Grid, interior, load
 from i2t.types import Pad
 
-CELL_NODES = 5  # dipole sheets across the thickness; `tests/skin/test_dipoles.py` refines them and the cells
-MU0_OVER_4PI = 1e-7  # T m/A
+CELL_NODES = 5  # number of dipole sheets across the thickness; `tests/skin/test_dipoles.py` refines them and the cells
+MU0_OVER_4PI = 1e-7  # T m/A, magnetic constant over 4 pi
 MICROTESLA = 1e6  # uT per T
-Dipoles: TypeAlias = Grid | tuple[Grid, ...]  # of all sheets, or of each from the surface down; all of one period
+# grid of the dipoles of all sheets, or one grid for each sheet from the surface down; all of one period
+Dipoles: TypeAlias = Grid | tuple[Grid, ...]
 
 
 def dipole_field(

@@ -59,8 +59,8 @@ _dot = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
 class Grid:
     """Square cells on the pad, and the Fourier series of a longer period around it."""
 
-    cells: int = 40  # along each edge of the pad
-    modes: int = 64  # along each edge of the period, which is as many cells long; even, as is `cells`
+    cells: int = 40  # number of cells along each edge of the pad
+    modes: int = 64  # number of cells along each edge of the period; even, as is `cells`
     window: float = PAD_WINDOW  # m, edge of the pad
 
     @property
@@ -81,26 +81,26 @@ class Grid:
 
 
 GRID = Grid()
-CELL_GRID = Grid(20, 32)  # cells of 1 mm, for pressures of many contacts that need not be fine
-FINE_GRID = Grid(80, 128)  # for sharp edges, if they matter more than speed; see `docs/physics.md`
+CELL_GRID = Grid(20, 32)  # grid of 1 mm cells, for pressures of many contacts that need not be fine
+FINE_GRID = Grid(80, 128)  # grid for sharp edges, if they matter more than speed; see `docs/physics.md`
 
 
 class Load(NamedTuple):
     """Loads on the surface, as coefficients of the series (rows y, columns x), ready for `interior`."""
 
-    slopes: Float[Array, "2 k k"]  # Pa/m, of the pressure along x and y
+    slopes: Float[Array, "2 k k"]  # Pa/m, slopes of the pressure along x and y
     pressure: Float[Array, "k k"]  # Pa
-    centre_sinking: Float[Array, ""]  # m by which the middle of a skin clamped at its edge sinks
-    traction_waves: "TractionWaves | None" = None  # None without traction
+    centre_sinking: Float[Array, ""]  # m, depth by which the middle of a skin clamped at its edge sinks
+    traction_waves: "TractionWaves | None" = None  # waves of the traction; None without traction
 
 
 class TractionWaves(NamedTuple):
     """Series of a traction, and the parts of its waves."""
 
-    traction: Float[Array, "2 k k"]  # Pa
-    lengthwise: Float[Array, "2 k k"]  # Pa, the part of each wave along its wave vector
-    divergence: Float[Array, "k k"]  # Pa/m
-    curl: Float[Array, "k k"]  # Pa/m, about z
+    traction: Float[Array, "2 k k"]  # Pa, traction along x and y of each wave
+    lengthwise: Float[Array, "2 k k"]  # Pa, component of each wave along its wave vector
+    divergence: Float[Array, "k k"]  # Pa/m, divergence of each wave
+    curl: Float[Array, "k k"]  # Pa/m, curl of each wave about z
 
 
 def load(
@@ -253,7 +253,7 @@ def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid 
 
 
 def clamped_load(pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, ""]:
-    """Compute the load on a skin clamped at its edge: the sum of w p over the pad.
+    """Compute the load on a skin clamped at its edge: the pressure, weighted by the shape in which the skin sinks.
 
     Args:
         pressure: `(n, n)` pressure (Pa).
@@ -386,8 +386,8 @@ class _Layer(NamedTuple):
 
     kappa: Array
     shear: Array
-    k: Array  # 1/m, with 1 / h in place of zero
-    uniform: Array  # true for k = 0
+    k: Array  # 1/m, wave number, with 1 / h in place of zero
+    uniform: Array  # True for the wave k = 0
     q: Array  # k h
     fall: Array  # exp(-2q)
     sinh: Array
@@ -422,7 +422,7 @@ class _Height(NamedTuple):
     its square, so that all these factors cancel.
     """
 
-    above: Array  # m
+    above: Array  # m, distance above the layer's base
     q: Array
     sinh: Array
     cosh: Array

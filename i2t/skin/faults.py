@@ -16,7 +16,7 @@ Properties of a board, in contrast to those of a session, are drawn from `board_
 chips' own drifts and the place where the board is used. Softening continues over the sessions of a pad.
 
 Default sizes are those of real boards if a recording exists, and otherwise from the literature. Each docstring names
-the source, and says if a size is an assumption. Readings are microtesla in the board's order and the chips' own axes;
+the source, and states if a size is an assumption. Readings are microtesla in the board's order and the chips' own axes;
 W is the world, z up. Functions of one reading are lifted by `vmap`.
 """
 
@@ -32,21 +32,23 @@ from i2t import geometry
 from i2t.runtime.compiling import traced_floats
 from i2t.types import Board
 
-RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
+RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
 
 
 @dataclass(frozen=True)
 class FaultModel:
     """Assumptions of the faults that no session changes."""
 
-    earth_dip: float = np.deg2rad(64.0)  # rad below the horizon, of the earth's field in central Europe (IGRF-13, 2020)
+    # rad, dip of the earth's field below the horizon in central Europe (IGRF-13, 2020)
+    earth_dip: float = np.deg2rad(64.0)
     # Relaxation times (s). One share for each decade makes relaxation linear in log time, as elastomers show.
     prony_times: tuple[float, ...] = (0.3, 3.0, 30.0)
     # A contact of 10 mm2 covers the pad once in 40 presses, and a place softens with its first presses.
     wear_presses: float = 40.0
     hold_time: float = 1.0  # s, mean time from contact to the reading
-    layer_share: float = 0.2  # share of a press that the layer takes up and not the arm; see `creep`
-    warming_spread: float = 0.12  # relative; chips warmed by 10 K differ by up to 2.4 K, as recorded
+    layer_share: float = 0.2  # share of a press's travel that the layer takes up and not the arm; see `creep`
+    # relative spread of the chips' warming; chips warmed by 10 K differ by up to 2.4 K, as recorded
+    warming_spread: float = 0.12
 
 
 FAULT_MODEL = FaultModel()
@@ -62,13 +64,14 @@ class Faults:
     softening: float = 0.0  # final relative growth of readings with use (Mullins softening); see `mullins_softening`
     relaxation: float = 0.0  # final share of the layer's stress that relaxes; see `creep`
     hysteresis: float = 0.0  # share of the previous press that one chip keeps; see `apply_hysteresis`
-    earth: float = 0.0  # uT; see `ambient_field`
-    room: float = 0.0  # uT, standard deviation of each component
-    warming: float = 0.0  # K over the session; see `temperature_drift` and `apply_warming`
+    earth: float = 0.0  # uT, strength of the earth's field; see `ambient_field`
+    room: float = 0.0  # uT, standard deviation of each component of the room's field
+    warming: float = 0.0  # K, warming over the session; see `temperature_drift` and `apply_warming`
     range_xy: float = 0.0  # uT, full scale of x and y; see `saturate`
     range_z: float = 0.0  # uT, full scale of z
     # Procedure of the session, without effect while the sizes above are zero:
-    ambient_every: int = 1  # touches between measurements of the ambient; 0 for a single one before the session
+    # number of touches between measurements of the ambient; 0 for a single one before the session
+    ambient_every: int = 1
     ambient_lag: float = 0.2  # time from an ambient to its reading, in times from touch to touch; `temperature_drift`
 
     @classmethod

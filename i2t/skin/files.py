@@ -17,7 +17,7 @@ from i2t.errors import SerializationError
 from i2t.files import serialization
 from i2t.types import Pad
 
-KIND = "i2t pad"
+KIND = "i2t pad"  # kind of file in the header of a saved pad
 
 
 class PadAbout(NamedTuple):

@@ -42,12 +42,13 @@ from i2t.types import Pad
 
 
 class Shear(NamedTuple):
-    """State of friction."""
+    """Traction and slip of the skin's surface under friction."""
 
-    traction: Float[Array, "2 n n"]  # Pa, along x and y, on the skin
-    displacement: Float[Array, "2 n n"]  # m, of the skin's surface along x and y
-    slipping: Bool[Array, "n n"]  # cells in contact with the largest possible friction
-    residual: Float[Array, ""]  # largest violation of the conditions, as a slip, relative to the largest displacement
+    traction: Float[Array, "2 n n"]  # Pa, traction on the skin along x and y
+    displacement: Float[Array, "2 n n"]  # m, displacement of the skin's surface along x and y
+    slipping: Bool[Array, "n n"]  # True for cells in contact with the largest possible friction
+    # largest violation of the friction conditions, as a slip relative to the largest displacement
+    residual: Float[Array, ""]
     steps: Int[Array, ""]  # number of applications of C
     converged: Bool[Array, ""]
 

@@ -28,17 +28,18 @@ from i2t import geometry
 from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI
 from i2t.types import Board
 
-CYLINDER_NODES = 64  # nodes of the integral around a magnet
+CYLINDER_NODES = 64  # number of nodes of the integral around a magnet
 
 
 class Magnets(NamedTuple):
     """k hard cylinder magnets."""
 
-    positions: Float[Array, "k 3"]  # m, of the centres
-    rotations: Float[Array, "k 3 3"]  # from a magnet's own axes, in which it is magnetised along z, to tool axes
+    positions: Float[Array, "k 3"]  # m, positions of the magnets' centres
+    # rotations from a magnet's own axes, in which it is magnetised along z, to tool axes
+    rotations: Float[Array, "k 3 3"]
     radii: Float[Array, " k"]  # m
     heights: Float[Array, " k"]  # m
-    magnetizations: Float[Array, " k"]  # A/m; remanence over mu0, negative for a magnet upside down
+    magnetizations: Float[Array, " k"]  # A/m, magnetizations: remanence over mu0, negative for a magnet upside down
 
 
 def cylinder_field(

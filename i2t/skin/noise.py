@@ -27,10 +27,10 @@ from i2t.types import Board
 class Noise:
     """Sizes of the sensor's errors (uT); zero turns an error off."""
 
-    xy: float = 3.1  # standard deviation of one sample at rest, for each of x and y
-    z: float = 4.6  # the same for z
-    common: float = 0.26  # share of that variance that is the slow ambient field
-    step_xy: float = 0.150  # step of the converter
+    xy: float = 3.1  # uT, standard deviation of one sample at rest, for each of x and y
+    z: float = 4.6  # uT, standard deviation of one sample at rest, for z
+    common: float = 0.26  # share of the noise variance that is the slow ambient field
+    step_xy: float = 0.150  # uT, step of the converter along x and y
     step_z: float = 0.242
     ambient_samples: int = 10  # number of samples averaged before contact, as in the paper
     contact_samples: int = 10  # number of samples averaged in contact

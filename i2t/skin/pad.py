@@ -30,11 +30,12 @@ class NominalSkin:
     """Properties of a middling ReSkin, and assumptions on how skins differ; see `sample_pad`."""
 
     thickness: float = 2e-3  # m
-    chip_gap: float = 1.5e-3  # m from the base to the sensing elements: half of the 1 mm package, glue and film
-    young: float = 150e3  # Pa, soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
+    chip_gap: float = 1.5e-3  # m, gap from the base to the sensing elements: half of the 1 mm package, glue and film
+    # Pa, Young's modulus: soft silicone (Shore 00-50, about 80 kPa) stiffened by the magnetic powder
+    young: float = 150e3
     poisson: float = 0.48
-    friction: float = 0.6  # dry silicone on plastic, typically between 0.4 and 1
-    mount_compliance: float = 0.25e-3  # m/N, of a middling skin that is clamped at its edge
+    friction: float = 0.6  # Coulomb friction coefficient: dry silicone on plastic, typically between 0.4 and 1
+    mount_compliance: float = 0.25e-3  # m/N, compliance of a middling skin that is clamped at its edge
     magnetization: float = 2e4  # A/m, root mean square of one component of a random magnetization
     poisson_range: tuple[float, float] = (0.475, 0.485)
     edge_clamped_share: float = 1 / 3  # share of skins that are clamped at their edge
@@ -51,7 +52,7 @@ MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and a whol
 class Press(NamedTuple):
     """Result of a press of the pad."""
 
-    reading: Float[Array, " c"]  # uT, without noise, in the board's order and axes
+    reading: Float[Array, " c"]  # uT, reading without noise, in the board's order and axes
     force: Float[Array, ""]  # N
     indentation: Float[Array, ""]  # m
     pressure: Float[Array, "n n"]  # Pa
@@ -139,7 +140,7 @@ def friction_response(
     """Compute friction's part in the reading of a press whose surface slides evenly on its way.
 
     The part is not zero without a slide, because friction also holds material that the pressure would spread; see
-    `i2t.skin.friction`. The default tolerances on the way change the result by about 5 nT.
+    `i2t.skin.friction`. The default tolerances of the intermediate steps change the result by about 5 nT.
 
     Args:
         pad: The skin.
@@ -149,7 +150,7 @@ def friction_response(
         grid: Grid of the contact.
         increments: Number of equal steps of the path.
         pressed: `press` of the same pad, height, indentation and grid, if it is available.
-        pressure_tolerance: Tolerance of the contacts on the way, as of `contact.solve`.
+        pressure_tolerance: Tolerance of the contacts in intermediate steps, as of `contact.solve`.
         traction_tolerance: Tolerance of the tractions, relative to the largest displacement.
 
     Returns:

@@ -35,7 +35,7 @@ from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibrated skin"
 GIVEN_BOARD = "the given board"
-LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind
+LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind of load
 
 LoadKind: TypeAlias = Literal["travel", "force", "both", "none"]
 LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -47,8 +47,8 @@ class CalibrationRecord(NamedTuple):
     """Calibration in the form of its file."""
 
     gp: PopulationGP
-    interval_scaling: Array  # (c,)
-    previous: PopulationGP | None = None  # mixture of an earlier session
+    interval_scaling: Array  # (c,) factor on each channel's standard deviation
+    previous: PopulationGP | None = None  # mixture of an earlier session, or None
 
 
 @dataclass(frozen=True, repr=False)
@@ -314,7 +314,7 @@ def _checked(data: TipPresses, load_kind: str) -> tuple[PressTable, np.ndarray]:
         raise ValueError(f"{load_kind!r} is not a kind of load; {did_you_mean(load_kind, LOAD_COLUMNS)}")
     if positions is None and load_kind == "none":
         raise ValueError(
-            "readings alone can be segmented into presses and checked, but say nothing about another press; give "
+            "readings alone can be segmented into presses and checked, but cannot predict another press; give "
             "positions, travels or forces"
         )
     readings = validation.numbers("readings", readings, "(n, channels) uT").astype(np.float64)

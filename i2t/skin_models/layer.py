@@ -1,4 +1,4 @@
-"""Contact of the elastic layer that stands for a pad.
+"""Contact of the elastic layer that represents a pad.
 
 The approach (`i2t.contact.approach`) finds the distance at which the flat skin first meets an object, with its
 Jacobian along the six coordinates of the object's pose. There the layer is pressed onto the object
@@ -19,11 +19,12 @@ from i2t.geometry import from_twist, full_precision, inverse
 from i2t.skin.pad import NOMINAL_SKIN, nominal_pad
 from i2t.types import Pad, Surface
 
-MIN_LOAD_N = PressureModelConfig.floor  # smaller loads are within the noise of a wrench sensor
+# N, smallest load that is used; smaller loads are within the noise of a wrench sensor
+MIN_LOAD_N = PressureModelConfig.floor
 
 
 class Layer(NamedTuple):
-    """Elastic layer that stands for a pad in contacts; its other properties are those of `nominal_pad`."""
+    """Elastic layer that represents a pad in contacts; its other properties are those of `nominal_pad`."""
 
     poisson: Float[Array, ""] | float = NOMINAL_SKIN.poisson
     young: Float[Array, ""] | float = NOMINAL_SKIN.young

@@ -40,17 +40,19 @@ NO_PAD = "no pad explains these presses; check the tip, the unit of the loads an
 class LayerSearch:
     """Trust-region search for the layer; lengths are in standard deviations of the prior."""
 
-    max_steps: int = 30  # of the trust region, including rejected ones
-    inner_steps: int = 300  # of L-BFGS in each step
-    small_gain: float = 0.1  # promised gain in log density, under half a posterior standard deviation, that ends it
+    max_steps: int = 30  # largest number of steps of the trust region, including rejected ones
+    inner_steps: int = 300  # number of L-BFGS steps within each step of the trust region
+    # promised gain in log density that ends the search, under half a posterior standard deviation
+    small_gain: float = 0.1
     min_gain_ratio: float = 0.1  # gain ratio above which a step is taken
     first_radius: float = 1.0
     max_radius: float = 3.0
     # Step of the slopes. Contacts on cells make features rough over a few hundredths, so derivatives at one place would
     # promise too much for tip and board, which move readings only at the skin's edges.
     slope_step: float = 0.25
-    curvature_step: float = 1e-3  # step of the second derivatives
-    implausible_stds: float = 3.0  # distance from the median above which a parameter is reported
+    curvature_step: float = 1e-3  # step of the finite differences for second derivatives
+    # distance from the prior's median, in standard deviations, above which a parameter is reported
+    implausible_stds: float = 3.0
 
 
 _SEARCH = LayerSearch()
@@ -69,7 +71,7 @@ class LayerPosterior(NamedTuple):
 class UnitFeatures(NamedTuple):
     """Readings of weights on a layer with gains and map strengths of 1, and their derivatives."""
 
-    value: Float[np.ndarray, "n c k"]  # uT
+    value: Float[np.ndarray, "n c k"]  # uT, features at the parameters
     changes: Float[np.ndarray, "e n c k"]  # derivatives along the coordinates of SHAPE_PARAMETERS
 
 

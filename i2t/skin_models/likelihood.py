@@ -28,9 +28,10 @@ class TouchErrors:
     places.
     """
 
-    indentation_error: float = 0.2  # standard deviation relative to the layer's, on unknown objects
-    outlier_rate: float = 0.01  # share of touches that may be anything
-    stray_range: float = 20e-3  # m, added to twice the overtravel: length over which an outlier's press may end
+    # standard deviation of an indentation on unknown objects, relative to the layer's indentation
+    indentation_error: float = 0.2
+    outlier_rate: float = 0.01  # share of touches that are outliers, which may end anywhere
+    stray_range: float = 20e-3  # m, length over which an outlier's press may end, in addition to twice the overtravel
     # Standard deviations (m) in the mixture, from the repeatability of an arm to a missed edge.
     position_stds: tuple[float, ...] = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
 
@@ -41,8 +42,8 @@ TOUCH_ERRORS = TouchErrors()
 class ScaleMixture(NamedTuple):
     """Distribution with heavy tails: normal about 0, with one of several standard deviations."""
 
-    std: Float[np.ndarray, " s"]  # m
-    share: Float[np.ndarray, " s"]  # of each standard deviation; they sum to 1
+    std: Float[np.ndarray, " s"]  # m, standard deviations of the components
+    share: Float[np.ndarray, " s"]  # share of each standard deviation; the shares sum to 1
 
 
 @in_one_line
@@ -52,19 +53,20 @@ class Likelihood(NamedTuple):
     """
 
     whiten: Float[Array, "c c"]  # W, with W S W' = 1 and W diag(scale^2) W' = diag(growth), S the errors' covariance
-    growth: Float[Array, " c"]  # growth of the whitened variance with the GP's own variance
-    loads: Float[Array, " l"]  # N, of the predicted touches
-    overtravel: Float[Array, ""]  # m beyond the site after which a press gives up
-    dof: Float[Array, ""]  # degrees of freedom of Student's t
+    growth: Float[Array, " c"]  # growth of each whitened variance with the Gaussian process's own variance
+    loads: Float[Array, " l"]  # N, loads of the predicted touches
+    overtravel: Float[Array, ""]  # m, distance beyond the site after which a press gives up
+    dof: Float[Array, ""]  # degrees of freedom of the Student's t distribution
     inflation: Float[Array, ""]  # factor on the errors' standard deviation, for objects that were not trained on
-    position_std: Float[Array, " s"]  # m, of the components of the error of where a press ends at a known pose
-    position_share: Float[Array, " s"]  # of touches that have each of these standard deviations
+    # m, standard deviations of the components of the error of a press's end at a known pose
+    position_std: Float[Array, " s"]
+    position_share: Float[Array, " s"]  # share of touches that have each of the standard deviations in `position_std`
     indentation_error: Float[Array, ""]  # standard deviation of an indentation, relative to the predicted one
-    outlier_rate: Float[Array, ""]  # share of touches that may be anything
-    tactile_weight: Float[Array, ""]  # of the reading's evidence; 0 ignores it
-    spatial_weight: Float[Array, ""]  # of the position's evidence; 0 ignores it
-    presence_weight: Float[Array, ""]  # of the evidence of having met something or nothing; 0 ignores it
-    stiffness: Float[Array, ""]  # N/m, of arm and mount
+    outlier_rate: Float[Array, ""]  # share of touches that are outliers, which may end anywhere
+    tactile_weight: Float[Array, ""]  # weight of the reading's evidence; 0 ignores it
+    spatial_weight: Float[Array, ""]  # weight of the position's evidence; 0 ignores it
+    presence_weight: Float[Array, ""]  # weight of the evidence of having met something or nothing; 0 ignores it
+    stiffness: Float[Array, ""]  # N/m, stiffness of arm and mount
     drift_std: Float[Array, ""]  # uT, drift of the bias from touch to touch; 0 if it is measured at each touch
 
 

@@ -27,8 +27,9 @@ from i2t.skin.pad import MAP_CELLS, NOMINAL_SKIN
 from i2t.types import Board, Pad, in_one_line
 from i2t.validation import round_tip
 
-MODES = 12  # cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
-DESIGN_BATCH = 8  # design matrices computed at a time, so that they fit the caches
+# number of cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
+MODES = 12
+DESIGN_BATCH = 8  # number of design matrices computed at a time, so that they fit the caches
 
 
 @in_one_line
@@ -36,18 +37,19 @@ class LayerParameters(NamedTuple):
     """Parameters in which readings are nonlinear; also used for their coordinates in the prior and their ranges."""
 
     thickness: Float[Array, ""]  # m
-    gap: Float[Array, ""]  # m, from the layer's base to the chips
-    young: Float[Array, ""]  # Pa; stays at the prior's median if presses are controlled by travel
+    gap: Float[Array, ""]  # m, gap from the layer's base to the chips
+    young: Float[Array, ""]  # Pa, Young's modulus; it stays at the prior's median if presses are controlled by travel
     poisson: Float[Array, ""]
-    contact_offset: Float[Array, ""]  # m by which first contact is later than assumed; zero if controlled by force
-    mount_compliance: Float[Array, ""]  # m/N, of an edge-clamped skin
+    # m, distance by which first contact is later than assumed; zero if controlled by force
+    contact_offset: Float[Array, ""]
+    mount_compliance: Float[Array, ""]  # m/N, compliance of an edge-clamped skin
     tip_offset: Float[Array, "2"]  # m, true minus assumed position of the tip
     tip_scale: Float[Array, ""]  # true radius of the tip divided by the stated radius
-    board_offset: Float[Array, "2"]  # m, of the board in the plane of the skin
+    board_offset: Float[Array, "2"]  # m, offset of the board in the plane of the skin
     board_rotation: Float[Array, "3"]  # rad, rotation vector of the board about its centre
-    gains: Float[Array, " c"]  # of the channels
-    patch_strength: Float[Array, "3"]  # A/m, of the map's patches along each axis
-    uniform_strength: Float[Array, ""]  # A/m, of the uniform part
+    gains: Float[Array, " c"]  # gains of the channels
+    patch_strength: Float[Array, "3"]  # A/m, strength of the map's patches along each axis
+    uniform_strength: Float[Array, ""]  # A/m, strength of the uniform part of the magnetization
     patch_length: Float[Array, ""]  # m
     noise_std: Float[Array, ""]  # uT, standard deviation of a reading's noise and of model errors
 
@@ -62,7 +64,8 @@ class LayerPrior(NamedTuple):
     """Prior of `LayerParameters`."""
 
     median: LayerParameters
-    std: LayerParameters  # of the parameter, its logarithm, or the root of its ratio to the median
+    # standard deviation of the parameter, of its logarithm, or of the root of its ratio to the median
+    std: LayerParameters
 
 
 def layer_prior(channels: int) -> LayerPrior:
@@ -203,7 +206,7 @@ def parse_tip(text: str) -> RoundTip:
         shape, millimetres = round_tip(text, max_radius_mm)
     except ValueError as error:
         forms = f"--tip sphere:RADIUS or cylinder:RADIUS takes one in mm, up to {max_radius_mm:g}"
-        raise ValueError(f'"{text}" is no tip that a pad can be fitted to ({forms}): {error}') from None
+        raise ValueError(f'"{text}" is not a tip that a pad can be fitted to ({forms}): {error}') from None
     return RoundTip("sphere" if shape == "sphere" else "cylinder", 1e-3 * millimetres)
 
 

@@ -57,9 +57,9 @@ from i2t.types import Board, Pad, in_one_line
 class LinearRegression(NamedTuple):
     """Posterior of the map's weights, and the readings predicted without their own group of presses."""
 
-    weights: Float[np.ndarray, " k"]  # posterior mean
-    leave_group_out: Float[np.ndarray, "n c"]  # uT, each press as predicted from all other groups
-    log_density: Float[np.ndarray, " groups"]  # of each group, predicted from all other groups
+    weights: Float[np.ndarray, " k"]  # posterior mean of the weights
+    leave_group_out: Float[np.ndarray, "n c"]  # uT, prediction of each press from all other groups
+    log_density: Float[np.ndarray, " groups"]  # log density of each group, predicted from all other groups
 
 
 def bayesian_linear_regression(
@@ -180,8 +180,8 @@ def _simulate_readings(pad: Pad, contact: ContactPressure) -> Float[Array, "m c"
 class TipReadings(NamedTuple):
     """n presses of one tip with their readings, in random order."""
 
-    position: Float[Array, "n 2"]  # m, tool frame
-    load: Float[Array, " n"]  # travel in m, or normal force in N
+    position: Float[Array, "n 2"]  # m, position of each press in the tool frame
+    load: Float[Array, " n"]  # load of each press: travel in m, or normal force in N
     reading: Float[Array, "n c"]  # uT
     board: Board
 

@@ -63,7 +63,7 @@ from i2t.types import Board, Surface, Touches, Truth
 class SessionRegistration:
     """Registrations of recorded sessions."""
 
-    position_folds: int = 3  # parts of a session's touches, each predicted from the others
+    position_folds: int = 3  # number of parts of a session's touches, each predicted from the others
     # Up to this number of sessions, a quick compilation of their registrations pays; it may change last digits.
     few_sessions: int = 5
     # Minimum number of touches in a session, filled up with repeated ones, so that one compilation serves most
@@ -77,19 +77,19 @@ _REGISTRATION = SessionRegistration()
 class _Positions(NamedTuple):
     """Ends of left-out touches, predicted by a registration from other touches."""
 
-    indentation: Float[np.ndarray, " n"]  # m past the predicted contact, without the arm's yielding
+    indentation: Float[np.ndarray, " n"]  # m, indentation past the predicted contact, without the arm's yielding
     nominal: Float[np.ndarray, " n"]  # m, indentation of the nominal layer
-    variance: Float[np.ndarray, " n"]  # m^2, variance of the predicted contact by the pose's uncertainty
+    variance: Float[np.ndarray, " n"]  # m^2, variance of the predicted contact due to the pose's uncertainty
     hit: Bool[np.ndarray, " n"]  # whether the predicted touch meets the object
 
 
 class ObjectTouches(NamedTuple):
     """Touches of one skin on objects with known surfaces."""
 
-    dataset: Dataset  # with measured forces
-    rows: Bool[np.ndarray, " n"]  # which of its touches are used
+    dataset: Dataset  # data set with measured forces
+    rows: Bool[np.ndarray, " n"]  # indices of the touches that are used
     surfaces: Mapping[str, Surface]  # surfaces of the touched objects, by name
-    made_from: str = "touches at hand"  # the run, data set or file, for messages
+    made_from: str = "touches at hand"  # run, data set or file from which the touches come, for messages
 
 
 @dataclass(frozen=True)
@@ -199,7 +199,7 @@ class _SessionContacts(NamedTuple):
 
     touches: Touches
     T_w_contact: Float[np.ndarray, "m 4 4"]  # poses at first contact
-    met: Bool[np.ndarray, " m"]  # false for repeated touches
+    met: Bool[np.ndarray, " m"]  # False for repeated touches
     own: int  # number of touches that are not repeated
 
 
@@ -213,7 +213,7 @@ def _session_contacts(touches: Touches, here: np.ndarray) -> _SessionContacts:
 class _Session(NamedTuple):
     """A session whose object is registered."""
 
-    rows: np.ndarray  # rows of its touches
+    rows: np.ndarray  # indices of the session's touches
     key: Array
     surface: Surface
     contacts: _SessionContacts
@@ -322,9 +322,9 @@ class _Pressed(NamedTuple):
 
     distance: Float[Array, " n"]  # m, from the pose to first contact
     jacobian: Float[Array, "n 6"]  # derivative of that distance along the twist of the object's pose
-    hit: Bool[Array, " n"]  # whether the object is there
-    indentation: Float[Array, " n"]  # m, infinite if there is nothing to press on
-    newtons: Float[Array, "n cells"]  # N on each cell
+    hit: Bool[Array, " n"]  # whether the press meets the object
+    indentation: Float[Array, " n"]  # m, indentation of the skin; infinite if there is nothing to press on
+    newtons: Float[Array, "n cells"]  # N, force on each cell
 
 
 @jit_quickly

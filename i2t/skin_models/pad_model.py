@@ -33,10 +33,10 @@ PAD_MODEL_KIND = "i2t pad model"
 class PadModel(NamedTuple):
     """Model of a pad, fitted to its touches of known objects."""
 
-    reading_model: LinearReadingModel  # predicts the reading of a contact
-    likelihood: Likelihood  # of readings and positions
+    reading_model: LinearReadingModel  # model that predicts the reading of a contact
+    likelihood: Likelihood  # likelihood of readings and positions
     reading_std: Float[np.ndarray, " c"]  # uT, standard deviation of the readings
-    r2: float  # of touches left out one at a time; the other touches of their sessions stay
+    r2: float  # R2 on touches left out one at a time; the other touches of their sessions stay
     held_out_errors: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other touches
 
 
@@ -46,9 +46,9 @@ class PadOrigin:
 
     pad: str  # name of the skin in the data set
     source: str  # source of the touches: real, simulated or mixed
-    objects: tuple[str, ...]  # touched objects
+    objects: tuple[str, ...]  # names of the touched objects
     touches: int  # number of touches
-    made_from: str  # a run, a data set or a file
+    made_from: str  # name of the run, data set or file from which the model was made
 
 
 @in_one_line

@@ -38,7 +38,7 @@ from i2t.runtime.compiling import jit_quickly
 from i2t.skin_models.base import load_fitted
 from i2t.types import in_one_line
 
-LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # length scales of the maps g_c: from below a skin's thickness to its edge
+LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, length scales of the maps g_c: from below a skin's thickness to its edge
 FILE_KIND = "i2t pressure model"
 Tree = TypeVar("Tree")
 
@@ -47,9 +47,9 @@ Tree = TypeVar("Tree")
 class GPHyperparameters(NamedTuple):
     """Hyperparameters of the covariance, in the symbols of the module's formula."""
 
-    weights: Float[Array, " lengths"]  # a_l, for unit mean variance
-    bend: Float[Array, ""]  # b
-    width: Float[Array, ""]  # w, in log load
+    weights: Float[Array, " lengths"]  # weights a_l of the length scales, for unit mean variance
+    bend: Float[Array, ""]  # share b of the covariance that changes with the load
+    width: Float[Array, ""]  # width w of the change with the load, in log load
     noise: Float[Array, ""]  # variance of a channel's noise, relative to that of its signal
 
 

@@ -49,7 +49,7 @@ from i2t.skin_models.layer import MIN_LOAD_N, NOMINAL_LAYER, Layer
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.types import Board, in_one_line
 
-LOADS_N = (0.3, 0.9, 2.7)  # the outer loads enclose the end of most presses to 25 uT
+LOADS_N = (0.3, 0.9, 2.7)  # N, loads of predicted touches; the outer ones enclose the end of most presses to 25 uT
 # From stiff to soft: Poisson's ratio and Young's modulus (Pa). At nu = 0 a bonded layer yields most to a flat press.
 LAYERS = tuple(
     Layer(poisson, factor * NOMINAL_SKIN.young)
@@ -68,16 +68,17 @@ DISCREPANCY = GPHyperparameters(
 class Averaging:
     """Grid of the hyperparameters a, r and v, and the choices of their average."""
 
-    amplitudes: tuple[float, ...] = (0.4, 0.8, 1.6, 3.2)  # a
-    discrepancies: tuple[float, ...] = (0.02, 0.06, 0.2, 0.6, 1.8)  # r
-    noises: tuple[float, ...] = (0.1, 0.2, 0.35, 0.6)  # v
-    middle: tuple[float, float, float] = (0.8, 0.2, 0.3)  # a, r and v for the comparison of layers
-    max_touches: int = 200  # touches that weigh layers and hyperparameters
+    amplitudes: tuple[float, ...] = (0.4, 0.8, 1.6, 3.2)  # values of the amplitude a
+    discrepancies: tuple[float, ...] = (0.02, 0.06, 0.2, 0.6, 1.8)  # values of the discrepancy r
+    noises: tuple[float, ...] = (0.1, 0.2, 0.35, 0.6)  # values of the noise v
+    middle: tuple[float, float, float] = (0.8, 0.2, 0.3)  # values of a, r and v at which layers are compared
+    max_touches: int = 200  # largest number of touches that weigh layers and hyperparameters
     density_exponent: float = 0.3  # exponent of the leave-one-out density of all touches and channels together
     max_models: int = 6
-    min_share: float = 0.02  # minimum share of a model, relative to the largest
-    pooling_touches: float = 10.0  # prior touches for which all channels have equal signals
-    max_rank: int = 160  # largest eigenvalues kept in a variance's root; the rest is below a thousandth of it
+    min_share: float = 0.02  # smallest share of a model, relative to the largest
+    pooling_touches: float = 10.0  # number of prior touches for which all channels have equal signals
+    # number of the largest eigenvalues kept in a variance's root; the rest is below a thousandth of it
+    max_rank: int = 160
 
 
 AVERAGING = Averaging()
@@ -87,7 +88,7 @@ class ReadingPrior(NamedTuple):
     """Assumptions about a pad that come from other pads and other physics."""
 
     layers: Sequence[Layer] = LAYERS  # layers to choose from
-    discrepancy: GPHyperparameters = DISCREPANCY  # its noise is ignored
+    discrepancy: GPHyperparameters = DISCREPANCY  # hyperparameters of the discrepancy, whose noise is ignored
 
 
 READING_PRIOR = ReadingPrior()
@@ -97,7 +98,7 @@ READING_PRIOR = ReadingPrior()
 class LinearReadingModel(NamedTuple):
     """Reading model of a pad at a few loads, where it is linear in the pressure on a layer."""
 
-    loads: Float[Array, " l"]  # N
+    loads: Float[Array, " l"]  # N, loads at which the model predicts
     mean: Float[Array, "l cells c"]  # uT per N on each cell of 1 mm
     root: Float[Array, "l cells rank"]  # root of the variance, relative to the square of a channel's signal
     scale: Float[Array, " c"]  # uT, root mean square of each channel's signal
@@ -108,7 +109,7 @@ class LinearReadingModel(NamedTuple):
 class PressedTouches(NamedTuple):
     """Touches of one pad."""
 
-    pressure: ContactPressure  # n pressures on some layer
+    pressure: ContactPressure  # pressures of n touches on some layer
     reading: Float[np.ndarray, "n c"]  # uT
 
 
@@ -133,8 +134,8 @@ class _System(NamedTuple):
     discrepancy: GPHyperparameters
     values: Float[np.ndarray, " n"]  # eigenvalues of k
     vectors: Float[np.ndarray, "n n"]
-    features: Float[np.ndarray, "n c k"]  # rotated, in units of the channels' signals
-    reading: Float[np.ndarray, "n c"]  # likewise
+    features: Float[np.ndarray, "n c k"]  # rotated features in units of the channels' signals
+    reading: Float[np.ndarray, "n c"]  # rotated readings in units of the channels' signals
     scale: Float[np.ndarray, " c"]  # uT
     unit: Float[np.ndarray, " lengths"]  # N^2, mean variance of the touches for each length of k
 
@@ -142,9 +143,9 @@ class _System(NamedTuple):
 class _Weighted(NamedTuple):
     """Touches weighted by the precision of discrepancy and noise, which does not depend on the amplitude `a`."""
 
-    precision: Float[np.ndarray, " n"]  # in the system's coordinates
+    precision: Float[np.ndarray, " n"]  # precision of the weights in the system's coordinates
     vectors: Float[np.ndarray, "n n"]
-    features: Float[np.ndarray, "n c k"]  # in the touches' own coordinates
+    features: Float[np.ndarray, "n c k"]  # features in the touches' own coordinates
     square: Float[np.ndarray, "k k"]  # contribution of the touches to the weights' precision for a = 1
     towards: Float[np.ndarray, " k"]  # the weights' precision times their mean for a = 1
 
@@ -161,7 +162,7 @@ class _Models(NamedTuple):
     """Models that differ only in their amplitude."""
 
     r: float
-    precision: Float[np.ndarray, " n"]  # as in `_Weighted`
+    precision: Float[np.ndarray, " n"]  # precision of the weights in the system's coordinates
     posteriors: Sequence[_Posterior]
 
 

@@ -18,19 +18,19 @@ class ViewArgs:
     """Write a session or data set as a Rerun recording (.rrd) and an HTML page for viewing."""
 
     path: tyro.conf.Positional[Path]
-    """Folder of recorded touches, or a data set."""
+    """Folder of recorded touches, or a data set to show."""
     out: Path = Path("runs/view")
-    """Folder for the files, which are named after what they show."""
+    """Folder in which the files are written; the files are named after PATH."""
     mesh: str | None = None
-    """The object: a name in the catalogue or a mesh file. By default, the name that the touches give."""
+    """Object: its name in the catalogue, or a mesh file. By default, the object that the touches name."""
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    """Unit of a mesh file whose format does not state it."""
+    """Unit of the mesh file; required for a mesh file."""
     touches: Count | None = None
-    """Maximum number of touches to show, from the first on."""
+    """Maximum number of touches to show; the first ones are shown. By default, all."""
     skin_name: str | None = None
-    """Name of the skin to show, if several skins were read in each touch."""
+    """Name of the skin to show; required if each touch has readings of several skins."""
     html: bool = False
-    """Write only the page."""
+    """Write only the HTML page, no Rerun recording."""
     overwrite: bool = False
     """Replace existing files."""
 

@@ -19,7 +19,7 @@ from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
 
-Times: TypeAlias = Float[np.ndarray, " n"]  # s
+Times: TypeAlias = Float[np.ndarray, " n"]  # s, times
 
 
 class Poses(NamedTuple):
@@ -51,7 +51,7 @@ class DepthImage(NamedTuple):
 
     place: str  # "depth" or "patch"
     frame: str  # frame in which it was taken
-    time: float  # s
+    time: float  # s, time at which the picture was taken
     metres: Float[np.ndarray, "rows columns"]
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-NUM_NEIGHBOURS = 10  # nearest neighbours that are compared
+NUM_NEIGHBOURS = 10  # number of nearest neighbours that are compared
 
 
 class Agreement(NamedTuple):
@@ -29,7 +29,7 @@ class PermutationTest(NamedTuple):
     """An agreement, its mean when touches are paired at random, and the p-values of a one-sided test."""
 
     observed: Agreement
-    chance: Agreement  # mean over the permutations
+    chance: Agreement  # mean of each measure over the permutations
     p: Agreement  # p-value of each measure
     permutations: int
 

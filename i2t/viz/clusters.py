@@ -22,17 +22,17 @@ NUM_CLUSTERS = 5  # number of clusters in the paper
 class Clusters(NamedTuple):
     """Touches clustered by their views."""
 
-    label: Int[np.ndarray, " n"]  # the largest cluster is 0
-    centre: Float[np.ndarray, "k d"]  # mean of each cluster's features
+    label: Int[np.ndarray, " n"]  # cluster of each touch; cluster 0 is the largest
+    centre: Float[np.ndarray, "k d"]  # mean features of each cluster
 
 
 class TouchMap(NamedTuple):
     """Touches on a map, their clusters, and examples of each cluster."""
 
-    at: Float[np.ndarray, "n 2"]  # positions on the map
+    at: Float[np.ndarray, "n 2"]  # positions of the touches on the map
     label: Int[np.ndarray, " n"]
     means: Float[np.ndarray, "k 2"]  # positions of the clusters' means on the map
-    examples: Int[np.ndarray, "k e"]  # row numbers of touches
+    examples: Int[np.ndarray, "k e"]  # row numbers of example touches
 
 
 def views(patch: Float[np.ndarray, "n h w"], kind: Literal["mask", "depth"] = "mask") -> Float[np.ndarray, "n d"]:

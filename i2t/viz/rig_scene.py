@@ -28,7 +28,7 @@ class RigScene(NamedTuple):
     T_t_c: Float[Array, "4 4"]
     box: Float[Array, "2 3"]  # m, lowest and highest allowed position of the tool's origin in B
     looking_distance: float  # m, from the camera to the site
-    view_edges: tuple[float, float]  # width and height of the image at a distance of 1
+    view_edges: tuple[float, float]  # width and height of the image at a distance of 1 from the camera
 
 
 def plot_rig(scene: RigScene, title: str) -> Picture:

@@ -20,7 +20,7 @@ class ShownSurface(NamedTuple):
     """One stage of a reconstructed surface."""
 
     label: str
-    vertices: Float[Array, "v 3"]  # m
+    vertices: Float[Array, "v 3"]  # m, vertices of the surface
     faces: Int[Array, "f 3"]
     std: Float[Array, " v"]  # m, standard deviation of the surface at each vertex
     T_o_t: Float[Array, "n 4 4"]  # tool poses of the touches so far

@@ -31,7 +31,7 @@ SENTENCES = {  # for errors of the operating system
     "[Errno 28] No space left on device": (
         "a file cannot be written (No space left on device); make room on its disk, or name another (--out)"
     ),
-    "[Errno 13] Permission denied: '/root'": "/root: permission denied; choose what you may read and write",
+    "[Errno 13] Permission denied: '/root'": "/root: permission denied; choose one that you may read and write",
 }
 BROKEN = (
     DeviceError("the skin fell silent"),
@@ -90,7 +90,7 @@ def test_ctrl_c_prints_the_state_of_the_work(capsys):
 
 
 def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
-    """A compiled module that is interrupted while it starts may take the process down."""
+    """A compiled module that is interrupted while it starts may crash the process."""
     (tmp_path / "slow_to_start.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\nstarted = True\n")
     monkeypatch.syspath_prepend(str(tmp_path))
 

@@ -1,4 +1,4 @@
-"""Two looks with the tool turned in between: what shifts alike is the object, what shifts oppositely the camera."""
+"""Two looks with the tool turned in between separate shifts of the object from shifts of the camera."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ RANDOM = np.random.default_rng(0)
 
 
 def _seen(block):
-    """Depth of the table with a block 20 mm high on it, which spans those rows and columns."""
+    """Depth of the table with a block 20 mm high on it, which covers the given rows and columns."""
     depth = TABLE.copy()
     depth[block] -= 20e-3
     return depth

@@ -1,4 +1,4 @@
-"""The first looks and the first slow touches: a right rig passes, and what contradicts it is one sentence."""
+"""The first looks and slow touches accept a correct rig and contradict a wrong one in one sentence."""
 
 import re
 from dataclasses import replace
@@ -29,7 +29,7 @@ QUICK = TouchSettings(prepare=0.015, clearance=0.03, approach=0.04, settle=0.02)
 
 
 class Block:
-    """A sampler of sites on a block that is as high as the plane; its sides are out of reach, as a plane has none."""
+    """A sampler of sites on a block as high as the plane; its sides cannot be reached, like those of a plane."""
 
     limits = SiteLimits(clearance=0.1)
 
@@ -43,7 +43,7 @@ class Block:
 
 
 def _looked(site, missed):
-    """A look at a site that contradicts nothing, and tells no shift."""
+    """A look at a site that contradicts nothing and shows no shift."""
     shifts = 12e-3 * np.array([[x, y, 0.0] for x in (-1, 0, 1) for y in (-1, 0, 1)])
     return Look(0.0, missed, shifts, site.T_w_t[:3, :3])
 
@@ -53,7 +53,7 @@ def test_a_right_rig_passes_with_a_report():
     check_rig_by_touch(procedure, Block(), sentences.append)
     assert "0 % of the object's pixels" in sentences[0]
     assert [line.split(": met the object ")[0] for line in sentences[1:]] == [
-        "first looks: they could not measure the lateral offset of the camera",
+        "first looks: the lateral offset of the camera could not be measured",
         "top",
         "first touches: 0 of 2 sides can be touched; a lateral error may go unnoticed",
     ]
@@ -74,7 +74,7 @@ def test_a_displaced_view_is_refused_before_anything_is_touched(off):
     (-0.018, GAIN, "something was met 16 mm before"),
     (0.0, 0 * GAIN, r"a press of \d\.\d N changed its reading by 0\.0 uT"),
 ])  # fmt: skip
-def test_a_displaced_or_unfelt_contact_is_refused_and_the_tool_retreats(monkeypatch, off, gain, sentence):
+def test_a_displaced_or_undetected_contact_is_refused_and_the_tool_retreats(monkeypatch, off, gain, sentence):
     procedure, sampler = make(gain=gain, settings=QUICK), Block()
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 1.0))
     sampler.height = HEIGHT + off
@@ -90,7 +90,7 @@ def test_a_wrong_payload_and_unreachable_sites_are_refused_before_any_motion():
     with pytest.raises(UnreachableError, match="none of 32 sites"):
         check_rig_by_touch(procedure, sampler)
     procedure.arm.lab.robot.external_wrench = np.array([0.0, 0.0, -9.81, 0.0, 0.0, 0.0])
-    with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg"):
+    with pytest.raises(RigContradictedError, match=r"9\.8 N before anything is touched, as if 1\.0 kg of payload"):
         check_rig_by_touch(procedure, Block())
     limits = replace(procedure.rig.limits, approach_distance=QUICK.prepare + 1e-3)
     procedure.rig = replace(procedure.rig, limits=limits)
@@ -100,7 +100,7 @@ def test_a_wrong_payload_and_unreachable_sites_are_refused_before_any_motion():
 
 
 def _unsure():
-    """A procedure whose rig says that its object's place is known to 5 mm."""
+    """A procedure whose rig gives its object's position with an error of 5 mm."""
     procedure = make(settings=QUICK)
     covariance = np.diag(np.r_[np.full(3, 5e-3**2), np.full(3, 1e-8)])
     procedure.rig = replace(procedure.rig, object_covariance=covariance)
@@ -121,7 +121,7 @@ def test_the_slow_touch_goes_as_far_as_the_object_s_position_is_uncertain():
 
 
 def test_the_slow_touch_stays_within_reach():
-    """An arm that plans is asked of both ends of the line; where it forbids them the touch begins and ends nearer."""
+    """An arm that plans checks both ends of the line; if it forbids them, the touch begins and ends nearer."""
     procedure = _unsure()
     lowest, highest, asked = HEIGHT - 7e-3, HEIGHT + 16e-3, []
 
@@ -148,7 +148,7 @@ def test_the_slow_touch_stays_within_reach():
 
 
 def _turn(pair):
-    """Degrees by which the tool is turned about its own axis between a site and the same turned."""
+    """Degrees by which the tool turns about its own axis between a site and the turned site."""
     site, turned = (pose.T_w_t for pose in pair)
     np.testing.assert_allclose(site[:3, 2:], turned[:3, 2:], atol=1e-12)
     return Rotation.from_matrix(site[:3, :3].T @ turned[:3, :3]).as_euler("zyx", degrees=True)[0]
@@ -172,7 +172,7 @@ def test_one_look_is_repeated_with_the_largest_reachable_turn():
 @pytest.mark.parametrize(("off", "unsure", "sentence"), [
     (4.4e-3, 0.0, r"the camera is off by [+-]0\.0 and \+4\.4 mm along the tool's x and y$"),
     (-4.6e-3, 3.9e-3, "refused"),
-    (9e-3, 12e-3, "maybe further in directions that they could not measure"),
+    (9e-3, 12e-3, "possibly further in directions that could not be measured"),
     (np.nan, 0.0, "refused"),
 ])  # fmt: skip
 def test_an_offset_of_the_camera_is_separated_from_one_of_the_object(off, unsure, sentence):
@@ -207,7 +207,7 @@ def test_a_flat_object_has_no_sides_and_its_looks_prove_nothing(monkeypatch):
     sampler.limits, sampler.placed = SiteLimits(), flat
     monkeypatch.setattr(module, "_look", lambda *given: _looked(given[-1], 0.0))
     check_rig_by_touch(procedure, sampler, sentences.append)
-    assert "prove nothing" in sentences[2]
+    assert "are inconclusive" in sentences[2]
     assert "0 of 2 sides can be touched" in sentences[-1]
 
 
@@ -237,7 +237,7 @@ def test_the_expected_view_is_the_block_s_top_above_the_table():
 
 
 @pytest.mark.parametrize(("aside", "wrong"), [(0, 0.0), (6, 0.0), (8, 1.0)])
-def test_a_thin_wall_may_be_displaced_by_the_radius_and_no_more(aside, wrong):
+def test_a_thin_wall_is_displaced_by_at_most_the_radius(aside, wrong):
     expected = np.full((20, 60), 0.16)
     expected[:, 30:33] = 0.1
     seen = np.roll(expected, aside, axis=1)
@@ -264,7 +264,7 @@ def test_a_displaced_object_is_found_at_a_side_and_a_displaced_tcp_by_the_rotate
 
 @pytest.mark.full
 def test_nine_of_ten_plausible_mistakes_are_refused_or_shown_and_right_rigs_pass():
-    """A sixth of the list, and labs with the usual errors."""
+    """A sixth of the list is tried, in labs with the usual errors."""
     tried = MISTAKES[1::6]
     accepted = [mistake.name for mistake in tried if try_mistake(mistake, "star").where == "accepted"]
     assert len(accepted) <= len(tried) * 5 / 53

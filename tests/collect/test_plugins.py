@@ -1,4 +1,4 @@
-"""Devices of third parties: a complete package is collected with, and what is missing or wrong is one sentence."""
+"""Devices of third parties: a complete package collects touches; a missing or wrong device is one sentence."""
 
 import ast
 import inspect
@@ -57,7 +57,7 @@ def test_an_arm_is_written_in_25_lines_and_a_skin_in_15(acme):
 
 @pytest.mark.full
 def test_a_set_is_collected_with_the_example_devices(acme, tmp_path, capsys):
-    """Four chips: twelve values from the device to the data set."""
+    """A board of four chips gives twelve values from the device to the data set."""
     Rig().write(tmp_path / "lab.toml")
     shared = ["--skip-first-touch", "--touches", "1", "--rig", str(tmp_path / "lab.toml"), "--no-pose-error",
               "--settings.approach", "0.04", "--settings.press", "0.005", "--settings.settle", "0.02"]  # fmt: skip
@@ -109,7 +109,7 @@ def test_a_real_arm_of_another_package_needs_a_rig(acme, monkeypatch, tmp_path, 
 
 @pytest.mark.full
 def test_the_example_passes_its_own_tests():
-    """Those of every arm, every skin and every camera."""
+    """They include the tests of every arm, every skin and every camera."""
     path = os.pathsep.join([str(ACME), os.environ.get("PYTHONPATH", "")])
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", str(ACME / "test_acme_devices.py")]
     done = subprocess.run(
@@ -119,7 +119,7 @@ def test_the_example_passes_its_own_tests():
 
 
 def test_views_of_a_board_are_taken_with_devices_of_another_package(acme, tmp_path, monkeypatch, capsys):
-    """The arm is let go between views, so that a person can move it."""
+    """The arm is released between views, so that a person can move it."""
     import acme_devices
 
     monkeypatch.setattr(hand_eye.CharucoBoard, "find", lambda board, image: (np.zeros((0, 3)), np.zeros((0, 2))))
@@ -144,12 +144,12 @@ def test_views_of_a_board_are_taken_with_devices_of_another_package(acme, tmp_pa
 @pytest.mark.parametrize(
     ("board", "sentence"),
     [
-        (None, "AcmeSkin: does not state where its chips are; give it an attribute board"),
-        (reskin_board(), "Acme's skin sends 12 values, and a board of 5 chips"),
+        (None, "AcmeSkin: has no positions of its chips; give it an attribute board"),
+        (reskin_board(), "Acme's skin sends 12 values, but a board of 5 chips"),
     ],
 )
 def test_a_skin_without_a_board_is_refused(acme, monkeypatch, tmp_path, capsys, board, sentence):
-    """Its chips are not taken for ReSkin's five."""
+    """Its chips are not assumed to be ReSkin's five."""
     import acme_devices
 
     initialise = acme_devices.AcmeSkin.__init__

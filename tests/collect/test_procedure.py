@@ -1,4 +1,4 @@
-"""The procedure on a springy plane, where everything that it should measure is known in closed form."""
+"""The procedure on a springy plane, on which all measurements are known in closed form."""
 
 from functools import partial
 from types import SimpleNamespace
@@ -43,20 +43,22 @@ class Memory:
 
 
 def pressed(*sites, **options):
-    """The procedure, what became of the sites, and what was kept."""
+    """The procedure, the outcomes of the sites, and the saved touches."""
     procedure, memory = make(**options), Memory()
     return procedure, list(procedure.run(listed(*(sites or (site(0),))), memory)), memory
 
 
 def goals_of(procedure):
-    """The poses to which the arm will be sent."""
+    """The poses to which the arm is sent."""
     goals, go = [], procedure.arm.go
     procedure.arm.go = lambda goal, *motion: goals.append(goal.copy()) or go(goal, *motion)
     return goals
 
 
 def overshoot(settings, stiffness, latency=0.03, brake=2.0):
-    """N that a press runs past its limit: k (v t + v^2 / 2 a), t the latency, one look and the mean of ten samples."""
+    """Force (N) of a press past its limit: k (v t + v^2 / 2 a), with t the latency, one look and the mean of ten
+    samples.
+    """
     late = latency + 7.5e-3 + 2.5e-3 * settings.averaged_samples
     return stiffness * (settings.press * late + settings.press**2 / 2 / brake)
 
@@ -118,7 +120,7 @@ def test_sites_outside_the_box_are_skipped_without_motion_or_failure():
 
 
 def test_every_pose_stays_in_the_box_above_the_object_and_histories_hold_no_images():
-    """Also where the way across is as high as the box allows."""
+    """This holds even if the transfer height is as high as the box allows."""
     procedure, memory = make(), Memory()
     procedure.top = procedure.rig.limits.upper[2] - procedure.settings.clearance
     goals, histories = goals_of(procedure), []
@@ -170,7 +172,7 @@ def test_an_unplugged_camera_is_reconnected_until_patience_ends():
 
 @pytest.mark.parametrize("errors", [closed_form.QUIET, NOISY], ids=["frozen", "alive"])
 def test_a_press_with_a_frozen_skin_fails(errors):
-    """A simulated skin without noise plays it, which calls itself emulated."""
+    """The frozen skin is a simulated one without noise that reports itself as emulated."""
     procedure = make(errors=errors, gain=np.zeros(READINGS))
     skin = procedure.skins[0].skin
     skin._features = skin.features._replace(source="emulated")
@@ -184,7 +186,9 @@ def test_a_press_with_a_frozen_skin_fails(errors):
 
 
 def stops(batches, board, ambient):
-    """Whether the procedure's own stop condition stops a press on samples (looks, 10, channels), a batch each look."""
+    """Whether the procedure's own stop condition stops a press on samples (looks, 10, channels), one batch for each
+    look.
+    """
     looks = iter(range(len(batches)))
 
     def samples(number):
@@ -242,7 +246,7 @@ def test_the_stop_condition_ignores_a_field_that_all_chips_share():
 
 
 def test_an_object_too_high_for_the_box_is_refused_and_nothing_moves():
-    """A way across at a height that the box does not allow is not made at a lower one."""
+    """A transfer height that the box does not allow is not replaced by a lower one."""
     procedure, memory = make(), Memory()
     procedure.top = procedure.rig.limits.upper[2] - procedure.settings.clearance + 0.001
     before = procedure.arm.state().T_b_t
@@ -260,7 +264,7 @@ def test_an_object_too_high_for_the_box_is_refused_and_nothing_moves():
 @pytest.mark.parametrize(("bad", "sentence"), [
     *(({name: value}, "limit") for name, value in
       (("speed", 0.26), ("retreat", 0.3), ("acceleration", 0.6), ("force", 31.0), ("torque", 11.0), ("prepare", 0.2))),
-    ({"approach": 0.1}, "approach is 0.1 m/s: stopped at 8 N, it would end at 73 N"),
+    ({"approach": 0.1}, "approach is 0.1 m/s: a motion that is stopped at 8 N would end at 73 N"),
     ({"press": 0.05}, "press is 0.05 m/s"),
     ({"force": 29.9}, "above the rig's limit, 30 N"),
 ])  # fmt: skip
@@ -273,7 +277,7 @@ def test_settings_beyond_the_limits_are_refused_before_any_motion(bad, sentence)
 
 
 def test_a_press_without_contact_where_the_camera_sees_a_surface_ends_the_run():
-    """An arm and a skin that feel nothing go through what the camera sees."""
+    """An arm and a skin that measure nothing pass through what the camera sees."""
     procedure, memory = make(stiffness=1e-6, gain=np.zeros(READINGS)), Memory()
     with pytest.raises(MissedContactError, match=r"surface 6\.0 mm before its end"):
         list(procedure.run(listed(site(0), site(1)), memory))

@@ -1,4 +1,4 @@
-"""Touches are files, whole and dated rightly, whatever happens while they are made."""
+"""Touches are complete files with correct dates, even if the disk, the clock or the process fails."""
 
 import errno
 import os
@@ -159,7 +159,7 @@ def test_a_clock_that_is_set_during_a_touch_ends_the_session_and_keeps_the_touch
 
 
 def test_names_of_touches_ascend_even_if_the_clock_goes_back(lab):
-    """The clock of a later touch is read between its check and its date: set back by 0.3 s, it would sort first."""
+    """The clock is set back by 0.3 s between the check and the date of a later touch, which would sort it first."""
     procedure, recording = lab
     (outcome,) = procedure.run(listed(site(0)), recording)
     clock = procedure.clock
@@ -184,7 +184,7 @@ def test_names_of_touches_ascend_even_if_the_clock_goes_back(lab):
 
 
 def test_files_reach_the_disk_before_their_names_do_and_then_the_folder(lab, monkeypatch):
-    """What is acknowledged is synchronised: first the contents, then the rename, then the folder that holds it."""
+    """Acknowledged data are synchronised: first the contents, then the rename, then the folder that holds the file."""
     procedure, recording = lab
     (outcome,) = procedure.run(listed(site(0)), recording)
     done, rename = [], os.replace

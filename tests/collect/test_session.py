@@ -1,4 +1,4 @@
-"""The command on its simulated defaults: it collects, resumes, checks dry, and says what is wrong."""
+"""The command with its simulated defaults: it collects, resumes, makes dry runs, and refuses wrong options."""
 
 import json
 import os
@@ -72,7 +72,7 @@ def rig(tmp_path_factory):
 
 @pytest.mark.full
 def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
-    """A hexagon 30 mm high: the patch lies where the arm and the rig say, within their errors of a millimetre."""
+    """A hexagon is 30 mm high: the patch is where arm and rig report it, within their errors of a millimetre."""
 
     def run(*more, touches):
         words = ["--out", str(tmp_path / "set"), "--rig", str(rig), "--touches", str(touches), *more]
@@ -108,7 +108,7 @@ def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
     (tmp_path / "set" / folder_notes.NOTES_FILE).unlink()
     code, output = run(touches=2)
     assert code == 2
-    assert "were not collected there" in output
+    assert "holds touches that this command did not collect" in output
 
 
 def test_a_defective_skin_stops_sessions_and_dry_runs(tmp_path, rig, capsys, monkeypatch):
@@ -148,7 +148,9 @@ def test_a_folder_is_not_resumed_with_other_settings_rig_or_skin(tmp_path):
             device = SimpleNamespace(serial_number=serial)
             folder_notes.require_same(begun, folder_notes.device_notes(kind, device, name), tmp_path)
         other = folder_notes.device_notes(kind, SimpleNamespace(serial_number="B2"), name)
-        with pytest.raises(DataError, match=rf"begun with another {kind}_serial.*: A1, now B2\); use that again"):
+        with pytest.raises(
+            DataError, match=rf"begun with another {kind}_serial.*: A1, now B2\); use the earlier value"
+        ):
             folder_notes.require_same(begun, other, tmp_path)
     for board in (grid_board(2, 2), grid_board(2, 2)):
         folder_notes.require_same(begun, folder_notes.board_notes(SkinOnTool("", None, board)), tmp_path)
@@ -178,13 +180,13 @@ def test_sigterm_stops_a_collection_and_keeps_everything(tmp_path, rig, capsys):
 
 
 def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
-    """Speeds beyond what the rig can stop, another seed, another pad, and devices that are not known."""
+    """They are speeds beyond what the rig can stop, another seed, another pad, and unknown devices."""
     args = CollectArgs(out=tmp_path)
     folder_notes.write_notes(tmp_path, begin(args).notes)
     wrong = {
-        "--settings.press .05": "stopped at 8 N, it would end at 34 N",
-        "--seed 1": "was begun with another seed (seed: 0, now 1); use that again",
-        "--pad-name red": "was begun with another pad-name (pad-name: simulated pad 0, now red); use that again",
+        "--settings.press .05": "stopped at 8 N would end at 34 N",
+        "--seed 1": "was begun with another seed (seed: 0, now 1); use the earlier value",
+        "--pad-name red": "was begun with another pad-name (pad-name: simulated pad 0, now red); use the earlier value",
         "--arm nobody": "--arm nobody is not known",
         "--camera nobody": "--camera nobody is not known",
     }
@@ -228,13 +230,13 @@ UR, RESKIN = "--arm ur --host 10.0.0.2", "--skin reskin --port /dev/skin"
 
 @pytest.mark.parametrize(("wrong", "sentence"), [
     (f"--arm ur {RESKIN} --camera realsense", "pass --host"),
-    (f"{UR} --rig lab.toml --skin emulated", "--skin is emulated, and feels nothing on this arm"),
+    (f"{UR} --rig lab.toml --skin emulated", "--skin is emulated, which does not work with this arm"),
     ("--arm emulated --skin emulated --host 10.0.0.2", "give both, or neither"),
     ("--skin emulated", "pass --arm emulated"),
     (f"{UR} --skin somewhere:Skin", "--skin somewhere:Skin: somewhere cannot be imported"),
     ("--arm emulated --skin emulated --pad four_chips.npz",
-     "four_chips.npz: is a pad on another board, of 4 chips, than reskin, of 5; pass the --board"),
-    ("--arm emulated", "--skin is simulated, and feels nothing on this arm; pass --arm simulated"),
+     "four_chips.npz: is a pad on a board of 4 chips, which differs from reskin, of 5; pass the --board"),
+    ("--arm emulated", "--skin is simulated, which does not work with this arm; pass --arm simulated"),
     ("--settings.press 0.25", "settings.press is 0.25; give 0.0001 to 0.05"),
     ("--state-timeout 60", "--state-timeout is 60; give 0.02 to 5"),
     ("--pose 30 0 0 0 0 0", "--pose is 30 0 0"),

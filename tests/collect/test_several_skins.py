@@ -1,4 +1,4 @@
-"""Several skins on one tool: each is read in each touch, with its own board, and a set is of the one that is named."""
+"""Several skins on one tool: each is read in each touch with its own board, and a set is loaded for one of them."""
 
 import re
 from dataclasses import replace
@@ -34,7 +34,7 @@ STIFFNESS = 10e3
 
 
 def beside(out_by: float) -> np.ndarray:
-    """T_tool_skin of a skin that lies so far (m) before the one at the tool."""
+    """T_tool_skin of a skin that protrudes by this distance (m) in front of the one at the tool."""
     return pose_from_vector([ASIDE_M, 0.0, out_by, 0.0, 0.0, 0.0])
 
 
@@ -60,7 +60,7 @@ def info_of(procedure):
 
 
 def touched(folder, procedure, touches=1):
-    """The last of some touches."""
+    """The last of several touches."""
     with Recorder(folder, info_of(procedure), procedure.clock) as recording:
         outcomes = list(procedure.run(listed(*map(site, range(touches))), recording))
     return outcomes[-1].touch
@@ -86,7 +86,7 @@ def test_the_skin_that_protrudes_stops_the_press_and_has_its_force(tmp_path, out
 
 
 def test_the_force_of_a_press_that_two_skins_feel_is_unknown(tmp_path):
-    """Two springs side by side: the arm measures their sum, and the torque of the one that lies aside."""
+    """For two springs in parallel, the arm measures their sum, and the torque of the one that is off the axis."""
     touch = touched(tmp_path, two(0.0))
     right = touch.skins["right"]
     assert touch.code == right.code == ReturnCode.SKIN
@@ -120,7 +120,7 @@ def test_a_second_skin_that_falls_silent_ends_the_press_and_its_samples_are_kept
 
 
 def test_a_set_keeps_each_skin_with_its_board_and_is_loaded_by_its_name(tmp_path):
-    """The skin at the tool is where every version reads it; a set without a name of a skin has none to name."""
+    """The skin at the tool is where every version reads it; a set without a skin's name has no further skins."""
     both = tmp_path / "both"
     touch = touched(both, two(2e-3), 2)
     record = dataset.read_touch(list_touches(both)[-1])
@@ -183,10 +183,10 @@ def test_a_rig_with_skins_is_read_back_and_an_impossible_one_refused(rig, old, n
 
 @pytest.mark.parametrize(("device", "flags", "sentence"), [
     ("simulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "skins.right.device is simulated"),
-    ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, and feels nothing on this"),
+    ("emulated", ["--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"], "emulated, which does not work with this"),
     ("nobody's", [], "skins.right.device nobody's is not known; give a name that"),
 ])  # fmt: skip
-def test_skins_that_do_not_go_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, sentence):
+def test_skins_that_do_not_work_with_the_arm_are_refused(rig, tmp_path, capsys, device, flags, sentence):
     path = rig(device, "/dev/ttyACM1" if device == "reskin" else "")
     assert command.main(["--rig", str(path), "--out", str(tmp_path / "out"), "--object", "cylinder", *flags]) == 2
     assert sentence in capsys.readouterr().err

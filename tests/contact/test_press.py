@@ -37,7 +37,7 @@ def pad() -> Pad:
 
 @jax.jit
 def excess(pad: Pad, height: jax.Array, indentations: jax.Array) -> jax.Array:
-    """Of presses to `indentations` (m): skin change or force over its limit, whichever is more."""
+    """Skin change or force of presses to `indentations` (m), relative to its limit, whichever is larger."""
     pressed = jax.lax.map(lambda indentation: press(pad, height, indentation), indentations)
     return jnp.maximum(jnp.linalg.norm(pressed.reading, axis=1) / LIMITS.skin_change, pressed.force / LIMITS.force)
 

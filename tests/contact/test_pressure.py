@@ -110,7 +110,7 @@ def test_tilts_are_averaged():
     close(press(TILTED, view, 1.5), average)
 
 
-def test_a_cropped_view_goes_on_at_its_rim():
+def test_a_cropped_view_is_continued_beyond_its_rim():
     view = (X**2 + 2 * Y**2) / 40e-3
     crop = slice(10, -10)  # 17 mm are known
     cropped = np.full_like(view, np.nan)
@@ -128,7 +128,7 @@ def test_impossible_layers_and_cells_are_refused(change, words):
         replace(CFG, **change)
 
 
-def test_a_mesh_and_its_view_give_the_same_pressure_and_only_a_mesh_that_is_there():
+def test_a_mesh_and_its_view_give_the_same_pressure():
     surface = prepare_surface(make_object("hammer").mesh)
     above = jnp.float32([[1, 0, 0, 0.02], [0, -1, 0, 0], [0, 0, -1, 0.06], [0, 0, 0, 1]])
     T = first_contact(surface, above, beyond=0.1).T_w_t
@@ -158,7 +158,7 @@ def test_newtons_and_centre_of_a_pressure_do_not_depend_on_its_grid(grid):
 
 
 def test_presses_of_several_loads_need_no_start_from_the_load_before():
-    """Steps from nowhere meet the tolerance as steps from the next smaller load do."""
+    """Steps from any start meet the tolerance as well as steps from the next smaller load."""
     height = jnp.float32(((AT[0] - 3e-3) ** 2 + AT[1] ** 2) / 20e-3)
     height, start = height - height.min(), None
     for load in (0.25, 0.8, 2.5, 8.0):

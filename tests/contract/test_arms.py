@@ -40,7 +40,7 @@ class TestSimulatedArm(OurArms):
 class TestEmulatedArm(OurArms):
     @pytest.fixture
     def make(self) -> Iterator[Callable[[], GuardedArm]]:
-        """A new controller for each test."""
+        """Make a new controller for each test."""
         pytest.importorskip("rtde_control", reason="ur_rtde is not installed (wheels are for Python 3.10 to 3.12)")
         host = ur_controller.loopback(219)
         with ur_controller.process(host, "--plane", str(FLOOR), str(STIFFNESS)):

@@ -1,4 +1,4 @@
-"""Converters: known contents come out as written, real recordings as read by other means, damage as one sentence."""
+"""Converters: known contents come out unchanged, real recordings as other readers read them, damage as a sentence."""
 
 import csv
 import gzip
@@ -69,7 +69,7 @@ def test_a_layout_without_a_source_is_not_declared_real(tmp_path, capsys):
     write(tmp_path / "src", "star", "1", 2, size=8)
     words = ("imagine2touch", tmp_path / "src")
     assert converted(*words, tmp_path / "unsaid").source == "not stated"
-    assert "say it with --source" in capsys.readouterr().out
+    assert "state it with --source" in capsys.readouterr().out
     assert run("summary", tmp_path / "unsaid") == 0
     assert "2 touches, source not stated" in capsys.readouterr().out
     assert "is **not stated**" in (tmp_path / "unsaid" / "README.md").read_text()
@@ -78,7 +78,7 @@ def test_a_layout_without_a_source_is_not_declared_real(tmp_path, capsys):
 
 
 def test_a_chip_that_sends_zeros_loses_only_its_samples(tmp_path, capsys):
-    """Ten samples a touch: in one of them every chip is silent, in another touch one chip is in all of them."""
+    """Of ten samples a touch, in one every chip is silent; in another touch one chip is silent in all samples."""
     write(tmp_path / "src", "star", "1", 8, size=8)
     field = np.random.default_rng(0).normal(0, 400, (8, 10, 5, 3))
     field[2, 3] = 0
@@ -123,7 +123,7 @@ def test_images_turn_and_forces_change_axes_on_request(tmp_path):
     np.testing.assert_allclose(touches.force, -wrench[:, 2], atol=1e-6)
 
 
-def test_a_hole_of_65535_is_no_surface_and_images_in_another_unit_are_noted(tmp_path, capsys):
+def test_a_hole_of_65535_is_not_a_surface_and_images_in_another_unit_are_noted(tmp_path, capsys):
     truth = write(tmp_path / "src", "star", "1", 2)
     files = [tmp_path / f"src/star/star_images/depth/experiment_1_depth_{k}.tif" for k in (1, 2)]
     for file, image in zip(files, truth.depth, strict=True):
@@ -179,7 +179,7 @@ class Hostile:
 
 
 def test_hostile_pickles_are_refused_and_not_executed(tmp_path):
-    """Each would leave a file behind if anything in it were executed."""
+    """Each pickle would leave a file if any part of it were executed."""
     marker = tmp_path / "executed"
     touch = f"touch {marker}"
     command = touch.encode()
@@ -199,7 +199,7 @@ def test_hostile_pickles_are_refused_and_not_executed(tmp_path):
         b"\x80\x02Pname\n.",  # a persistent identifier
     ):
         (tmp_path / "file").write_bytes(as_npy(payload))
-        with pytest.raises(DataError, match="file: refused, for it asks for"):
+        with pytest.raises(DataError, match="file: refused, because it asks for"):
             npy.read(tmp_path / "file")
     assert not marker.exists()
     os.system(touch)  # the payloads' command does leave the mark where it runs
@@ -333,7 +333,7 @@ DAMAGE = [
     ("imagine2touch", TACTILE, stored(samples(changed=np.nan)), "item 2 holds a value that is not a field"),
     ("imagine2touch", TACTILE, stored(samples(changed=10**400)), "an integer of absurd size"),
     ("imagine2touch", TACTILE, stored(samples([27.0] * 20)), "pass --order"),
-    ("imagine2touch", TACTILE, holds(as_npy(pickle.dumps(Hostile(os.system, "true")))), "refused, for it asks for"),
+    ("imagine2touch", TACTILE, holds(as_npy(pickle.dumps(Hostile(os.system, "true")))), "refused, because it asks for"),
     ("imagine2touch", TACTILE + "_ambient", stored(np.ones((5, 15))), "holds 5 groups for 12 touches"),
     ("imagine2touch", POSES + "rotations", stored(np.zeros((12, 3))), "(12, 3) where 12 touches"),
     ("imagine2touch", POSES + "rotations", stored(np.tile([0, 0, 0, 2.0], (12, 1))), "not of length 1"),
@@ -357,7 +357,7 @@ LEFT = {"imagine2touch": (3, 3 + 11), "eflesh": (20, 20 + 19)}  # another run, a
 
 
 def made_up_session(folder, n=20, ending="csv"):
-    """A spatial session in eFlesh's layout: its places (n, 3) mm and values (n, 15) uT."""
+    """A spatial session in eFlesh's layout with positions (n, 3) mm and values (n, 15) uT."""
     rng = np.random.default_rng(3)
     place = np.column_stack([rng.uniform(270, 300, n), rng.uniform(-110, -90, n), rng.uniform(141, 145, n)])
     values = rng.normal(0, 100, (n, 15))
@@ -444,8 +444,8 @@ def test_invalid_options_are_refused_in_one_sentence(intact, tmp_path, capsys):
         (("--indenter", "sphere:0.004"), "smaller than 0.1 mm; give it in mm, not in m"),
         (("--indenter", "spere:4"), "its shape 'spere' is unknown; did you mean sphere?"),
         (("--indenter", "flat"), "its shape 'flat' is unknown; give sphere:RADIUS"),
-        (("--indenter", "tip.stl", "--unit", "mm"), "a mesh is named with its file, as mesh:tip.stl"),
-        (("--indenter", "mesh:", "--unit", "mm"), "a mesh is named with its file, as mesh:FILE"),
+        (("--indenter", "tip.stl", "--unit", "mm"), "a mesh is given by its file, as mesh:tip.stl"),
+        (("--indenter", "mesh:", "--unit", "mm"), "a mesh is given by its file, as mesh:FILE"),
         (("--indenter", "mesh:none.stl", "--unit", "mm"), "none.stl"),
         ((*sphere, "--board", "five"), "--board five: Board 'five' is not known"),
         ((*sphere, "--window-mm", 0.01), "no press lies inside the window of 0.01 mm; widen"),
@@ -579,7 +579,7 @@ def test_presses_of_a_silent_board_are_left_out_and_counted(tmp_path, capsys):
 
 
 def test_a_small_difference_that_was_rounded_to_zero_is_a_press(tmp_path):
-    """Rounded negative numbers are -0.0, which no chip sends; and coarse steps make two zeros oftener than three."""
+    """Rounded negative numbers are -0.0, which no chip sends; coarse steps give two zeros more often than three."""
     columns = presses_table(tmp_path / TABLE, n=60)
     columns |= {name: np.where(np.arange(60) == 3, -0.0, columns[name]) for name in READING_NAMES[:3]}
     steps = np.random.default_rng(0).integers(-1, 2, (60, 3))
@@ -690,7 +690,7 @@ def test_nothing_is_overwritten_or_mixed_by_default(tmp_path, capsys):
 
 
 def tactile_of(values, ambient, folder):
-    """Write samples (n, 5, 3) uT with their temperature, and ambient samples likewise, in place of those of a run."""
+    """Write samples (n, 5, 3) uT with their temperature, and ambient samples, in place of those of a run."""
     tactile = folder / "star/star_tactile/experiment_1_reskin"
     for path, field in ((tactile, values), (tactile.with_name(tactile.name + "_ambient"), ambient)):
         warm = np.where(
@@ -702,7 +702,7 @@ def tactile_of(values, ambient, folder):
 @pytest.mark.parametrize(
     ("chips", "sentence"), [([2], "chip 2 does not answer in any"), (range(5), "no chip answers in any")]
 )
-def test_a_dead_chip_is_named_and_not_the_order_of_values(tmp_path, capsys, chips, sentence):
+def test_a_dead_chip_is_reported_instead_of_a_wrong_order_of_values(tmp_path, capsys, chips, sentence):
     write(tmp_path / "src", "star", "1", 8, size=8)
     field = np.random.default_rng(0).normal(0, 400, (8, 5, 3))
     field[:, list(chips)] = 0

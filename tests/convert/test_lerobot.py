@@ -1,4 +1,4 @@
-"""LeRobot's format: every value is there, as its own reader reads it."""
+"""LeRobot's format: LeRobot's own reader reads every value."""
 
 import json
 import sys

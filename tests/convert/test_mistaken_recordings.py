@@ -1,4 +1,4 @@
-"""Recordings whose units, signs or axes are mistaken come out right, with a sentence; on request, as they stand."""
+"""Recordings with wrong units, signs or axes are corrected with a sentence, or converted as stated on request."""
 
 import gzip
 import json
@@ -75,7 +75,7 @@ def test_a_mistake_in_a_table_of_presses_is_corrected(tmp_path, capsys):
 
 
 def test_a_set_of_mostly_pulling_forces_is_corrected_once(tmp_path, capsys):
-    """Of 85 %: whoever reads the set afterwards finds it corrected."""
+    """85 % of the forces pull; the saved set is corrected and is not corrected again."""
     sound = press(0, 60, free=0.0)
     force = np.where(np.arange(60) % 20 < 17, -sound.force, sound.force)
     path = write_presses(tmp_path / "pulling.csv", sound._replace(force=force))
@@ -87,7 +87,7 @@ def test_a_set_of_mostly_pulling_forces_is_corrected_once(tmp_path, capsys):
 
 @pytest.mark.full
 def test_presses_to_one_height_have_no_depth_but_keep_frame_and_times(shared_data, tmp_path, capsys):
-    """Of a real session, those to 142.6 mm."""
+    """The presses are those of a real session to 142.6 mm."""
     folder = next((shared_data / "eflesh" / "spatial").iterdir())
     states, values = (
         np.loadtxt(gzip.decompress((folder / f"{name}.csv.gz").read_bytes()).decode().splitlines(), delimiter=",")

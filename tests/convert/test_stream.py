@@ -57,7 +57,7 @@ def test_each_press_of_a_log_becomes_a_touch(tmp_path, capsys):
     np.testing.assert_allclose(1e3 * touches.travel, told[:, 2], atol=0.1)
     output = capsys.readouterr().out
     assert "found: 12 presses" in output
-    assert "travel counts from the height at which a press's reading left its rest" in output
+    assert "travel counts from the height at which a press's reading left its value at rest" in output
 
 
 def test_a_log_read_in_pieces_has_the_presses_of_the_whole(tmp_path, monkeypatch):
@@ -108,7 +108,7 @@ def test_damaged_rows_are_refused_or_counted(tmp_path):
         ("time_s", "date", "column time_s is missing"),
         ("\n0.5,", "\n3600.5,", "its time at line 202, 3600.500000 s, contradicts the rows before and after it"),
         ("\n0.5,", "\nnoon,", "line 202 has 'noon' in column time_s"),
-        ("", "", "nothing presses in its"),
+        ("", "", "no press was found in its"),
     ],
 )
 def test_other_tables_are_refused_in_one_sentence(tmp_path, old, new, sentence):
@@ -171,7 +171,7 @@ def test_rows_of_a_silent_board_neither_make_nor_end_a_press(tmp_path, silence):
     np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
 
 
-def test_a_board_that_never_answers_is_named(tmp_path):
+def test_a_board_that_never_answers_is_reported_by_name(tmp_path):
     for chips, sentence in ((slice(6, 9), "chip 2 does not answer"), (slice(None), "no chip answers")):
         rows, _ = silent_log(1.1, chips=chips)
         with pytest.raises(DataError, match=sentence):
@@ -210,7 +210,7 @@ def test_a_damaged_stamp_loses_only_its_row_and_is_named(tmp_path, bad):
 
 
 def full_after(unit, bits, signed=False):
-    """Stamps of a counter that is full in the middle of the log."""
+    """Time stamps of a counter that overflows in the middle of the log."""
     counts = np.round(LOG[:, 0] / unit).astype(np.int64)
     counts += 2**bits // (1 + signed) - counts[len(counts) // 2]
     return (counts + signed * 2 ** (bits - 1)) % 2**bits - signed * 2 ** (bits - 1)
@@ -255,13 +255,13 @@ def test_an_overflow_of_a_counter_is_continued(tmp_path):
     time = [float(cells[0]) for _, cells in table.rows]
     even = [float(cells[0]) for _, cells in presses_of(tmp_path).rows]
     np.testing.assert_allclose(np.diff(time), np.diff(even), atol=0.05)
-    assert any("a 32-bit counter of microseconds is full" in note for note in table.notes)
+    assert any("a 32-bit counter of microseconds overflows" in note for note in table.notes)
 
 
 def test_useless_stamps_are_noted_and_a_rate_can_be_stated(tmp_path):
     for stamps in (np.float32(1.76e9 + LOG[:, 0]), np.zeros(len(LOG))):
         table = presses_of(tmp_path, stamps)
-        assert any("100 rows in a second" in note and "--rate-hz" in note for note in table.notes)
+        assert any("100 rows per second" in note and "--rate-hz" in note for note in table.notes)
         assert all(cells[0] == "" for _, cells in table.rows)
         stated = presses_of(tmp_path, stamps, rate=RATE)
         for either in (table, stated, presses_of(tmp_path, [""] * len(LOG), name="note", rate=RATE)):
@@ -274,8 +274,8 @@ def test_useless_stamps_are_noted_and_a_rate_can_be_stated(tmp_path):
     [
         ("time_s", 1e6 * LOG[:, 0], "rows are 2.5e.03 s apart, slower than a press; name its column by the unit"),
         ("time_ms", LOG[:, 0], "rows are 2.5e-06 s apart, faster than any board"),
-        ("time_s", np.random.default_rng(0).permutation(LOG[:, 0]), "they are in no order; sort them"),
-        ("time_s", LOG[::-1, 0], "they are in no order; sort them"),
+        ("time_s", np.random.default_rng(0).permutation(LOG[:, 0]), "they are not in order of time; sort them"),
+        ("time_s", LOG[::-1, 0], "they are not in order of time; sort them"),
         ("time", LOG[:, 0], "name the column of time by its unit"),
         ("time_s", texts("%d.%m.%Y %H:%M:%S"), "which is not a time in ISO 8601"),
         ("time_s", texts("%Y-%m-%d %H:%M.%f"), "which is not a time in ISO 8601"),
@@ -308,7 +308,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path, monkeypatch):
 
 
 def cut(seconds, before):
-    """The log without the rows of some seconds before a moment of its fourth press, by the press's rows in the skin."""
+    """The log without the rows of some seconds before a row of its fourth press."""
     moment = int(np.flatnonzero(np.diff(np.sign(LOG[:, 3])) < 0)[3]) + before
     kept = np.ones(len(LOG), bool)
     kept[moment - int(seconds * RATE) : moment] = False
@@ -335,7 +335,7 @@ CUT_PRESSES = {
 
 
 @pytest.mark.parametrize("name", CUT_PRESSES)
-def test_a_cut_press_loses_no_other(tmp_path, name):
+def test_a_cut_press_does_not_affect_other_presses(tmp_path, name):
     time, rows, lost = CUT_PRESSES[name]
     table = presses_of(tmp_path, time, rows)
     distance = np.linalg.norm(numbers(table)[:, None] - TOLD[:, 4:], axis=2).min(0)
@@ -403,7 +403,7 @@ def test_rows_in_batches_are_evenly_spaced(tmp_path):
     arrived = LOG[:, 0] + (7 - within) / RATE + 150e-6 * within
     table = presses_of(tmp_path, arrived)
     np.testing.assert_allclose(numbers(table), TOLD[:, 4:], atol=2.0)
-    assert any(note.startswith("rows come in batches, 0.02 s") for note in table.notes)
+    assert any(note.startswith("rows come in batches every 0.02 s") for note in table.notes)
 
 
 def test_presses_of_a_clock_of_whole_seconds_have_times_between_them(tmp_path):

@@ -1,4 +1,4 @@
-"""The card of a data set says what it holds, and no reader minds it."""
+"""The card of a data set describes its contents, and readers ignore it."""
 
 import re
 from dataclasses import replace
@@ -13,7 +13,7 @@ from i2t.errors import DataError
 from i2t.skin.boards import make_board, name_of_board
 
 
-def test_a_card_says_what_how_many_which_board_and_whether_simulated():
+def test_a_card_states_contents_count_board_and_source():
     dataset = replace(make(9, board="grid-1x2", pixels=4), meta={"rig": "a | b"})
     card = card_of(dataset)
     assert card.startswith("# 9 touches, simulated\n")
@@ -42,7 +42,7 @@ def test_notes_are_a_list_and_no_remark_breaks_a_table_or_has_no_end():
     assert len(rig) < 1100
 
 
-def test_a_card_is_replaced_and_no_part_of_the_set(tmp_path):
+def test_a_card_is_replaced_and_is_not_part_of_the_set(tmp_path):
     dataset = make(3, pixels=4)
     save_dataset(tmp_path / "set.h5", dataset)
     (tmp_path / CARD).write_text("old")

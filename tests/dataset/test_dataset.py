@@ -138,7 +138,7 @@ def test_a_file_of_an_earlier_schema_is_read(tmp_path, version, view):
     assert_equal(load_dataset(path), dataset)
 
 
-def test_a_newer_schema_is_told_apart_from_damage_and_a_broken_one_is_named(packed, tmp_path):
+def test_a_newer_schema_is_distinguished_from_damage_and_a_broken_one_is_named(packed, tmp_path):
     (tmp_path / "newer.h5").write_bytes(packed.replace(b"i2t-touches 3 ", b"i2t-touches 4 ", 1))
     with pytest.raises(DataError, match=r"newer\.h5: written in schema version 4, .* newer i2t"):
         load_dataset(tmp_path / "newer.h5")
@@ -195,9 +195,7 @@ for seed in range(10**6):
 
 @pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
 def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path):
-    """The kill falls at an unknown moment of the next write; the bound is zero lost touches (44 of 44 trials
-    elsewhere).
-    """
+    """The kill comes at an unknown moment of the next write; no touch may be lost (44 of 44 trials elsewhere)."""
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
     words = [sys.executable, "-c", WRITER, tmp_path]
     with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment) as writer:
@@ -212,7 +210,7 @@ def test_a_killed_writer_loses_no_acknowledged_touch(tmp_path):
 
 
 def broken(name, value, part=1):
-    """Touches of which a part of a field has another value, or which have another field."""
+    """Touches in which part of a field has another value, or which have another field."""
     dataset = make(3, truth=True)
     if part is not None:
         getattr(dataset.touches, name)[part] = value
@@ -320,7 +318,7 @@ def test_splits_are_whole_groups(n, seed, fraction, size):
 
 
 def grid(T_w_o):
-    """Touches on a grid of the object's x and y from -15 to 15 mm, a millimetre apart, seen in the world."""
+    """Touches on a grid of the object's x and y from -15 to 15 mm in steps of 1 mm, with poses in the world."""
     steps = 1e-3 * np.arange(-15, 16)
     T_o_t = np.tile(np.eye(4), (31**2, 1, 1))
     T_o_t[:, 0, 3], T_o_t[:, 1, 3] = (axis.ravel() for axis in np.meshgrid(steps, steps))
@@ -329,7 +327,7 @@ def grid(T_w_o):
     return replace(dataset, touches=dataset.touches._replace(**poses, object=one, session=one))
 
 
-def test_blocks_follow_the_object_whichever_way_it_lies_and_tell_objects_and_runs_apart():
+def test_blocks_follow_the_object_in_any_pose_and_separate_objects_and_runs():
     """The grid meets blocks of 6 mm in 3, 6, 6, 6, 6 and 4 lines, edges going up."""
     lines = np.array([3, 6, 6, 6, 6, 4])
     T_w_o = np.eye(4)
@@ -346,7 +344,7 @@ def test_blocks_follow_the_object_whichever_way_it_lies_and_tell_objects_and_run
 
 
 def test_known_boards_turn_a_uniform_field_as_recorded():
-    """As one real board recorded: chips 1, 3 and 4 see (y, -x), (-y, x) and (-x, -y) of what chip 0 sees."""
+    """As on a real board, chips 1, 3 and 4 see (y, -x), (-y, x) and (-x, -y) of what chip 0 sees."""
     for board in (boards.reskin_board(), boards.anyskin_board()):
         field = np.tile(np.float32([1, 2, 3]), (5, 1))
         np.testing.assert_array_equal(board.to_tool(board.to_board(field)), field)

@@ -43,7 +43,7 @@ def pose(rotation, position) -> np.ndarray:
 
 
 def views(tilt: float, at, distance: float = LOOKING_DISTANCE_M) -> tuple[np.ndarray, np.ndarray]:
-    """T_w_c and T_w_t: a tool that points down at a place, and a camera that looks at it, tilted by some degrees."""
+    """T_w_c and T_w_t of a tool that points down at a point and a camera that looks at it, tilted by some degrees."""
     look = DOWN @ Rotation.from_euler("yx", [tilt, tilt / 3], degrees=True).as_matrix()
     return pose(look, np.asarray(at) - distance * look[:, 2]), pose(DOWN, at)
 
@@ -67,7 +67,7 @@ def scene(name: str) -> trimesh.Trimesh:
 
 
 def beside(name: str) -> np.ndarray:
-    """A place on the top of an object, halfway to its side, so that the window holds some of the edge."""
+    """A point on the top of an object, halfway to its side, so that the window contains some of the edge."""
     if name == "hammer's head":
         return np.array(HAMMER_HEAD)
     vertices = np.asarray(make_object(name).mesh.vertices)
@@ -79,7 +79,7 @@ def heights(patch) -> np.ndarray:
 
 
 def around(image: np.ndarray) -> np.ndarray:
-    """(n, n, 5, 5), the pixels within two of each."""
+    """(n, n, 5, 5), the pixels within two pixels of each pixel."""
     return np.lib.stride_tricks.sliding_window_view(np.pad(image, 2, mode="edge"), (5, 5))
 
 
@@ -163,7 +163,7 @@ def test_quantised_depth():
 
 @pytest.mark.full
 def test_flying_pixels_are_not_surface():
-    """At every depth edge one pixel is given a depth between both sides, as cameras do."""
+    """At every depth edge, one pixel gets a depth between both sides, as in real cameras."""
     mesh, (T_w_c, T_w_t) = scene("hexagon"), views(0.0, beside("hexagon"))
     T_w_t[0, 3] = T_w_c[0, 3] = np.asarray(make_object("hexagon").mesh.vertices)[:, 0].max() - 3e-3
     exact = image(mesh, T_w_c)
@@ -221,7 +221,7 @@ IN_HOLE = slice(14, 34)  # pixels of the patch, in the middle
 
 @pytest.mark.parametrize("marker", [0, -1, -0.3, np.nan, np.inf, -np.inf, 65.535, 6.5535, 1e10])
 def test_a_hole_is_not_seen_for_every_marker(marker):
-    """This holds as well if the image was interpolated, with values between those of the hole and of the surface."""
+    """This also holds if the image was interpolated, with values between those of the hole and of the surface."""
     eye, T_w_t = np.eye(4, dtype=np.float32), pose(np.eye(3), [0, 0, LOOKING_DISTANCE_M])
     rows, columns = np.indices((360, 640))
     hole = np.hypot(rows - CAMERA.cy, columns - CAMERA.cx) < 16  # 5 mm at this distance
@@ -235,7 +235,7 @@ def test_a_hole_is_not_seen_for_every_marker(marker):
         assert abs(float(real.patch.nearest)) < FLAT
 
 
-def test_hidden_surface_is_not_invented():
+def test_hidden_surface_is_not_filled_in():
     """A camera from the side does not see the table behind a block, and the space above it does not count as seen."""
     block = trimesh.creation.box((0.02, 0.04, 0.003)).apply_translation([0, 0, 0.0015])
     table = trimesh.creation.box((0.6, 0.6, 0.01)).apply_translation([0, 0, -0.005])

@@ -70,7 +70,7 @@ def stand(model, x, z, turned=DOWN):
 
 
 @pytest.mark.full
-def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
+def test_there_is_no_contact_next_to_the_object_or_off_the_line(scene):
     line = scene.line_ahead(pose(0.5, 0.0, 0.07))
     assert line.first == np.inf
     assert line.contact_at(0.1)[0] == 0.0
@@ -82,7 +82,7 @@ def test_nothing_is_met_beside_the_object_and_off_the_line(scene):
 
 
 @pytest.mark.full
-def test_an_object_is_met_from_where_the_tool_stands_next(scene):
+def test_contact_is_found_at_successive_poses_of_the_tool(scene):
     """On one line, of which 120 mm are known: from 130 mm above the object, then from 40 mm; and sideways, 10 mm above
     the table, first past the object and then in front of it.
     """
@@ -100,7 +100,7 @@ def test_an_object_is_met_from_where_the_tool_stands_next(scene):
 
 
 @pytest.mark.full
-def test_a_contact_model_in_a_thread_finds_the_same(scene):
+def test_a_contact_model_in_a_thread_gives_the_same_contacts(scene):
     waits, threaded = SkinContactModel(scene), SkinContactModel(scene, wait=False)
     for model in (waits, threaded):
         stand(model, 0.4, 0.07)

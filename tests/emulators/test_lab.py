@@ -1,4 +1,4 @@
-"""The emulated arm and the emulated skin that it wears: what the one presses the other feels, by i2t's own physics."""
+"""The emulated arm and skin: presses of the arm change the readings of the skin, by i2t's own physics."""
 
 import os
 import signal

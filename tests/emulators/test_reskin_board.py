@@ -9,8 +9,8 @@ import pytest
 from i2t.emulators.reskin_board import BoardSignal, Readings, _newest_field
 
 
-def test_the_newest_field_counts_and_one_of_another_board_ends_the_board():
-    """A skin that shows nothing would be pressed until force stops the arm."""
+def test_the_newest_field_is_used_and_a_field_of_another_size_ends_the_board():
+    """A skin that shows no press would be pressed until the force stops the arm."""
     inbox, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     inbox.setblocking(False)
     before = np.zeros(15)

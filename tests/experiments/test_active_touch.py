@@ -13,7 +13,7 @@ from i2t.recognition.rollout import POLICIES
 
 @pytest.mark.full
 def test_the_debug_preset_compares_policies(tmp_path, capsys, monkeypatch):
-    """One policy stands for all, each of which plays in tests/recognition/test_rollout.py."""
+    """One policy represents all; each is played in tests/recognition/test_rollout.py."""
     monkeypatch.setattr(run, "POLICIES", {"random": POLICIES["random"]})
     assert main(["--preset", "debug", "--objects", "star", "hexagon", "--out", str(tmp_path / "out")]) == 0
     report = json.loads((tmp_path / "out" / "metrics.json").read_text())

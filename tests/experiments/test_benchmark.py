@@ -1,4 +1,4 @@
-"""The benchmark compares like with like and says what it found; how fast anything was is not tested."""
+"""The benchmark compares equal work and reports its results; speeds are not tested."""
 
 import json
 import os
@@ -31,7 +31,7 @@ def run(section: str, turns: int = 1, out: Path | None = None) -> list[Benchmark
 
 
 def test_training_section_against_pytorch(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The section itself checks that both trainings have the same losses, and fails where they have not."""
+    """The section itself checks that both trainings have the same losses, and fails otherwise."""
     pytest.importorskip("torch", reason="the extra bench is not installed")
     rows = run("training", 2, tmp_path / "out")
     assert [row.peer_name.split(",")[0] for row in rows] == ["eager PyTorch"] * 2
@@ -73,7 +73,7 @@ def test_contenders_take_turns_and_a_row_has_the_median_of_the_ratios_of_turns()
 
 
 def test_rendering_section_against_ray_casters() -> None:
-    """The section itself checks that all see the same, and fails where they do not."""
+    """The section itself checks that all see the same, and fails otherwise."""
     pytest.importorskip("open3d", reason="the extra bench is not installed", exc_type=ImportError)
     rows = run("rendering")
     assert [row.peer_name for row in rows] == [*["Open3D", "embreex", "Open3D, rays given"] * 3, "rays and distances"]
@@ -81,7 +81,7 @@ def test_rendering_section_against_ray_casters() -> None:
 
 @pytest.mark.full
 def test_skin_section_against_contact_mechanics() -> None:
-    """The section itself checks that both find the same pressures, and fails where they do not."""
+    """The section itself checks that both find the same pressures, and fails otherwise."""
     assert [row.peer_name for row in run("skin")] == ["ContactMechanics"] * 3 + ["the contact alone"]
 
 
@@ -95,7 +95,7 @@ def test_pressures_that_are_not_the_peer_s_are_refused() -> None:
 
 @pytest.mark.full
 def test_patches_of_another_mesh_are_not_compared() -> None:
-    """A ray caster that needs no system package, and a sphere a centimetre smaller."""
+    """The peer is a ray caster that needs no system package, with a sphere a centimetre smaller."""
     ball = trimesh.creation.icosphere(3, 0.03)
     surface = rendering.prepare_surface(ball)
     poses = rendering.random_poses(surface, 4)
@@ -139,7 +139,7 @@ def test_a_failing_command_raises_instead_of_being_timed(tmp_path: Path) -> None
         startup._run(startup.TimedCommand("-m i2t.imagine nothing", 1, 1), tmp_path, tmp_path / "compiled")
 
 
-def test_every_program_is_told_with_its_size_and_the_line_that_asked_for_it(tmp_path: Path) -> None:
+def test_every_compiled_program_is_listed_with_its_size_and_the_calling_line(tmp_path: Path) -> None:
     script, out = tmp_path / "small.py", tmp_path / "programs.json"
     script.write_text(
         "import jax\nfrom i2t.geometry import inverse\n@jax.jit\ndef twice(x):\n    return inverse(x) @ x\n"

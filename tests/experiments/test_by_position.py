@@ -15,7 +15,7 @@ TOUCHES = 150
 
 
 def recording() -> Dataset:
-    """Presses at places of a skin whose reading grows with the travel and bends over the place."""
+    """Presses at positions of a skin whose reading grows with the travel and is curved over the position."""
     rng = np.random.default_rng(0)
     place, travel = rng.uniform(-8e-3, 8e-3, (TOUCHES, 2)), rng.uniform(0.5e-3, 2e-3, TOUCHES)
     maps = np.sin(place @ rng.uniform(-400, 400, (2, 15)) + rng.uniform(0, 6, 15))
@@ -44,7 +44,7 @@ def test_both_rows_predict_the_touches_that_validate_and_test():
 
 
 @pytest.mark.parametrize("change", ["two objects", "off the skin", "no load"])
-def test_nothing_is_said_of_touches_that_are_not_of_one_tip_at_known_places(change):
+def test_touches_without_one_tip_at_known_positions_give_no_findings(change):
     dataset = recording()
     touches = dataset.touches
     if change == "two objects":
@@ -57,7 +57,7 @@ def test_nothing_is_said_of_touches_that_are_not_of_one_tip_at_known_places(chan
     assert position_readings(replace(dataset, touches=touches), thirds(), 0) == {}
 
 
-def test_the_run_says_where_a_position_tells_more_than_any_method():
+def test_the_run_reports_where_position_alone_beats_every_method():
     level = Lead(0.1, 0.0, 0.2)
     choice = MethodChoice("GP", {"GP": 0.93, "mean": 0.0, TUNED: 0.92, CALIBRATED: 0.95}, "mean", level, "GP", level)
     [note] = position_note(choice, [TUNED, CALIBRATED])

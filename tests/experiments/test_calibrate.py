@@ -1,4 +1,4 @@
-"""The calibration experiment on a small synthetic skin, and what it refuses."""
+"""The calibration experiment on a small synthetic skin, and its refusals."""
 
 import json
 from dataclasses import replace
@@ -36,7 +36,7 @@ from i2t.skin_models.tip_gp.prior import PRIOR_KIND, KernelPrior, load_prior
 
 
 def recording(n: int, pads: int = 1, **columns) -> Dataset:
-    """Presses of one tip on a generated skin, some columns of which may be other ones."""
+    """Presses of one tip on a generated skin, some of whose columns may be replaced."""
     rng = np.random.default_rng(0)
     place, travel = rng.uniform(-12e-3, 12e-3, (n, 2)), rng.uniform(0.5e-3, 4e-3, n)
     centres = rng.uniform(-15e-3, 15e-3, (20, 2))
@@ -50,7 +50,7 @@ def recording(n: int, pads: int = 1, **columns) -> Dataset:
 
 @pytest.mark.full
 def test_the_experiment_runs_and_is_not_overwritten(tmp_path, capsys):
-    """On presses at few travels, of which `i2t.calibrate` makes no less than neighbours or the plain process."""
+    """For presses at few travels, `i2t.calibrate` is no worse than neighbours or the plain process."""
     travel = 1e-3 * np.round(1e3 * recording(400).touches.travel)
     data.save_dataset(tmp_path / "set.h5", recording(400, travel=travel, nearest=-travel))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
@@ -99,7 +99,7 @@ GRID = np.stack(np.meshgrid(*2 * [np.linspace(-8e-3, 8e-3, 5)]), -1).reshape(-1,
 
 
 def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
-    """Presses at these places by many travels, held out as `experiments.calibrate` does it."""
+    """Presses at these positions by many travels, held out as in `experiments.calibrate`."""
     n = len(place)
     presses = LoadedPresses(place, np.linspace(1e-3, 3e-3, n), np.zeros((n, 15)), load_kind="travel")
     return hold_out(presses, arguments.PRESETS["paper"], 0, np.ones(n, bool) if usable is None else usable, "set")
@@ -118,8 +118,8 @@ def held_out_of(place: np.ndarray, usable: np.ndarray | None = None) -> HeldOut:
         (SPREAD[:8], "each block of 6 mm left out", "8 presses are fewer than 60"),
     ],
 )
-def test_few_presses_are_left_out_in_turn_wherever_they_lie(place, also, says):
-    """Each press is predicted once from all others, and each block or place from all that are not of it."""
+def test_few_presses_are_left_out_in_turn_at_any_position(place, also, says):
+    """Each press is predicted once from all others, and each block or position from all presses outside it."""
     held, every = held_out_of(place), np.arange(len(place))
     assert held.in_turn
     assert any(says in sentence for sentence in held.sentences), held.sentences
@@ -136,7 +136,7 @@ def test_few_presses_are_left_out_in_turn_wherever_they_lie(place, also, says):
 
 @pytest.mark.parametrize("place", [np.zeros((100, 2)), np.random.default_rng(2).uniform(0, 5e-3, (100, 2))])
 def test_many_presses_in_one_block_are_held_out_without_it(place):
-    """At one place no place is left out; at many places of one block some of these are."""
+    """With one position, no position is left out; with many positions in one block, some of these are."""
     held = held_out_of(place)
     assert not held.in_turn
     assert list(held.tests) == ([RANDOM, "places"] if place.any() else [RANDOM])
@@ -145,7 +145,7 @@ def test_many_presses_in_one_block_are_held_out_without_it(place):
     assert "other places" in held.sentences[0] or "farther away" in held.sentences[0]
 
 
-def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
+def test_unusable_presses_are_neither_trained_on_nor_held_out():
     usable = np.arange(24) != 5
     held = held_out_of(SPREAD, usable)
     assert not any(5 in np.r_[split.pool, *split.tests.values()] for split in held.splits)
@@ -153,7 +153,7 @@ def test_presses_that_are_no_good_are_neither_learned_from_nor_left_out():
     assert "predicted from the 22 others" in held.sentences[0]
 
 
-def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough():
+def test_too_few_or_equal_presses_are_refused_with_the_number_needed():
     with pytest.raises(ValueError, match=r"7 usable presses, too few .* 8 are enough .* some 20"):
         held_out_of(SPREAD[:7])
     alike = LoadedPresses(np.zeros((20, 2)), np.full(20, 1e-3), np.zeros((20, 15)), load_kind="travel")
@@ -162,7 +162,7 @@ def test_too_few_presses_and_presses_all_alike_are_refused_with_what_is_enough()
 
 
 def test_presses_left_out_in_turn_are_scored_as_one_test(monkeypatch):
-    """The mean of the others misses each press by n / (n - 1) times what it is from the mean of all."""
+    """The mean of the others misses each press by n / (n - 1) times its distance from the mean of all."""
     monkeypatch.setattr("experiments.calibrate.evaluate.BASELINES", {methods.MEAN: methods.mean})
     simple = lambda r, rows, test: (methods.mean(r, rows, test), np.ones((len(test), 15)))  # noqa: E731
     monkeypatch.setattr("experiments.calibrate.evaluate.calibrated", simple)
@@ -194,7 +194,7 @@ def test_few_presses_are_calibrated_from_the_command_line(tmp_path, capsys, one_
 
 
 @pytest.mark.parametrize(("n", "pads", "message"), [(400, 2, "several skins"), (7, 1, "8 are enough")])
-def test_what_cannot_be_calibrated_is_refused(tmp_path, capsys, n, pads, message):
+def test_unusable_data_are_refused_for_calibration(tmp_path, capsys, n, pads, message):
     data.save_dataset(tmp_path / "set.h5", recording(n, pads))
     args = ["--dataset", str(tmp_path / "set.h5"), "--out", str(tmp_path / "out"), "--preset", "debug"]
     assert command.main(args) == 2
@@ -230,7 +230,7 @@ NO_TRAVEL = {"travel": np.full(60, np.nan)}
         ({"force": np.r_[-1.0, np.linspace(1, 3, 59)]} | NO_TRAVEL, "1 presses with a negative force"),
     ],
 )
-def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, said):
+def test_irregular_loads_are_reported_before_anything_is_computed(change, said):
     found = loaded_presses(recording(60, **change), "auto")
     assert said in found.notes[0]
     assert (found.load >= 0).all()
@@ -244,7 +244,7 @@ def test_what_is_odd_about_loads_is_said_before_anything_is_computed(change, sai
         ({"force": np.zeros(60)} | NO_TRAVEL, "every force is zero"),
     ],
 )
-def test_loads_that_say_nothing_are_refused_at_once(change, said):
+def test_uninformative_loads_are_refused_at_once(change, said):
     with pytest.raises(ValueError, match=said):
         loaded_presses(recording(60, **change), "auto")
 
@@ -319,7 +319,7 @@ def test_a_debug_run_without_presses_ends_with_its_results(what, tmp_path):
         assert set(metrics["cases"]["lattice, travel"]["r2"]) == {*methods.BASELINES, methods.CALIBRATED}
 
 
-def test_a_split_of_too_few_touches_says_what_each_part_needs_and_what_to_add():
-    """For training: six presses in time leave one to test, of two that each part needs."""
+def test_a_split_of_too_few_touches_is_refused_with_the_numbers_needed():
+    """For training, six presses in order of time leave one to test, but each part needs two."""
     with pytest.raises(DataError, match=r"of 6 usable touches, splitting by time leaves 1 to .*, which needs 2; .*"):
         split_dataset(recording(6), TRAINING["debug"], "time", 0)

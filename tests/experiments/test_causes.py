@@ -21,7 +21,7 @@ FORCED = PressureModelConfig(pitch=1e-3)
 
 
 def recording(n=200, force=None, travel=None, seed=0):
-    """A round tip at random places of a skin, whose readings go with the load and the place."""
+    """A round tip at random positions of a skin, whose readings depend on load and position."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(-6e-3, 6e-3, (n, 2))
     load = rng.uniform(0.5, 2.0, n)
@@ -47,7 +47,7 @@ UNKNOWN, NIL, RISING = np.full(200, np.nan), np.zeros(200), np.linspace(1e-4, 2e
         (np.where(np.arange(200) % 2, 1.0, np.nan), UNKNOWN, None, "force is missing at 100 and travel at 200 of 200"),
     ],
 )
-def test_what_a_load_is_taken_from_is_said_before_anything_is_computed(force, travel, control, said):
+def test_the_source_of_loads_is_reported_before_anything_is_computed(force, travel, control, said):
     found = press_load(recording(force=force, travel=travel).touches)
     assert found.control == (control if "1 N" not in said else found.control)
     assert said in "".join(found.notes[:1])
@@ -74,8 +74,8 @@ def test_late_labels_are_found(lag):
         assert f"shifted by {lag:+d} rows" in found.sentence
 
 
-def test_a_data_set_is_told_what_was_found_and_what_was_not(tmp_path):
-    """As a section of the report of fidelity: of real touches, which were split as for training."""
+def test_findings_and_omissions_are_recorded_in_the_data_set(tmp_path):
+    """The findings are a section of the report of fidelity, on real touches that were split as for training."""
     made = recording(400)
     sessions = tuple(f"run {i}" for i in range(20))
     late = made.touches._replace(reading=np.roll(made.touches.reading, -1, axis=0), session=np.arange(400) // 20)
@@ -106,7 +106,7 @@ def test_a_skin_softer_than_the_nominal_one_is_named_with_its_option(monkeypatch
 
 @pytest.mark.full
 def test_a_changed_sign_or_height_is_found_by_trying_it():
-    """The Gaussian process on predicted pressures says which change explains the readings."""
+    """The Gaussian process on predicted pressures shows which change explains the readings."""
     made = recording(160)
     every, groups = np.ones(160, bool), np.arange(160) // 8
     sound = causes.tried_changes(

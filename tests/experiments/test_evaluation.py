@@ -9,7 +9,7 @@ MEAN, NEAREST = "mean reading", "k nearest patches"
 
 
 def predictions(error):
-    """Of errors that differ in size alone."""
+    """Predictions whose errors differ in size only."""
     rng = np.random.default_rng(1)
     truth, off, groups = rng.normal(size=(40, 6)), rng.normal(size=(40, 6)), np.arange(40) // 5
     return truth, groups, {name: truth + e * off for name, e in error.items()}
@@ -40,7 +40,7 @@ def test_a_method_with_non_finite_predictions_is_never_selected():
 
 
 def test_a_chance_difference_is_not_counted_as_a_loss():
-    """Half a per cent of the variance is no loss; nor is a larger one that groups cannot tell from chance."""
+    """Half a per cent of the variance is not a loss, nor is a larger one that groups cannot distinguish from chance."""
     truth, groups, predicted = predictions({MEAN: 0.300, "GP": 0.305})
     assert not choose(truth, predicted, groups, baselines=(MEAN,), on_pressure=("GP",)).pressure_loses
     better = np.where(groups % 2 == 0, 0.9, 1.14)[:, None]

@@ -1,4 +1,4 @@
-"""The fidelity report on recordings of every kind and in every state: it says what it can, and never falls over."""
+"""The fidelity report on recordings of every kind and in every state: it reports what it can and never fails."""
 
 import json
 from dataclasses import replace
@@ -83,14 +83,14 @@ FAST = ("nothing but readings", "one press", "a dead board")
 
 @pytest.fixture(autouse=True)
 def _labels_alone(monkeypatch):
-    """What a recording does not say of itself takes seconds to estimate, and is tested where it lives."""
+    """Skip findings that are not about labels; they take seconds and are tested with their module."""
     monkeypatch.setattr(describe, "diagnose", lambda presses, board=None: diagnose_labels(presses))
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=() if name in FAST else pytest.mark.full) for name in HOSTILE]
 )
-def test_no_part_fails_whatever_the_recording(name):
+def test_no_part_fails_on_any_recording(name):
     recording = HOSTILE[name]
     sections = list(run.sections_of(recording, TINY, 0))
     assert [section.title for section in sections][: len(PARTS)] == list(PARTS)
@@ -139,7 +139,7 @@ def test_the_report_compares_sessions_and_is_kept_as_text(tmp_path, monkeypatch,
     assert "finished run" in capsys.readouterr().err
 
 
-def test_a_part_that_fails_costs_no_other(capsys):
+def test_a_failed_part_does_not_affect_the_others(capsys):
     def broken(section):
         section.sentences.append("so far")
         raise ZeroDivisionError("by nothing")
@@ -156,7 +156,7 @@ def test_a_part_that_fails_costs_no_other(capsys):
     assert written("title", silent).sentences == ["There is nothing."]
 
 
-def test_mistakes_that_were_put_in_are_found():
+def test_injected_mistakes_are_found():
     def found(recording):
         section = Section("Checks")
         describe.check(recording, section, [])
@@ -179,7 +179,7 @@ def test_mistakes_that_were_put_in_are_found():
 
 @pytest.mark.full
 def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
-    """Labels of another row and positions in millimetres: as good as the sound recording, and said."""
+    """Labels of another row and positions in millimetres score as well as the sound recording, and are reported."""
     for part in ("noise", "hysteresis", "repeatability"):
         monkeypatch.setattr(dynamics, part, lambda *args: None)
     tiny = replace(TINY, counts=(40,))
@@ -197,8 +197,8 @@ def test_calibration_is_measured_on_the_recording_put_right(monkeypatch):
     assert curves_of[1] > curves_of[0] - 0.1 > 0.5
 
 
-def test_too_few_rows_say_how_many_are_enough():
-    """24 rows of which a fifth is held out leave 19 to a head or a calibration that needs 20; 25 are enough."""
+def test_too_few_rows_are_refused_with_the_number_needed():
+    """With a fifth held out, 24 rows leave 19 for a head or a calibration that needs 20; 25 are enough."""
     few, share = presses_of_a_skin(24), 0.2
     assert heads.rows_enough(share) == 25
     with pytest.raises(ValueError, match=r"has position in 24 rows, too few .*; 25 are enough"):
@@ -223,7 +223,7 @@ def test_a_difference_within_chance_is_not_reported_as_a_loss():
     assert "no baseline beats i2t.calibrate" in curves.compare_with_baselines("so", errors)
 
 
-def test_a_range_that_holds_too_few_rows_is_said():
+def test_a_range_that_covers_too_few_rows_is_reported():
     score = heads.HeadScore(rows=40, rmse=0.2, median=0.1, r2=0.9, inside_90=0.68, unfamiliar=0.0)
     (sentence,) = heads.missed_ranges("force", {"random rows": score, "later": score._replace(inside_90=0.85)})
     assert sentence == "force, random rows: the 90 % range holds 68 % of 40 rows; do not rely on it there."
@@ -241,7 +241,7 @@ def test_a_range_that_holds_too_few_rows_is_said():
         (5, 5, False),
     ],
 )
-def test_a_90_percent_range_is_called_too_wide_where_chance_does_not_explain_it(inside, rows, too_wide):
+def test_a_90_percent_range_is_too_wide_only_beyond_chance(inside, rows, too_wide):
     score = heads.HeadScore(rows, rmse=0.2, median=0.1, r2=0.9, inside_90=inside / rows, unfamiliar=0.0)
     sentences = heads.missed_ranges("travel", {"random rows": score})
     assert bool(sentences) == too_wide
@@ -263,7 +263,7 @@ def test_the_unit_is_predicted_from_the_steps(factor, unit):
         assert any("multiply" in sentence for sentence in section.sentences)
 
 
-def test_noise_and_hysteresis_are_measured_as_put_in():
+def test_injected_noise_and_hysteresis_are_measured():
     stream = _stream(600, 6)
     noise, hysteresis = Section("Noise"), Section("Hysteresis")
     dynamics.noise(stream, noise)
@@ -290,7 +290,7 @@ def test_the_limit_is_that_of_the_noise_put_in():
     assert section.numbers["r2_leave_one_out_gp"] < section.numbers["r2_repeatability_limit"]
 
 
-def test_one_chip_that_remembers_is_named():
+def test_the_one_chip_with_hysteresis_is_named():
     big = presses_of_a_skin(300)
     readings = big.readings.copy()
     readings[1:, 6:9] += 0.3 * big.readings[:-1, 6:9]
@@ -302,7 +302,7 @@ def test_one_chip_that_remembers_is_named():
     assert section.numbers["hysteresis_of_chips"]["beyond_chance"][2]
 
 
-def test_what_is_held_out_is_never_fitted_to():
+def test_held_out_rows_are_never_fitted():
     presses = press_set(SKIN)
     for pool, test in curves.hold_out_presses(presses, TINY, 0).values():
         assert not set(pool) & set(test)

@@ -1,4 +1,4 @@
-"""Folders of finished runs: what they hold, which run or pad model a path names, and what is told of any other path."""
+"""Folders of finished runs: their contents, the run or pad model that a path names, and messages about other paths."""
 
 import json
 from dataclasses import replace
@@ -51,7 +51,7 @@ def test_a_run_is_read_as_it_was_written(tmp_path):
     assert replace(run, predictors={"predictor": "ridge"}).on_pressure == run.folder / "checkpoint" / "predictor"
 
 
-def test_a_folder_without_a_finished_run_is_named_for_what_it_is(tmp_path):
+def test_the_message_states_what_a_folder_without_a_finished_run_holds(tmp_path):
     done = finished(tmp_path / "done")
     assert finished_runs(done.folder) == finished_runs(done.folder / PAD_MODEL) == {0: done}
     (tmp_path / "mesh.stl").write_text("solid")
@@ -103,7 +103,7 @@ def test_a_run_its_folder_and_its_file_name_one_pad_model(tmp_path):
         find_pad_model(without.folder)
 
 
-def test_what_holds_no_pad_model_is_refused_with_what_makes_one(tmp_path):
+def test_a_path_without_a_pad_model_is_refused_with_the_command_that_fits_one(tmp_path):
     require_pad_model(Path("nominal"))
     save_pad(tmp_path / "left.npz", nominal_pad())
     save_dataset(tmp_path / "session.h5", make(3, pixels=8))
@@ -120,7 +120,7 @@ def test_what_holds_no_pad_model_is_refused_with_what_makes_one(tmp_path):
             require_pad_model(path)
 
 
-def test_a_run_on_recorded_touches_says_why_it_simulates_no_episodes(tmp_path):
+def test_a_run_on_recorded_touches_explains_why_no_episodes_are_simulated(tmp_path):
     run = finished(tmp_path / "run", pad=None)
     with pytest.raises(ValueError, match="trained on recorded touches, but simulated episodes need a simulated pad"):
         StudyArgs("mismatch", pad_model=run.folder).check()
@@ -132,7 +132,7 @@ def test_an_option_answers_with_its_new_name(words, capsys):
     assert "is called --pad-model now" in capsys.readouterr().err
 
 
-def test_a_slip_in_the_name_of_a_step_is_told(capsys):
+def test_a_misspelt_step_gets_a_suggestion(capsys):
     assert reproduce(["--only", "graps"]) == 2
     assert "there is no step graps; did you mean grasps?" in capsys.readouterr().err
     assert reproduce(["--only", "nothing"]) == 2

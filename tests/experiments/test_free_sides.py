@@ -20,7 +20,7 @@ def table() -> SideTable:
 
 
 def ball(x: float, y: float, grid: Grid = GRID) -> jax.Array:
-    """Heights of a ball of 4 mm above a place of the pad."""
+    """Heights of a ball of 4 mm above a point of the pad."""
     across, along = np.meshgrid(grid.centres, grid.centres)
     return jnp.asarray(((across - x) ** 2 + (along - y) ** 2) / (2 * 4e-3), jnp.float32)
 

@@ -28,8 +28,8 @@ def test_an_interval_is_printed_where_there_is_one(numbers, options, said):
     assert cell(numbers, **options) == said
 
 
-def test_as_many_clusters_as_are_said_make_the_interval_as_narrow_as_wanted_and_one_less_does_not():
-    """Clusters of unit variance, six at first."""
+def test_the_stated_number_of_clusters_is_the_smallest_that_narrows_the_interval():
+    """The clusters have unit variance; at first there are six."""
 
     def half(number):
         values = np.resize([-1.0, 1.0], number)

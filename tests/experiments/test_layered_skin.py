@@ -29,7 +29,7 @@ def test_equal_layers_are_pressed_as_one(grid):
 
 
 def test_layers_twice_as_stiff_take_twice_the_force_and_read_the_same():
-    """Of a skin that is bonded: a mount does not stiffen with it."""
+    """The skin is bonded, because a mount would not stiffen with the layers."""
     twice = press_law(PAD, ((0.5, 2.0), (0.5, 2.0)))
     ours, bonded = (pressed(law, pad=PAD._replace(mount_compliance=jnp.float32(0))) for law in (twice, press))
     np.testing.assert_allclose(ours.force, 2 * bonded.force, rtol=1e-3)
@@ -37,7 +37,7 @@ def test_layers_twice_as_stiff_take_twice_the_force_and_read_the_same():
 
 
 def test_on_a_rigid_lower_half_the_skin_is_one_of_half_the_thickness():
-    """Its magnets lie as far from the chips, and what those of the lower half add at rest does not change."""
+    """Its magnets are as far from the chips; those of the lower half contribute a constant, which cancels."""
     bonded = PAD._replace(mount_compliance=jnp.float32(0))
     ours = pressed(press_law(PAD, ((0.5, 1.0), (0.5, 1e6))), pad=bonded)
     thin = pressed(press, pad=bonded._replace(thickness=bonded.thickness / 2))

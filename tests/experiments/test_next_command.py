@@ -32,8 +32,8 @@ RECORDED = {"dataset": Path("DATA")}
         (CalibrateArgs, RECORDED),
     ],
 )  # fmt: skip
-def test_what_is_suggested_can_be_typed(options, given, tmp_path):
-    """Of a calibration with a known tip, a pad of the same presses; without presses nothing."""
+def test_suggested_commands_can_be_typed(options, given, tmp_path):
+    """After a calibration with a known tip, a pad of the same presses is suggested; without presses, nothing."""
     (tmp_path / METRICS).write_text('{"tip": "sphere:4"}')
     suggested = options(out=tmp_path, **given).next_command
     assert bool(suggested) == (options is not CalibrateArgs or bool(given))

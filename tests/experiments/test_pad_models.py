@@ -1,4 +1,4 @@
-"""The pad model of a run: which touches it is fitted to, and why there is none where there is none."""
+"""The pad model of a run: the touches that it is fitted to, and the reason if there is none."""
 
 from dataclasses import replace
 from functools import partial
@@ -43,7 +43,7 @@ def test_all_touches_or_those_that_train_make_the_pad_model_of_a_recording(monke
     assert fitted_to == [40, 60]
 
 
-def test_a_rig_and_meshes_say_what_is_known_of_the_objects(tmp_path, mug):
+def test_a_rig_and_meshes_give_the_poses_and_shapes_of_the_objects(tmp_path, mug):
     replace(Rig(), object_covariance=np.diag([4e-6] * 6)).write(tmp_path / "lab.toml")
     known = RecordedSource(Path("DATA"), None, (mug,), "mm", tmp_path / "lab.toml", False).known_objects()
     assert known.errors.placement == pytest.approx(2e-3)
@@ -58,7 +58,7 @@ def test_touches_that_make_no_pad_model_end_no_training(capsys):
     assert "recognition cannot use this run" in capsys.readouterr().out
 
 
-def test_what_a_pad_leaves_of_its_presses_makes_its_readings_less_sure():
+def test_errors_of_a_fitted_pad_widen_its_predictions():
     likelihood = SimpleNamespace(inflation=np.float32(1.0))
     likelihood._replace = lambda **new: SimpleNamespace(**new)
     model = PadModel(None, likelihood, np.ones(3), 0.5, np.full((10, 3), 4.0))

@@ -13,7 +13,7 @@ class Config:
     seeds: int = 1
 
 
-def test_a_preset_is_changed_where_something_is_given_and_refused_where_there_is_none():
+def test_given_options_change_a_preset_and_an_unknown_preset_is_refused():
     presets = {"paper": Config(), "debug": Config(10)}
     assert choose_preset(presets, "debug", seeds=3, touches=None) == Config(10, 3)
     with pytest.raises(ValueError, match="--preset nonsense is none of paper, debug"):

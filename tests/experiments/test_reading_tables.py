@@ -1,4 +1,4 @@
-"""Tables of readings are read as they stand or refused by line and column, and are split within groups and labels."""
+"""Tables of readings are read unchanged or refused by line and column, and are split within groups and labels."""
 
 import gzip
 import os
@@ -45,7 +45,7 @@ def test_columns_that_are_neither_label_nor_group_nor_ignored_are_the_reading(tm
         np.testing.assert_array_equal(table.group, [0, 1, 0])
 
 
-def test_several_files_are_groups_and_those_of_one_name_are_told_apart(tmp_path):
+def test_several_files_are_groups_and_equal_names_are_distinguished(tmp_path):
     (tmp_path / "later").mkdir()
     first = written(tmp_path / "t.csv", "what,u\nb,1\na,2\n")
     second = written(tmp_path / "s.csv.gz", "what,u\na,3\n")
@@ -108,8 +108,8 @@ def test_labels_of_few_rows_and_groups_of_one_label_are_refused(tmp_path):
         require_rows(alone, 1, path)
 
 
-def test_one_table_given_twice_is_refused_and_copies_of_rows_are_told(tmp_path):
-    """By another name too; either would be taught and tested."""
+def test_one_table_given_twice_is_refused_and_copied_rows_are_reported(tmp_path):
+    """A copy under another name counts too, because its rows would be both trained and tested on."""
     first = written(tmp_path / "t.csv", "what,u\nb,1\na,2\nb,3\n")
     (tmp_path / "link.csv").symlink_to(first)
     for again in (first, tmp_path / "." / "t.csv", tmp_path / "link.csv"):
@@ -121,7 +121,7 @@ def test_one_table_given_twice_is_refused_and_copies_of_rows_are_told(tmp_path):
 
 
 @pytest.mark.parametrize("labels", [("1.234", "1,5"), ("#1", "#2"), ("1_000", "a"), ("b#", "1e3")])
-def test_a_label_stays_as_it_stands(tmp_path, labels):
+def test_a_label_is_kept_unchanged(tmp_path, labels):
     text = "what;u;v\n" + "".join(f"{label};{i},5;2,25\n" for i, label in enumerate(labels * 2))
     table = read_reading_table([written(tmp_path / "t.csv", text)], label="what")
     assert set(table.labels) == set(labels)
@@ -178,14 +178,14 @@ def clumps(samples: int, drift: float = 0.0) -> ReadingTable:
 
 
 @pytest.mark.parametrize("samples", [2, 4, 10])
-def test_samples_of_one_touch_are_told_from_touches_and_from_drift(samples):
+def test_samples_of_one_touch_are_distinguished_from_touches_and_from_drift(samples):
     assert close_followers(clumps(samples)) == pytest.approx(1 - 1 / samples, abs=0.1)
     assert close_followers(clumps(1)) == 0
     assert close_followers(clumps(1, drift=0.3)) == 0
 
 
 @pytest.mark.skipif(not GRASPS.is_dir(), reason="needs the real data set (I2T_DATA)")
-def test_real_grasps_that_were_held_are_told():
+def test_held_grasps_of_real_recordings_are_recognised_as_repeated_samples():
     for path in sorted(GRASPS.glob("*.csv.gz")):
         assert 0.1 < close_followers(read_reading_table([path], label="object", ignore=["slipped"])) < 0.6
 
@@ -204,7 +204,7 @@ def test_rows_of_one_touch_become_their_mean(tmp_path):
         read_reading_table([other], label="what", touch="stroke")
 
 
-def test_a_column_that_counts_is_no_reading():
+def test_a_counter_column_is_not_a_reading():
     table = clumps(1)
     refuse_counters(table, Path("t.csv"))
     for counter in (np.arange(160.0), np.arange(160) // 4, 1e9 + 0.01 * np.arange(160), np.arange(160) % 40):

@@ -1,4 +1,4 @@
-"""Recognition from tables of readings: folds in time, beliefs that know shared errors, unknown labels, the command."""
+"""Recognition from tables of readings: folds in time, beliefs with shared errors, unknown labels, the command."""
 
 import json
 
@@ -36,7 +36,7 @@ def touches(labels: int, rows: int, seed: int, session: float = 0.0) -> Labelled
     return Labelled(2 * np.eye(labels)[label] + shift[label] + rng.normal(size=(len(label), labels)), label)
 
 
-def test_what_judges_a_fold_comes_after_or_before_all_that_teaches_it():
+def test_test_rows_of_a_fold_come_before_or_after_all_training_rows():
     label = np.tile([0, 1], 10)  # rows of the labels take turns
     for (taught, judged), after in zip(folds_in_time(label, 0.6), (1, -1), strict=True):
         for c in (0, 1):
@@ -64,7 +64,7 @@ def test_no_touch_rules_a_label_out_and_both_classifiers_make_their_geometric_me
     np.testing.assert_allclose(np.exp(found[BOTH]), mean / mean.sum(1, keepdims=True))
 
 
-def test_neighbours_and_novelty_are_those_of_a_reading_that_was_taught():
+def test_a_known_reading_has_its_neighbours_and_no_novelty():
     train = touches(3, 10, 0)
     np.testing.assert_allclose(novelty(train, train.reading), 0, atol=1e-6)
     far = train.reading + np.array([0.0, 0.0, 100.0])
@@ -80,7 +80,7 @@ def test_the_product_is_that_of_the_touches():
 
 
 def shared_errors(seed: int, labels: int = 6, episodes: int = 300, count: int = 8) -> Fold:
-    """Log likelihoods of touches with unit noise whose episodes share an error as large."""
+    """Log likelihoods of touches with unit noise whose episodes share an error of the same size."""
     rng = np.random.default_rng(seed)
     truth = rng.integers(labels, size=episodes)
     shared = rng.normal(size=(episodes, 1, labels))
@@ -103,13 +103,13 @@ def test_a_temperature_that_grows_takes_account_of_errors_that_touches_share():
     assert ours < independent - 0.3
 
 
-def test_folds_that_are_all_right_claim_no_certainty():
+def test_perfect_folds_do_not_give_a_zero_width_interval():
     sure = Fold({KNN: np.log(np.tile([0.99, 0.01], (4, 3, 1)))}, np.zeros(4, int))
     p = calibrated_beliefs(product(sure.log_p[KNN]), choose([sure], [KNN]).temperature)
     assert p[0, -1, 0] < 0.95  # of one label that was always right, one more may be anything
 
 
-def test_a_fold_without_a_label_is_that_of_the_others():
+def test_removing_a_label_from_a_fold_keeps_the_others():
     fold = Fold({KNN: RNG.normal(size=(4, 2, 3))}, np.array([0, 1, 2, 2]))
     less = fold.without(np.array([1]))
     np.testing.assert_array_equal(less.truth, [0, 1, 1])
@@ -153,7 +153,7 @@ def test_the_command_reports_both_splits_and_unknown_labels_with_intervals(tmp_p
     assert all(0 <= x <= 1 for x in found["unknown"]["calibrated belief"]["mean"])
 
 
-def test_two_labels_are_told_apart_none_is_held_out_and_a_run_goes_on(tmp_path, monkeypatch):
+def test_two_labels_are_classified_none_is_held_out_and_a_run_resumes(tmp_path, monkeypatch):
     monkeypatch.setattr("experiments.recognize.reading_methods.CONFIG", ClassifierConfig(trees=10))
     write_table(tmp_path / "t.csv", "xy", rows=5)
     out = tmp_path / "out"
@@ -167,7 +167,7 @@ def test_two_labels_are_told_apart_none_is_held_out_and_a_run_goes_on(tmp_path, 
     assert (out / "metrics.json").read_bytes() == found
 
 
-def test_a_label_of_few_rows_is_refused_and_nothing_is_made(tmp_path, capsys):
+def test_a_label_of_few_rows_is_refused_before_anything_is_written(tmp_path, capsys):
     write_table(tmp_path / "t.csv", "xy", rows=4)
     words = ["recorded", "--readings", str(tmp_path / "t.csv"), "--label", "Stück", "--out", str(tmp_path / "out")]
     assert main(words) == 2
@@ -175,7 +175,7 @@ def test_a_label_of_few_rows_is_refused_and_nothing_is_made(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_fewer_touches_than_asked_and_samples_of_one_touch_are_said_and_kept(tmp_path, capsys, monkeypatch):
+def test_fewer_touches_than_requested_and_repeated_samples_are_reported_and_kept(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("experiments.recognize.reading_methods.CONFIG", ClassifierConfig(trees=10))
     rng = np.random.default_rng(0)
     lines = [

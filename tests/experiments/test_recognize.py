@@ -34,7 +34,7 @@ def finished(trained_run, tmp_path_factory):
 
 
 @pytest.mark.full
-def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
+def test_the_run_writes_the_promised_files(finished, trained_run, capsys):
     written = json.loads((finished / "metrics.json").read_text())
     assert written["source"] == "simulated"
     assert set(written["sets"]) == {"validation", "all", "primitives", "tools"}
@@ -73,7 +73,7 @@ def test_the_run_leaves_what_it_promises(finished, trained_run, capsys):
 
 
 @pytest.mark.full
-def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained_run, tmp_path, monkeypatch):
+def test_the_papers_own_loop_runs_alone_and_resumes(trained_run, tmp_path, monkeypatch):
     out = tmp_path / "paper"
     args = ["--method", "paper", "--preset", "debug", "--pad-model", str(trained_run), "--out", str(out)]
     assert recognize.main(args) == 0
@@ -103,8 +103,8 @@ def test_the_papers_own_loop_runs_by_itself_and_goes_on_with_what_it_has(trained
 
 
 @pytest.mark.full
-def test_what_was_recorded_is_trained_on_and_recognised(trained_run, tmp_path, capsys):
-    """As a lab does with its own data set: the belief must find the object more often than guessing would."""
+def test_recorded_touches_are_trained_on_and_recognised(trained_run, tmp_path, capsys):
+    """As with a lab's own data set, the belief must find the object more often than guessing."""
     data, run, out = trained_run / "data.h5", tmp_path / "run", tmp_path / "recognized"
     assert train.main(["--preset", "debug", "--epochs", "2", "--dataset", str(data), "--out", str(run)]) == 0
     assert "pad model of" in capsys.readouterr().out
@@ -122,7 +122,7 @@ LIVE = ["--num-sites", "3", "--num-particles", "16", "--num-surrogates", "2", "-
 
 
 @pytest.mark.full
-def test_an_arm_touches_where_the_belief_wants_it_to(trained_run, tmp_path, capsys):
+def test_an_arm_touches_the_site_chosen_from_the_belief(trained_run, tmp_path, capsys):
     out = tmp_path / "live"
     args = ["live", "--pad-model", str(trained_run), "--out", str(out), *LIVE]
     args += ["--max-touches", "2", "--prior-unknown", "0.1"]
@@ -160,8 +160,8 @@ def test_figures_of_the_gallery_are_drawn(trained_run):
 
 
 @pytest.mark.full
-def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, capsys, monkeypatch):
-    """Other candidates are drawn first, as often as is said; then no touch is made."""
+def test_an_arm_stops_with_a_message_if_no_site_is_safe(trained_run, tmp_path, capsys, monkeypatch):
+    """Other candidates are drawn first, up to the stated number of draws; then no touch is made."""
     draws = []
 
     def none_is_safe(self, state, key):
@@ -180,7 +180,7 @@ def test_an_arm_stops_and_says_so_where_no_site_is_safe(trained_run, tmp_path, c
 
 
 @pytest.mark.full
-def test_a_study_runs_and_goes_on_with_what_it_has(trained_run, tmp_path):
+def test_a_study_runs_and_resumes_from_its_results(trained_run, tmp_path):
     out = tmp_path / "study"
     words = ["physics", "--preset", "debug", "--pad-model", str(trained_run), "--out", str(out)]
     assert studies.main(words) == 0

@@ -1,4 +1,4 @@
-"""Tables of recognition: by what episodes are alike, each object by itself, the paper's rows and no others."""
+"""Tables of recognition: intervals over dependent episodes, scores of each object, and the paper's rows only."""
 
 import re
 
@@ -17,7 +17,7 @@ METHODS = (f"{MASK}, votes", f"{RULES_GP}, votes", f"{PROPRIOCEPTION}, votes", "
 
 
 def results(pad: str, run: str, hit: np.ndarray) -> EpisodeResults:
-    """Episodes (e, t) of the two objects in turn, right where `hit`, each two with a pool of their own."""
+    """Episodes (e, t) of the two objects in turn, correct where `hit`; each two share a pool of their own."""
     truth = np.arange(len(hit)) % 2
     decided = np.where(hit, truth[:, None], 1 - truth[:, None])
     p = np.where(decided[..., None] == np.arange(2), 0.9, 0.1).astype(np.float32)
@@ -66,7 +66,7 @@ def test_intervals_are_over_pads_and_wider_than_over_independent_episodes(scores
     assert accuracy["high"][-1] - accuracy["low"][-1] > 2 * independent
 
 
-def test_what_is_on_disk_is_what_was_made(tmp_path):
+def test_saved_files_equal_the_results(tmp_path):
     save_part(tmp_path / "part.npz", report.to_part(PARTS[0]))
     back = report.from_part(load_part(tmp_path / "part.npz"))["primitives"]
     assert (back.names, back.pad, back.episodes) == (NAMES, "pad 0", None)
@@ -75,7 +75,7 @@ def test_what_is_on_disk_is_what_was_made(tmp_path):
     np.testing.assert_array_equal(back.beliefs["fused"], PARTS[0]["primitives"].beliefs["fused"])
 
 
-def test_only_the_papers_methods_stand_beside_its_figures(scores, capsys):
+def test_only_the_papers_methods_are_next_to_its_figures(scores, capsys):
     summary = {
         "source": "simulated",
         **report.pads_of(PARTS),
@@ -115,7 +115,7 @@ def test_the_papers_last_column_weighs_every_object_alike():
     assert found["high"] - found["low"] == pytest.approx(lost["high"] - lost["low"])
 
 
-def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_independent_episodes():
+def test_a_mean_that_all_pools_share_by_chance_is_as_uncertain_as_of_independent_episodes():
     truth = np.zeros(12, int)
     decided = np.tile([0, 1], 6)  # half of the episodes of each pool are right
     pool = np.repeat([f"pool {i}" for i in range(6)], 2)
@@ -130,7 +130,7 @@ def test_a_mean_that_all_pools_share_by_chance_is_no_more_certain_than_of_indepe
 
 
 def test_fair_rows_are_compared_by_votes_and_product_under_short_names_of_their_own():
-    """In the documents' table, where a name that was shortened too far would stand for two rows."""
+    """In the documents' table, a name that is shortened too far would match two rows."""
     last = {"mean": 0.1, "low": 0.0, "high": 0.2}
     pairs = [f"{one} - {other}" for one, other in COMPARED_PAIRS if ", " in one and ", " in other]
     paired = {pair: {"last": last, "pads_needed": 3} for pair in pairs}

@@ -74,7 +74,7 @@ def test_a_small_run_is_reported_with_counts_and_figures(tmp_path, capsys):
     assert main(words) == 2
 
 
-def test_what_is_foreseen_is_what_a_perfect_touch_would_feel_on_the_true_object():
+def test_predictions_equal_the_readings_of_a_perfect_touch_on_the_true_object():
     mesh = centre_box(make_object("stamp-cross").mesh)
     reality = Reality([mesh], stack_surfaces([prepare_surface(mesh)]), None, [], [])
     session = Session(reality, 0, 0)
@@ -127,7 +127,7 @@ def test_meshes_of_a_folder_are_learnt_from_and_tested_on(tmp_path, capsys):
 
 
 @pytest.mark.full
-def test_presses_of_unseen_shapes_are_told_and_scored_by_every_method(tmp_path, capsys):
+def test_every_method_is_scored_on_presses_of_unseen_shapes(tmp_path, capsys):
     out = tmp_path / "run"
     with jax.debug_key_reuse(False):  # in a batch of loops JAX takes the keys of a loop's steps for one key
         assert main(["patch", "--preset", "debug", "--out", str(out)]) == 0

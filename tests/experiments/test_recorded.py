@@ -1,4 +1,4 @@
-"""Recorded touches as episodes: which sessions count, what few episodes say, and by which skin they are judged."""
+"""Recorded touches as episodes: sessions that count, intervals of few episodes, and the skin that predicts them."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,7 @@ from i2t.hardware.rig import Rig
 from i2t.skin_models.pad_model import load_pad_model
 
 
-def test_every_long_enough_session_counts_and_the_limit_is_said():
+def test_every_long_enough_session_counts_and_the_limit_is_reported():
     dataset = sessions_of(36, 12, 4, 20)
     chosen = recorded.choose_sessions(dataset, 10, None)
     assert (chosen.names, chosen.touches) == (("run 0", "run 1", "run 3"), 12)

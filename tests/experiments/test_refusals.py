@@ -24,7 +24,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("words", "said"), REFUSED)
-def test_one_sentence_says_what_is_wrong_and_nothing_is_made(words, said, tmp_path, monkeypatch, capsys):
+def test_wrong_options_are_refused_in_one_sentence_and_nothing_is_written(words, said, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     package, *arguments = words.split()
     main = importlib.import_module(f"experiments.{package}.__main__").main

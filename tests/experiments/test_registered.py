@@ -1,4 +1,4 @@
-"""Training on registered sessions: what is known better afterwards, and what is refused."""
+"""Training on registered sessions: errors that become smaller, and refusals."""
 
 import re
 
@@ -20,7 +20,7 @@ PAD = i2t.nominal_pad()
 
 
 @pytest.mark.full
-def test_registered_views_are_those_of_where_the_tool_was_and_the_placement_is_known_better():
+def test_registered_views_are_at_the_true_tool_pose_and_the_placement_is_more_certain():
     placed, camera = (np.asarray(from_twist(jnp.float32(twist)), float) for twist in APART)
     touches = embree_touches(MESHES[1], SURFACES["hammer"], placed, camera)
     dataset = Dataset.simulated(touches, ("hammer",), i2t.nominal_pad())
@@ -43,8 +43,8 @@ def test_registered_views_are_those_of_where_the_tool_was_and_the_placement_is_k
 
 
 @pytest.mark.full
-def test_views_of_unknown_objects_are_corrected_by_sessions_on_known_ones_and_a_moved_camera_is_refused():
-    """The hammer's mesh shows where the camera is; the other object has none."""
+def test_sessions_on_known_objects_correct_views_of_unknown_ones_and_reveal_a_moved_camera():
+    """The hammer's mesh shows the camera's pose; the other object has no mesh."""
     _, camera = (np.asarray(from_twist(jnp.float32(twist)), float) for twist in APART)
     parts = [embree_touches(MESHES[1], SURFACES["hammer"], np.eye(4), camera)]
     parts.append(parts[0]._replace(session=parts[0].session + 1, object=parts[0].object + 1))

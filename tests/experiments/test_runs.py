@@ -48,7 +48,7 @@ def begun(
         raise raises
 
 
-def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings(tmp_path, monkeypatch):
+def test_a_run_resumes_by_another_path_to_its_folder_but_not_with_other_settings(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     begun(Path("run"))
     begun(tmp_path / "run", resume=True)
@@ -58,7 +58,7 @@ def test_a_run_goes_on_by_another_path_to_its_folder_but_not_with_other_settings
         begun(Path("run"))
 
 
-def test_a_run_does_not_go_on_with_other_data_under_the_same_name(tmp_path):
+def test_a_run_does_not_resume_with_other_data_under_the_same_name(tmp_path):
     table, out = tmp_path / "t.csv", tmp_path / "run"
     table.write_text("what,u")
     begin(_TableArgs(out, (table,)), _Experiment())
@@ -78,7 +78,7 @@ def test_a_run_with_a_former_name_of_a_setting_is_continued(tmp_path):
 
 
 def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):
-    """Nothing made: no folder that blocks the next run; an earlier run stays as it was, also with --overwrite."""
+    """No new folder blocks the next run, and an earlier run stays as it was, also with --overwrite."""
     out = tmp_path / "run"
     refused = ValueError("the data set is damaged")
     assert exit_code_of_run(partial(begun, out, raises=refused), out) == 2
@@ -94,7 +94,7 @@ def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_rep
     assert [path.name for path in tmp_path.iterdir()] == ["run"]
 
 
-def test_a_run_that_is_refused_leaves_no_folder_that_was_made_for_it(tmp_path):
+def test_a_refused_run_leaves_no_new_folder(tmp_path):
     (tmp_path / "mine").mkdir()
     begun(tmp_path / "runs" / "deep" / "run")
     begun(tmp_path / "mine" / "run")
@@ -106,8 +106,8 @@ def test_a_run_that_is_refused_leaves_no_folder_that_was_made_for_it(tmp_path):
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["note.txt"]
 
 
-def test_a_folder_of_something_else_is_never_replaced(tmp_path, monkeypatch):
-    """Neither one with another program's config.json, nor that of another experiment, nor the one we are in."""
+def test_a_folder_with_foreign_files_is_never_replaced(tmp_path, monkeypatch):
+    """This includes a folder with another program's config.json, one of another experiment, and the current one."""
     (tmp_path / "web").mkdir()
     (tmp_path / "web" / "config.json").write_text('{"port": 80}')
     with pytest.raises(ValueError, match="holds no run of this experiment"):

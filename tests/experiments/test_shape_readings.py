@@ -1,4 +1,4 @@
-"""Labels of strokes and of single readings: what a stroke is told by, what is chosen when, and the command."""
+"""Labels of strokes and of single readings: features of a stroke, choices of settings, and the command."""
 
 import json
 import sys
@@ -69,15 +69,15 @@ def test_a_moved_stroke_loses_only_what_leaves_its_window():
     assert early.tolist() == [*range(3, 11), 0, 0]
 
 
-def test_a_mean_path_has_equal_steps_whatever_the_pace():
+def test_a_mean_path_has_equal_steps_at_any_pace():
     paced = np.array([0, 0.1, 0.2, 0.9, 1.0])
     paths = np.stack([np.stack([x, 0 * x], -1) for x in (paced, paced**2)])
     found = strokes.mean_paths(paths, np.array([0, 0]), 1)[0]
     np.testing.assert_allclose(np.diff(found[:, 0]), 1 / 23)
 
 
-def test_who_was_always_right_is_as_sure_as_the_number_of_judged_rows_allows():
-    """As if half a row more had been of any label (Jeffreys), whatever the classifier claims."""
+def test_a_perfect_score_has_the_certainty_that_its_number_of_rows_allows():
+    """The certainty is as if half a row more had been of any label (Jeffreys), for any claim of the classifier."""
     label = np.tile([0, 1], 20)
     train, test = np.arange(30), np.arange(30, 40)
     told = readings.predict_calibrated(lambda _, rows: np.eye(2)[label[rows]], label, train, test)
@@ -85,7 +85,7 @@ def test_who_was_always_right_is_as_sure_as_the_number_of_judged_rows_allows():
     np.testing.assert_allclose(told.p.max(1), 1 - 0.25 / (0.5 + judged), rtol=1e-3)
 
 
-def test_a_block_is_judged_by_what_came_before_it():
+def test_training_rows_of_a_label_precede_its_test_block():
     label = np.random.default_rng(0).integers(0, 3, 60)
     train = np.flatnonzero(np.arange(60) % 3 > 0)
     judged = []
@@ -100,7 +100,7 @@ def test_a_block_is_judged_by_what_came_before_it():
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory):
-    """Strokes along one line in either direction, or there and back, in the field of the hour."""
+    """Strokes along one line in either direction, or to and fro, in the ambient field of the hour."""
     rng = np.random.default_rng(0)
     time = np.linspace(0, 1, SAMPLES)
     columns = ",".join(f"t{i:02d}_{c}" for i in range(SAMPLES) for c in range(VALUES))
@@ -123,7 +123,7 @@ def said(table, out, *more: str) -> dict:
     return json.loads((out / "metrics.json").read_text())
 
 
-def test_strokes_are_told_by_their_path_and_not_by_the_field_around_them(table, tmp_path, monkeypatch):
+def test_strokes_are_classified_by_their_path_and_not_by_the_ambient_field(table, tmp_path, monkeypatch):
     monkeypatch.setattr(readings, "SATURATIONS", (0.5,))
     monkeypatch.setattr(readings, "PENALTIES", (300.0,))
     monkeypatch.setattr(readings, "TREES", 20)
@@ -168,7 +168,7 @@ def test_a_table_that_does_not_fit_is_refused_in_a_sentence(table, tmp_path, mon
 
 
 @pytest.mark.full
-def test_later_digits_are_told_better_by_their_warped_paths_than_by_trees(shared_data):
+def test_warped_paths_classify_later_digits_better_than_trees(shared_data):
     path = shared_data / "magnetic_digits" / "strokes.csv.gz"
     if not path.exists():
         pytest.skip(f"{path} is not there")

@@ -1,4 +1,4 @@
-"""The stamp experiment: what is pressed, what is held out, what is learned, and the command at its debug size."""
+"""The stamp experiment: its presses, held-out parts and classifiers, and the command at its debug size."""
 
 import json
 from dataclasses import replace
@@ -52,7 +52,7 @@ def test_a_stamp_is_met_as_the_renderer_sees_it():
 
 
 @pytest.mark.full
-def test_a_press_lies_where_it_says_and_bears_its_force():
+def test_the_centre_of_pressure_and_the_force_are_as_stated():
     touches = pressed().touches
     where = presses_on(pressed(), 0)
     assert np.abs(where.position).max() <= world.MAX_POSITION_M + 1e-6
@@ -65,7 +65,7 @@ def test_a_press_lies_where_it_says_and_bears_its_force():
 
 
 @pytest.mark.full
-def test_folds_hold_out_what_they_say():
+def test_folds_hold_out_the_stated_rows():
     where = presses_on(pressed(), 0)
     for split in methods.SPLITS:
         part = split_folds(where, split, 0)
@@ -101,7 +101,7 @@ def test_the_hysteresis_of_a_chip_is_found():
 
 @pytest.mark.full
 def test_designs_are_linear_readings_of_the_pad_itself():
-    """A skin that is known exactly reads what its designs say."""
+    """A skin that is known exactly reads what its designs predict."""
     dataset, where = pressed(), presses_on(pressed(), 0)
     benchmark = StampClassificationBenchmark(where, dataset.board, world.SHAPES, CFG.methods, 0)
     train = np.arange(40)
@@ -141,7 +141,7 @@ def test_the_command_writes_what_it_found_and_refuses_to_lose_it(tmp_path, capsy
 
 
 @pytest.mark.full
-def test_recorded_presses_of_which_the_arm_said_little_are_told_apart_by_readings_alone(tmp_path, capsys):
+def test_recorded_presses_with_few_arm_states_are_classified_by_readings_alone(tmp_path, capsys):
     touches = pressed().touches
     nowhere = np.full_like(touches.T_w_o, np.nan)
     touches = touches._replace(T_w_o=nowhere, force=np.full_like(touches.force, np.nan), truth=None)

@@ -24,13 +24,13 @@ PADS = ["0", "1", "2"]
 
 
 def beliefs(touches: int, objects: int = 5) -> np.ndarray:
-    """Beliefs of all episodes that know nothing."""
+    """Uniform beliefs of all episodes."""
     drawn = RNG.random((EPISODES, touches, objects))
     return drawn / drawn.sum(-1, keepdims=True)
 
 
 def open_set_part(episodes: int = 8) -> dict:
-    """Each unknown object is always told or never: episodes say as little as their eight objects."""
+    """Each unknown object is always or never recognised, so that episodes are as informative as their eight objects."""
     part = {}
     for name in ("validation", "test"):
         there = open_set.draw_objects(5, 8, episodes, seed=0)
@@ -45,7 +45,7 @@ def open_set_part(episodes: int = 8) -> dict:
 
 
 def part(study: str) -> dict:
-    """What a study made of one pad."""
+    """The results of a study for one pad."""
     if study == "open_set":
         return open_set_part()
     if study == "stopping":
@@ -62,7 +62,7 @@ def part(study: str) -> dict:
     return PLAN | {"fused, first": beliefs(10), "fused, other": beliefs(10), "position and presence": beliefs(10)}
 
 
-def test_every_study_names_the_tables_that_the_documents_may_ask_for():
+def test_every_study_lists_the_tables_that_the_documents_use():
     assert set(STUDY_TABLES) == set(STUDIES)
     assert all(TABLES[study].keys() >= set(names) for study, names in STUDY_TABLES.items())
 
@@ -91,7 +91,7 @@ def test_settings_are_compared_with_the_first_and_counted_as_by_hand():
         report.report_settings([one, {name: one[name] for name in one if name != "fused, usual"}], ["0", "1"])
 
 
-def test_a_world_differs_in_what_its_name_says():
+def test_each_world_differs_in_the_property_of_its_name():
     lab = SimpleNamespace(size=StudySize(1, debug=False), cfg=PRESETS["paper"])
     made = mismatch.worlds(lab)
     assert next(iter(made)) == "matched"
@@ -102,7 +102,7 @@ def test_a_world_differs_in_what_its_name_says():
 
 
 def test_a_physics_left_out_is_scaled_by_the_others_alone():
-    """In the others errors of factor 2 fit best; in the one left out those of 0.7 would."""
+    """For the others, errors of factor 2 fit best; for the one left out, those of 0.7 would."""
     names, best = ("bonded layer", "soft", "left out"), {"bonded layer": 2.0, "soft": 2.0, "left out": 0.7}
     truth = PLAN["truth"]
     knowing, guessing = (np.full((EPISODES, 2, 5), (1 - p) / 4) for p in (0.9, 0.3))
@@ -127,7 +127,7 @@ def fit_of(weights: list[float], bend: float) -> GPHyperparameters:
 
 
 def test_a_prior_is_of_the_worlds_that_are_not_left_out():
-    """Layers that any of them calls for, once, and medians of which no noise is kept."""
+    """It contains each layer that any of them selects once, and medians without noise."""
     calls = {
         "first": priors.WorldCall(1, fit_of([0.2, 0.8], 0.1)),
         "second": priors.WorldCall(1, fit_of([0.4, 0.6], 0.3)),

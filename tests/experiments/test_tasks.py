@@ -1,4 +1,4 @@
-"""Tasks of a study: whoever makes them, the files are the same; a killed worker's task is begun again."""
+"""Tasks of a study: any worker writes the same files, and a killed worker's task is started again."""
 
 import os
 import signal
@@ -41,7 +41,7 @@ def test_workers_make_what_this_process_makes_and_log_what_they_print(tmp_path, 
     assert "part-2: finished" in capsys.readouterr().out
 
 
-def test_a_killed_worker_ends_the_study_in_a_sentence_and_it_can_go_on(tmp_path, capsys):
+def test_a_killed_worker_ends_the_study_in_one_sentence_and_it_can_resume(tmp_path, capsys):
     tasks = numbered(tmp_path, 3, small_tasks.die_at_first)
     assert exit_code_of_run(partial(run_tasks, tasks, WORKERS)) == 1
     said = capsys.readouterr().err
@@ -53,7 +53,7 @@ def test_a_killed_worker_ends_the_study_in_a_sentence_and_it_can_go_on(tmp_path,
     assert made(tmp_path) == {f"part-{i}": f"{i}\n" for i in range(3)}
 
 
-def test_what_a_task_raises_a_worker_raises(tmp_path):
+def test_a_worker_raises_the_error_of_its_task(tmp_path):
     tasks = [Task(f"part-{i}", tmp_path / f"part-{i}", partial(small_tasks.refuse, tmp_path / "part")) for i in (0, 1)]
     with pytest.raises(ValueError, match="part cannot be made"):
         run_tasks(tasks, WORKERS)
@@ -70,7 +70,7 @@ def test_workers_share_the_cores(tmp_path):
     assert {task.finished.read_text() for task in tasks} <= {repr(cores[i::2]) for i in (0, 1)}
 
 
-def test_an_unfinished_run_goes_on_with_other_workers(tmp_path):
+def test_an_unfinished_run_resumes_with_other_workers(tmp_path):
     experiment = TrainArgs(tmp_path)  # any dataclass does
     begin(TrainArgs(tmp_path / "out"), experiment)
     (tmp_path / "out" / "part-0.npz").touch()
@@ -99,7 +99,7 @@ if __name__ == "__main__":
 @pytest.mark.full
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_workers_end_with_the_process_that_began_them_and_leave_what_is_finished(tmp_path, how):
-    """After Ctrl-C, which reaches the workers too, as after a kill, which does not."""
+    """This holds after Ctrl-C, which reaches the workers too, and after a kill, which does not."""
     (tmp_path / "study.py").write_text(HANGING)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     words = [sys.executable, str(tmp_path / "study.py"), str(tmp_path)]
@@ -121,6 +121,6 @@ def test_workers_end_with_the_process_that_began_them_and_leave_what_is_finished
 
 
 def _members(session: int) -> list[str]:
-    """Processes of a session that still run."""
+    """Processes of a session that are still running."""
     stats = [path.read_text().rpartition(")")[2].split() for path in Path("/proc").glob("[0-9]*/stat") if path.exists()]
     return [fields[0] for fields in stats if int(fields[3]) == session and fields[0] != "Z"]

@@ -51,7 +51,7 @@ def numbers(out):
 
 
 @pytest.mark.full
-def test_the_run_leaves_what_it_promises(trained_run):
+def test_the_run_writes_the_promised_files(trained_run):
     metrics = json.loads((trained_run / "metrics.json").read_text())
     assert metrics["source"] == "simulated"
     assert metrics["counts"] == {"train": 36, "validation": 8, "test": 16}
@@ -68,7 +68,7 @@ def test_the_run_leaves_what_it_promises(trained_run):
 
 @pytest.mark.full
 def test_the_kept_predictor_is_the_best_of_all_on_validation_touches_and_scored_as_it_predicts(trained_run):
-    """What a user gets from load_predictor on the test touches is what the table says."""
+    """The table states the score of the predictor that `load_predictor` returns, on the test touches."""
     metrics = json.loads((trained_run / "metrics.json").read_text())
     methods, r2 = metrics["methods"], metrics["validation_r2"]
     # The ceiling knows the contact; a camera with noise cannot beat it by more than the scatter of 16 touches.
@@ -107,7 +107,7 @@ def test_the_kept_pad_model_is_fitted_to_the_training_touches_that_were_kept(tra
 
 @pytest.mark.full
 def test_killed_and_resumed_equals_uninterrupted(trained_run, tmp_path, capsys):
-    """Killed before its networks are trained, on the touches that an interrupted run would have left."""
+    """The run is killed before its networks are trained; it starts from the touches of an interrupted run."""
     out = tmp_path / "killed"
     out.mkdir()
     for name in ("config.json", "data.h5"):
@@ -132,7 +132,7 @@ def test_killed_and_resumed_equals_uninterrupted(trained_run, tmp_path, capsys):
 
 @dataclass(frozen=True)
 class Foretold(TouchModel):
-    """A model that gives the readings it is told to, whatever it is asked."""
+    """A model that returns given readings for any input."""
 
     told: Reading
     pressure: PressureModelConfig | None
@@ -157,8 +157,8 @@ def foretold(mean: np.ndarray, baseline: bool = False) -> Predictor:
 
 @pytest.mark.parametrize("validated_is_baseline", [True, False])
 def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(validated_is_baseline):
-    """Of two, one is right about the validation touches (rows 4 to 7) and the other about the test touches; which of
-    them is a baseline does not matter.
+    """One of two predictors is right about the validation touches (rows 4 to 7) and the other about the test touches;
+    it does not matter which of them is a baseline.
     """
     rng = np.random.default_rng(0)
     readings = rng.normal(size=(12, 6))
@@ -192,7 +192,9 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
 
 
 def test_touches_that_only_choose_are_neither_trained_on_nor_tested_nor_scaled_by():
-    """Of objects that a study touches last: they outvote the validation touches, and the scale stays that of these."""
+    """The touches are of objects that a study touches last: they outvote the validation touches, which still determine
+    the scale.
+    """
     readings = np.random.default_rng(0).normal(size=(12, 6))
     blank = np.zeros((12, 4, 4))
     part = np.repeat([0, 1, 2, 3], 3)
@@ -237,7 +239,7 @@ def test_a_pad_on_disk_takes_the_place_of_a_random_one(tmp_path, capsys, monkeyp
 
 
 def small_recording(board: Board, **columns) -> dataset.Dataset:
-    """160 presses of a round tip on a skin, by place, in sessions of ten."""
+    """160 presses of a round tip on a skin, ordered by position, in sessions of ten."""
     rng = np.random.default_rng(0)
     n, board_chips = 160, np.asarray(board.chips)
     place, travel = rng.uniform(-6e-3, 6e-3, (n, 2)), rng.uniform(0.3e-3, 2e-3, n)
@@ -251,8 +253,8 @@ def small_recording(board: Board, **columns) -> dataset.Dataset:
 
 
 @pytest.mark.full
-def test_whatever_is_wrong_with_a_load_the_run_ends_with_a_predictor_and_says_so(tmp_path, capsys):
-    """On any board, and what it keeps is no worse than a baseline on test touches, within its interval over groups."""
+def test_a_run_with_faulty_loads_ends_with_a_predictor_and_a_message(tmp_path, capsys):
+    """On any board, the saved predictor is no worse than a baseline on test touches, within its group interval."""
     said = "negative in 100 %"
     pulled = small_recording(grid_board(2, 2), force=np.linspace(-3, -6, 160))
     dataset.save_dataset(tmp_path / "set.h5", pulled)
@@ -274,7 +276,7 @@ def test_whatever_is_wrong_with_a_load_the_run_ends_with_a_predictor_and_says_so
 
 
 def test_a_table_is_printed_where_a_score_is_missing(capsys):
-    """What is not finite is null in metrics.json, and no number in the table."""
+    """A non-finite score is null in metrics.json and not a number in the table."""
     one = dict.fromkeys(Score._fields) | {"r2_axis": [None] * 3, "r2_interval": [None, None]}
     lead = {"r2": 0.0, "low": None, "high": None}
     print_table(

@@ -10,8 +10,8 @@ FAULT_SECTIONS: tuple[FaultSection, ...] = get_args(FaultSection)
 
 @dataclass(frozen=True)
 class FaultsArgs:
-    """Break things while touches are collected, and count what is lost."""
+    """Inject faults while touches are collected, and count what is lost."""
 
-    out: Path = Path("runs/faults")  # folder for the report, in which a later call goes on
-    sections: tuple[FaultSection, ...] = FAULT_SECTIONS  # which
-    preset: Literal["paper", "debug"] = "paper"  # how often: as the documents say, or each fault once
+    out: Path = Path("runs/faults")  # folder of the report; a later call resumes there
+    sections: tuple[FaultSection, ...] = FAULT_SECTIONS  # sections of faults to run
+    preset: Literal["paper", "debug"] = "paper"  # number of trials: as documented, or one trial of each fault

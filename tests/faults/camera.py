@@ -72,7 +72,7 @@ def damaged_file(number: int) -> Trial:
     """A folder of views of which one file is damaged or missing, read by a process of its own.
 
     Args:
-        number: Of the trial.
+        number: Number of the trial.
 
     Returns:
         Whether the process ended in anything but one sentence or the pixels that were written, and its memory in GB.

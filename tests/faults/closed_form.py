@@ -30,7 +30,7 @@ LENS = Camera(64, 36, 32.2, 32.2, 31.5, 17.5)
 
 
 class SettableClock(VirtualClock):
-    """A clock whose Unix time somebody sets wrong by `jump` (s)."""
+    """A clock whose Unix time is set wrong by `jump` (s)."""
 
     jump = 0.0
 
@@ -96,7 +96,7 @@ def site(number: int) -> Site:
     """One of 121 sites on the plane, 2 mm apart, over and over.
 
     Args:
-        number: From 0.
+        number: Number of the site, from 0.
 
     Returns:
         The site.
@@ -110,8 +110,8 @@ def plane_patch(view: View, camera: Camera, T_w_c: Array, T_w_t: Array) -> SeenP
     """The patch of a plane that the tool faces: flat, and as far away as the middle of the view says.
 
     Args:
-        view: Of the plane.
-        camera: That took it.
+        view: View of the plane.
+        camera: Camera that took the view.
         T_w_c: (4, 4) from where.
         T_w_t: (4, 4) the tool.
 

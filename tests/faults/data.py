@@ -123,8 +123,8 @@ def killed_collection(signals: Sequence[int], number: int) -> Trial | None:
     """A collection that is ended by signals at a random moment, and goes on afterwards in the same folder.
 
     Args:
-        signals: What it is sent, 0.2 s apart.
-        number: Of the trial.
+        signals: Signals that it is sent, 0.2 s apart.
+        number: Number of the trial.
 
     Returns:
         Touches acknowledged and lost, seconds on the controller's clock until the arm stood, whether it said more than

@@ -95,8 +95,8 @@ def break_in_motion(harm: Harm, number: int, rate: float, watched: bool = True) 
     """Break something in the middle of a motion.
 
     Args:
-        harm: What.
-        number: Of the trial.
+        harm: Fault to inject.
+        number: Number of the trial.
         rate: Hz, of the watchdog.
         watched: Whether the controller can be asked afterwards.
 
@@ -197,7 +197,7 @@ def blind_press(fault: str, number: int) -> Trial | None:
 
     Args:
         fault: Line of the controller's fault port.
-        number: Of the trial.
+        number: Number of the trial.
 
     Returns:
         Newtons past the limit, and the rest as of `watch`; None where a busy computer ended the press before.
@@ -243,7 +243,7 @@ def stalled_press(whole: bool, number: int) -> Trial | None:
 
     Args:
         whole: Whether the process that speaks with the controller stalls too.
-        number: Of the trial.
+        number: Number of the trial.
 
     Returns:
         Newtons gained, and whether the arm moved afterwards; None where a busy computer ended the press before.

@@ -66,9 +66,9 @@ class MistakenArm(SimulatedArm):
     """An arm that reports its tool by a wrong TCP, and was told a wrong payload.
 
     Args:
-        lab: In which its tool moves.
-        right: What is true.
-        wrong: What it was told.
+        lab: Lab in which its tool moves.
+        right: True rig.
+        wrong: Rig that the arm is configured with.
     """
 
     def __init__(self, lab: SimulatedLab, right: Rig, wrong: Rig) -> None:
@@ -108,10 +108,10 @@ def object_lab(name: str, rig: Rig, seed: int, believed: Rig | None = None) -> t
     """A procedure over an object whose devices are connected.
 
     Args:
-        name: Of the object.
-        rig: How the lab is.
-        seed: Of its errors.
-        believed: How the procedure takes it to be; by default as it is.
+        name: Name of the object.
+        rig: True rig of the lab.
+        seed: Seed of the lab's errors.
+        believed: Rig that the procedure assumes; by default, the true one.
 
     Returns:
         The procedure and what its tool meets.
@@ -136,9 +136,9 @@ def try_mistake(mistake: RigMistake, name: str, seed: int = 0) -> Found:
     """Try a mistake.
 
     Args:
-        mistake: Of the list.
-        name: Of the object.
-        seed: Of the lab's errors.
+        mistake: Mistake from the list.
+        name: Name of the object.
+        seed: Seed of the lab's errors.
 
     Returns:
         Where it was noticed.
@@ -155,9 +155,9 @@ def try_rig(wrong: Rig, name: str, seed: int = 0, right: Rig | None = None) -> F
 
     Args:
         wrong: The rig that is believed.
-        name: Of the object.
-        seed: Of the lab's errors.
-        right: How the lab is; by default as `right_rig` says.
+        name: Name of the object.
+        seed: Seed of the lab's errors.
+        right: True rig of the lab; by default, that of `right_rig`.
 
     Returns:
         Where it was contradicted.

@@ -21,7 +21,7 @@ def rig_object(name: str) -> Mesh:
     """An object on the table of its own frame.
 
     Args:
-        name: Of the catalogue, or one of the others.
+        name: Name in the catalogue, or of another object.
 
     Returns:
         The mesh, m.

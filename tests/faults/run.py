@@ -1,15 +1,15 @@
-"""Question: what is lost, and what moves, when something breaks while touches are collected?
+"""Question: what is lost, and what moves, when a part fails while touches are collected?
 
-    python -m tests.faults                         everything at full size: some hours
-    python -m tests.faults --sections skin disk    some of it
-    python -m tests.faults --preset debug          every fault once
+    python -m tests.faults                         all sections at full size: some hours
+    python -m tests.faults --sections skin disk    some sections
+    python -m tests.faults --preset debug          one trial of each fault
 
-The same command goes on where it was stopped, as every trial is kept as it is made.
+The same command resumes where it stopped, because every trial is saved as soon as it is made.
 
-Real drivers talk to emulators of a skin and a UR controller (whose watchdog and protective stop follow Universal
-Robots' documents and were compared with no real controller), and simulated devices fill disks and press a thousand
-times. Every figure says how often it was tried. Results go to --out: report.md and metrics.json. Exit code 1 if a goal
-was missed.
+Real drivers are connected to emulators of a skin and a UR controller (whose watchdog and protective stop follow
+Universal Robots' documents and were not compared with a real controller), and simulated devices fill disks and press a
+thousand times. Every figure is given with its number of trials. Results are written to --out: report.md and
+metrics.json. The exit code is 1 if a goal was missed.
 """
 
 import re

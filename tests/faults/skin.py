@@ -1,7 +1,7 @@
 """What breaks between a skin's board and its driver: a long stream, flipped bits, silence, an unplugged cable, a chip
 that dies and a board that freezes.
 
-What else bad lines do to the bytes is tested in tests/hardware/test_frames.py.
+Other effects of bad lines on the bytes are tested in tests/hardware/test_frames.py.
 """
 
 import math
@@ -27,12 +27,12 @@ LOSS_SHARE = 1e-3  # goal: samples lost
 
 
 def long_stream(rate: float, seconds: float, number: int) -> Trial:
-    """A stream at a rate (Hz) over a pseudo-terminal: samples that came, and that were lost on the way to the reader.
+    """Count the samples of a stream over a pseudo-terminal that arrive and that are lost before the reader.
 
     Args:
         rate: Hz.
-        seconds: For how long.
-        number: Of the trial.
+        seconds: Duration of the stream, s.
+        number: Number of the trial.
 
     Returns:
         Samples, with those that were lost.
@@ -54,10 +54,10 @@ def flipped_bits(form: Format, share: float, number: int, count: int = STREAM_FR
     """A stream in which each bit is flipped with a probability, but for the frames with which it begins.
 
     Args:
-        form: Of the frames.
-        share: The probability.
-        number: Of the trial.
-        count: Frames that are sent.
+        form: Format of the frames.
+        share: Probability that a bit is flipped.
+        number: Number of the trial.
+        count: Number of frames that are sent.
 
     Returns:
         Frames that were delivered, those of them that are not as they were sent, and those that came whole.

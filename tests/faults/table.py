@@ -1,4 +1,4 @@
-"""What a fault is: something that is broken on purpose, once a trial, and what must be seen then."""
+"""Faults: each is caused on purpose once in a trial, and has goals that its measurements must meet."""
 
 import json
 import math
@@ -53,7 +53,7 @@ def run_trials(fault: Fault, count: int, path: Path) -> list[Trial]:
 
     Args:
         fault: The fault.
-        count: How many.
+        count: Number of trials.
         path: File of the trials, one a line; its folder is made.
 
     Returns:
@@ -90,8 +90,8 @@ def judge(fault: Fault, trials: list[Trial], count: int) -> FaultRow:
 
     Args:
         fault: The fault.
-        trials: That were made.
-        count: How many were to be made.
+        trials: Trials that were made.
+        count: Number of trials that were to be made.
 
     Returns:
         The row; a goal is missed too where less than half of the trials could be made, or a number is NaN.

@@ -21,7 +21,7 @@ def fault(trial, *measures, count=4):
     return Fault("disk", "anything", trial, count, measures)
 
 
-def test_a_goal_is_missed_by_the_worst_trial_by_the_share_of_all_by_nan_and_where_half_could_not_be_made():
+def test_a_goal_is_missed_by_a_bad_trial_a_bad_share_nan_or_too_few_trials():
     trials: list[dict[str, Any]] = [
         {"gained": 1.0, "lost": 1, "sent": 10, "said": "stopped"},
         {"gained": 3.0, "lost": 0, "sent": 90},
@@ -43,7 +43,7 @@ def test_a_goal_is_missed_by_the_worst_trial_by_the_share_of_all_by_nan_and_wher
     assert row.goal == "gained <= 3; lost <= 0.01"
 
 
-def test_a_run_goes_on_where_it_was_stopped_and_says_whether_its_goals_were_met(tmp_path, monkeypatch, capsys):
+def test_a_run_resumes_and_reports_whether_its_goals_were_met(tmp_path, monkeypatch, capsys):
     made = []
 
     def trial(number):
@@ -86,7 +86,7 @@ QUICK = [
 
 @pytest.mark.full
 @pytest.mark.parametrize("each", QUICK, ids=lambda each: f"{each.section}: {each.name}")
-def test_a_fault_that_needs_no_other_process_does_no_harm(each):
+def test_faults_within_the_process_meet_their_goals(each):
     trials = [each.trial(number) for number in range(2)]
     if trials == [None, None]:
         pytest.skip("a disk can be made only by root")
@@ -94,7 +94,7 @@ def test_a_fault_that_needs_no_other_process_does_no_harm(each):
 
 
 @pytest.mark.full
-def test_what_breaks_in_a_motion_moves_nothing_afterwards():
+def test_nothing_moves_after_a_failure_in_a_motion():
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     for harm in motion.BROKEN_LINKS.values():
         tried = (motion.break_in_motion(harm, number, 5.0) for number in range(4))
@@ -127,7 +127,7 @@ def test_damaged_camera_files_are_refused_in_one_sentence_and_little_memory(numb
 
 @pytest.mark.full
 @pytest.mark.parametrize("signals", [[signal.SIGKILL], [signal.SIGHUP], [signal.SIGINT, signal.SIGINT]])
-def test_real_drivers_collect_with_emulators_are_killed_and_go_on(monkeypatch, signals):
+def test_real_drivers_with_emulators_resume_after_a_kill(monkeypatch, signals):
     """`kill -9`, a closed terminal and an impatient Ctrl-C of a collection with real drivers; the next one makes the
     touches that are missing.
     """

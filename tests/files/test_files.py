@@ -49,7 +49,7 @@ def test_a_failed_block_leaves_only_the_old_file(tmp_path, failure):
 @pytest.mark.parametrize(
     ("number", "kind", "remedy"), [(errno.ENOSPC, FullDiskError, "make room"), (errno.EACCES, DataError, "choose")]
 )
-def test_a_failing_disk_is_reported_in_one_sentence_and_leaves_nothing(tmp_path, monkeypatch, number, kind, remedy):
+def test_a_failing_disk_gives_one_sentence_and_leaves_no_file(tmp_path, monkeypatch, number, kind, remedy):
     def fail(descriptor):
         raise OSError(number, os.strerror(number))
 

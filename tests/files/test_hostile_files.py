@@ -25,7 +25,7 @@ CHEAP = [
 
 
 def refusal(label, path, answer):
-    """Explain what is wrong with the answer to a hostile file; empty if nothing is."""
+    """Explain what is wrong with the response to a hostile file; empty if nothing is."""
     message = answer["said"]
     named = path.name in message or "theirs" in message
     right = answer["user"] and named and "\n" not in message and len(message) <= 800
@@ -68,7 +68,7 @@ def test_a_file_is_read_up_to_its_limit_and_a_device_is_refused(tmp_path):
     path = tmp_path / "a.txt"
     path.write_bytes("grün".encode())
     assert read_text(path, 5) == "grün"
-    with pytest.raises(DataError, match="has 5 bytes where at most 4 bytes are read"):
+    with pytest.raises(DataError, match="has 5 bytes, but at most 4 bytes are read"):
         read_bytes(path, 4)
     os.mkfifo(tmp_path / "pipe")
     for name in ("pipe", ".", "/dev/zero"):

@@ -29,7 +29,7 @@ def test_the_first_view_that_was_kept_comes_back(views):
     np.testing.assert_array_equal(view.colour, COLOUR)
 
 
-def test_other_peoples_formats(tmp_path):
+def test_formats_of_other_libraries(tmp_path):
     (tmp_path / "depth").mkdir()
     lens = 'width = 6\nheight = 4\nfx = 60.0\nfy = 61\ncx = 2.5\ncy = 1.5\nscale = "mm"\nnearest = 0.05\n'
     (tmp_path / "camera.toml").write_text(lens)
@@ -39,7 +39,7 @@ def test_other_peoples_formats(tmp_path):
     assert view.colour is None
 
 
-def test_what_is_missing_or_damaged_is_named_in_one_sentence(views, tmp_path):
+def test_missing_or_damaged_files_are_named_in_one_sentence(views, tmp_path):
     with pytest.raises((OSError, ValueError), match=r"camera.toml cannot be read .*; name a folder of views"):
         read_view(tmp_path / "nowhere")
     colour, depth, lens = views / "colour" / "000000.png", views / "depth" / "000000.png", views / "camera.toml"
@@ -121,7 +121,7 @@ def test_an_image_that_was_reduced_without_its_lens_is_named_with_the_factor(tmp
         read_view(tmp_path)
 
 
-def test_what_16_bits_do_not_hold_is_kept_as_a_hole(tmp_path):
+def test_depths_beyond_16_bits_are_saved_as_holes(tmp_path):
     deep = np.where(np.eye(4, 6) > 0, np.float32([7.0] * 6), DEPTH)
     deep[0, 0] = np.inf
     list(camera_folder.save_views(tmp_path / "deep", CAMERA, [View(0.0, deep, None)]))
@@ -148,7 +148,7 @@ def test_yaml_and_json_are_named_with_what_to_do(tmp_path):
 
 
 @pytest.mark.parametrize("scale", ["true", "[0.001]", '"0.001"'])
-def test_a_scale_that_is_none_names_the_description(views, scale):
+def test_an_invalid_scale_is_refused_with_the_name_of_the_description(views, scale):
     lens = views / "camera.toml"
     lens.write_text(lens.read_text().replace("scale = 0.0001", f"scale = {scale}"))
     with pytest.raises(ValueError, match=r"camera.toml: scale is .*; give metres per unit"):

@@ -1,4 +1,4 @@
-"""How hard a collision becomes: closed forms, and what a simulated arm really does."""
+"""Force of a collision: closed forms, and the motion of a simulated arm."""
 
 import re
 from dataclasses import replace
@@ -41,7 +41,7 @@ def test_free_motion_is_as_fast_as_can_be_stopped_within_the_limit():
 
 @pytest.mark.parametrize("stiffness", [10e3, 2e3])
 def test_a_collision_in_free_motion_ends_within_the_force_limit(stiffness):
-    """A plane that nobody expects, at the speed that is allowed in the air."""
+    """The tool hits an unexpected plane at the speed that is allowed in the air."""
     procedure = make(stiffness=stiffness, gain=0 * GAIN, rig=Rig())
     arm, limits = procedure.arm, procedure.rig.limits
     goal = np.array(arm.state().T_b_t)

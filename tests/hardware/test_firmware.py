@@ -16,7 +16,7 @@ ADDRESSES = np.array([0x0C, 0x13, 0x12, 0x10, 0x11], float)
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
-def test_the_sketch_sends_what_its_chips_answer_and_leaves_out_one_that_does_not(tmp_path):
+def test_the_sketch_sends_answering_chips_and_omits_silent_ones(tmp_path):
     main = f'#include "{SKETCH}"\nint main() {{ setup(); for (int i = 0; i < 300; i++) loop(); }}'
     words = ["g++", "-std=c++11", "-Wall", "-Wextra", "-Werror", f"-I{ARDUINO}", "-x", "c++", "-", "-o", "sketch"]
     subprocess.run(words, input=main, text=True, check=True, cwd=tmp_path)

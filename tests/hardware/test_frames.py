@@ -1,4 +1,4 @@
-"""A skin's bytes: formats by hand, and what is believed of clean, damaged and hostile streams."""
+"""Bytes of a skin: formats by hand, and frames that are accepted from clean, damaged and hostile streams."""
 
 import functools
 import operator
@@ -44,13 +44,13 @@ def decoded(data: bytes, form: Format = Format.BINARY) -> tuple:
 
 
 def numbers(delivered_frames, size: int = SIZE) -> list[int]:
-    """Which frames of a stream of frames of one size were found."""
+    """Numbers of the frames of one size that were found in a stream."""
     assert not any(frame.end % size for frame in delivered_frames)
     return [frame.end // size - 1 for frame in delivered_frames]
 
 
 def corrupt(chunk: bytes, substitute: float, drop: float, rng: np.random.Generator) -> bytes:
-    """What arrives over a line that changes and drops bytes with these probabilities."""
+    """Bytes that arrive over a line that changes and drops bytes with these probabilities."""
     data = np.frombuffer(chunk, np.uint8)
     changed = rng.random(data.size) < substitute
     data = data + np.where(changed, rng.integers(1, 256, data.size), 0).astype(np.uint8)
@@ -149,7 +149,7 @@ def test_noise_is_not_taken_for_a_board(data, form):
     [(Format.BINARY, 0.0, 2e-4, 0.04), (Format.FRAMED, 0.01, 0.0, 0.01), (Format.FRAMED, 0.0, 0.01, 0.01),
      (Format.CRC, 0.01, 0.0, 0.03), (Format.CRC, 0.0, 0.01, 0.03)],
 )  # fmt: skip
-def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
+def test_damage_loses_only_the_damaged_frames(form, substitute, drop, missed):
     count, rng = 2500, np.random.default_rng(7)
     truth, celsius = rest(count)
     whole = sent(truth, celsius, form)
@@ -174,7 +174,7 @@ def test_damage_costs_its_own_frames_only(form, substitute, drop, missed):
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-def test_line_ends_within_numbers_do_not_mislead(noise):
+def test_line_ends_within_numbers_do_not_split_frames(noise):
     """With 34.513 degrees on five chips there are six line ends in a frame."""
     (celsius,) = struct.unpack("<f", bytes.fromhex("980d0a42"))
     data = b"".join(stream(6, noise=noise, temperature=celsius))
@@ -186,7 +186,7 @@ def test_line_ends_within_numbers_do_not_mislead(noise):
 
 @pytest.mark.parametrize("start", [0, 3])
 def test_a_stream_with_two_possible_alignments_is_refused(start):
-    """A frame that repeated is just as plausible three bytes later."""
+    """A repeated frame is equally plausible three bytes later."""
     frame = b"\x42\x0d\x0a\x42" + 76 * b"\x42" + b"\r\n"
     assert frames._values(FrameLayout(), (2 * frame)[start : start + SIZE]) is not None
     data = (20 * frame)[start:]
@@ -199,7 +199,7 @@ def test_a_stream_with_two_possible_alignments_is_refused(start):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 6e4, 1e-6])
-def test_a_value_that_cannot_be_condemns_its_frame_and_a_jump_is_true(value):
+def test_an_impossible_value_rejects_its_frame_but_a_jump_is_kept(value):
     readings, celsius = rest(20)
     readings[5, 7] = value
     readings[12:] += 500.0  # a magnet came

@@ -1,4 +1,4 @@
-"""Motions that i2t guards itself: a watch that judges states, and arms that do not keep to what they are asked."""
+"""Motions that i2t guards itself: a watch that judges states, and arms that disregard requests."""
 
 import signal
 import threading
@@ -27,7 +27,7 @@ NUMBERS = np.array([np.nan, np.inf, -np.inf, 1e6])
 
 
 def foreign(stiffness=STIFFNESS, **settings):
-    """A procedure with such an arm just above a plane, whose skin feels nothing."""
+    """A procedure with a foreign arm just above a plane, whose skin measures nothing."""
     settings = TouchSettings(prepare=2e-3, near=5e-4, settle=0.0, ambient=2, **settings)
     procedure = make(stiffness=stiffness, gain=np.zeros(15), settings=settings)
     procedure.arm.lab.robot.position = np.array([0.4, 0.0, HEIGHT + 3e-3])
@@ -38,12 +38,12 @@ def foreign(stiffness=STIFFNESS, **settings):
 
 
 def press(procedure, log=None):
-    """The outcome of a press from where the tool is."""
+    """The outcome of a press from the tool's present pose."""
     return procedure.press(log or MemoryLog()).result
 
 
 def pushed(procedure, stiffness=STIFFNESS):
-    """N, with which the plane pushes back now."""
+    """Force (N) with which the plane pushes back now."""
     return stiffness * max(0.0, HEIGHT - procedure.arm.read_state().T_b_t[2, 3])
 
 
@@ -71,10 +71,10 @@ def test_the_torque_limit_is_kept_where_the_arm_ignores_it():
     [
         ({"too_far": 0.03}, r"moved .* mm instead of 6.5 mm"),
         ({"hasty": 20.0}, r"moves at .* instead of 0.002 m/s"),
-        ({"asks": False}, "did not ask its stop condition"),
+        ({"asks": False}, "did not evaluate its stop condition"),
     ],
 )
-def test_an_arm_that_goes_too_far_or_too_fast_or_asks_nobody_ends_the_touch(change, message):
+def test_an_arm_that_overshoots_or_ignores_its_stop_condition_ends_the_touch(change, message):
     procedure, arm = foreign()
     arm.lab.robot.position[2] += 0.1
     vars(arm).update(change)
@@ -84,7 +84,7 @@ def test_an_arm_that_goes_too_far_or_too_fast_or_asks_nobody_ends_the_touch(chan
 
 
 def forged(name, value):
-    """Lies about one number of a state, about the pose also in its rotation."""
+    """Replace one number of a state; for the pose, also one of its rotation."""
 
     def lie(state, first):
         wrong = np.array(getattr(state, name), float)
@@ -108,8 +108,8 @@ LIES = {  # what becomes of a state, by the first of which that is so
 
 @pytest.mark.parametrize("lie", LIES)
 @pytest.mark.parametrize("own", [True, False], ids=["its own approach", "guarded by polling"])
-def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
-    """NaN, infinite, frozen and absurd values of every number that stops or allows a motion."""
+def test_an_impossible_state_ends_a_press(lie, own):
+    """The states are NaN, infinite, frozen and absurd values of every number that stops or allows a motion."""
     procedure, arm = foreign()
     if not own:
         procedure.arm = arm = SimulatedArm(arm.lab, arm.limits)
@@ -151,7 +151,7 @@ def test_a_press_ends_on_a_state_that_cannot_be(lie, own):
         (LIES["velocity 1e+06"], "turns at"),
     ],
 )
-def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_begun_anew(lie, message):
+def test_reading_states_alone_stops_a_faulty_motion_for_good(lie, message):
     procedure = make(stiffness=STIFFNESS)
     arm, driver_method = procedure.arm, procedure.arm.read_state
     arm.lab.robot.position = np.array([0.4, 0.0, HEIGHT + 3e-3])
@@ -175,7 +175,7 @@ def test_a_motion_of_which_only_states_are_asked_for_is_stopped_by_them_and_not_
         assert arm.lab.robot.motion is None
 
 
-def test_a_motion_is_judged_also_where_two_ask_for_states_a_brake_fails_or_it_begins_late():
+def test_motions_are_watched_with_two_readers_a_failed_brake_or_a_late_start():
     arm = slow_arm()
     driver_method, line, brake = arm.read_state, arm.begin_line, arm.brake
     arm.begin_line = lambda *way: threading.Timer(0.2, line, way).start()
@@ -205,7 +205,7 @@ def test_a_motion_is_judged_also_where_two_ask_for_states_a_brake_fails_or_it_be
         assert arm.lab.robot.motion is None
 
 
-def test_a_motion_is_not_begun_where_a_stop_was_asked_for_meanwhile():
+def test_a_motion_does_not_start_after_a_stop_request():
     with slow_arm() as arm:
         driver_method = arm.begin_line
 
@@ -244,10 +244,10 @@ def at(time, z=0.0, **changes):
         ([at(0.1, 14.0)], r"moved 14 mm instead of 10 mm"),
         ([at(0.1, 1.0, velocity=np.array([0, 0, -0.2, 0, 0, 0]))], "moves at 0.2 m/s instead of 0.1 m/s"),
         ([at(0.1, 1.0, velocity=np.array([0, 0, 0, 0, 0, 20.0]))], "turns at 20 rad/s"),
-        ([at(0.1 * n, 1.0) for n in range(1, 34)], "its pose stands still"),
+        ([at(0.1 * n, 1.0) for n in range(1, 34)], "its pose does not change"),
     ],
 )
-def test_each_thing_that_is_wrong_with_a_state_is_said(states, message):
+def test_each_fault_of_a_state_is_reported(states, message):
     clock = VirtualClock(0.0)
     watch = MotionWatch(make().arm, make().rig.limits, START, **BOUNDS, clock=clock)
 
@@ -267,7 +267,7 @@ def test_force_before_torque_is_what_is_above_its_limit(force, torque, above):
 
 
 def slow_arm(**broken):
-    """An arm in this machine's time, half a metre from anything, some of whose methods are others."""
+    """An arm in real time, half a metre from any obstacle, with some methods replaced."""
     arm = SimulatedArm(SimulatedLab(make().arm.lab.scene, MonotonicClock()), make().rig.limits)
     for name, method in broken.items():
         setattr(arm, name, method)
@@ -289,7 +289,7 @@ def test_an_approach_whose_stop_condition_hangs_is_braked_meanwhile():
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.15])
-def test_an_arm_that_begins_late_is_waited_for_and_one_that_never_does_has_not_arrived(lag):
+def test_an_arm_that_starts_late_is_awaited_and_one_that_never_starts_fails(lag):
     with slow_arm() as arm:
         driver_method, begun = arm.begin_line, threading.Timer
         arm.begin_line = lambda *line: begun(lag, driver_method, line).start()
@@ -330,7 +330,7 @@ def test_a_line_that_was_sent_is_taken_back_where_its_answer_fails_or_the_arm_is
         assert arm.lab.robot.motion is None
 
 
-def test_a_second_ctrl_c_does_not_keep_an_arm_from_being_stopped():
+def test_a_second_ctrl_c_does_not_prevent_the_stop_of_the_arm():
     arm = slow_arm()
     arm.connect()
     arm.move(translated_along_z(arm.state().T_b_t, 0.05), 0.02)
@@ -344,7 +344,7 @@ def test_a_second_ctrl_c_does_not_keep_an_arm_from_being_stopped():
 
 
 @pytest.mark.parametrize("name", ["read_state", "begin_line", "brake", "zero_sensor", "open_link"])
-def test_what_a_library_raises_is_one_sentence_and_the_arm_stands(name):
+def test_an_error_of_the_library_is_one_sentence_and_the_arm_stands(name):
     calls = []
 
     def fail(*_):
@@ -368,7 +368,7 @@ def test_what_a_library_raises_is_one_sentence_and_the_arm_stands(name):
     assert arm.lab.robot.motion is None
 
 
-def test_no_free_motion_begins_with_a_force_that_is_no_number_or_beyond_reason():
+def test_no_free_motion_begins_with_a_non_finite_or_excessive_force():
     limits = MotionLimits((0.2, -0.3, 0.1), (0.6, 0.3, 0.5))
     assert free_limits(limits, np.zeros(6)) == (limits.trip_force, limits.torque)
     assert free_limits(limits, np.array([0, 0, 40.0, 0, 0, 0]))[0] == pytest.approx(44.0)

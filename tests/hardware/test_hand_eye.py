@@ -53,7 +53,7 @@ def tools(count, rng, tilt=0.45, distance=0.2):
 
 
 def reported(T, rng):
-    """What the arm says of a pose."""
+    """The pose that the arm reports."""
     return T @ pose(ARM[1] * rng.standard_normal(3), ARM[0] * rng.standard_normal(3))
 
 
@@ -95,7 +95,7 @@ def test_the_stated_error_agrees_with_the_actual_error():
     assert (errors < [1e-3, math.radians(0.5)]).all()
 
 
-def test_a_few_wrong_corners_do_not_matter_and_views_that_do_not_tell_are_refused():
+def test_wrong_corners_are_outvoted_and_uninformative_views_refused():
     rng = np.random.default_rng(1)
     board_views = [board_view(T, rng, 0.1) for T in tools(10, rng)]
     clean = pose_difference(fit(board_views, CAMERA.fx).T_t_c, TRUE)[0]
@@ -144,7 +144,7 @@ def view(T_b_t, drawing, rng):
 
 @pytest.fixture(scope="module")
 def taken(tmp_path_factory):
-    """A folder that `capture` has made of nine views, from a camera and an arm that report what they would."""
+    """A folder that `capture` made of nine views, from a camera and an arm that report their true poses."""
     rng = np.random.default_rng(4)
     drawing = Image.fromarray(BOARD.image(EDGE / (1e3 * BOARD.square)))
     T_c_colour = pose([0.0, 0.01, 0.0], [0.015, 0.0, 0.0])
@@ -191,7 +191,7 @@ def test_missing_input_is_reported(taken, tmp_path, capsys):
         refused(capsys, hand_eye.main, "estimate", copy, why=why)
 
 
-def test_boards_are_drawn_and_found_again(tmp_path):
+def test_drawn_boards_are_detected(tmp_path):
     file = tmp_path / "board.png"
     assert hand_eye.main(["board", str(file), "--dictionary", "APRILTAG_36h11"]) == 0
     with Image.open(file) as image:
@@ -202,7 +202,7 @@ def test_boards_are_drawn_and_found_again(tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="needs the addresses 127.x.y.z, which only Linux gives")
-def test_the_arm_is_asked_for_its_pose_without_being_controlled():
+def test_the_arm_s_pose_is_read_without_controlling_the_arm():
     pytest.importorskip("rtde_receive", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
     host = ur_controller.loopback(209)
     with pytest.raises(DeviceError, match="does not answer"):

@@ -1,4 +1,4 @@
-"""The text tool of a skin: what it shows and says, and the table that it keeps."""
+"""The text tool of a skin: its display, its messages, and the table that it saves."""
 
 import csv
 
@@ -22,7 +22,7 @@ def shown(words, capsys, wanted) -> str:
     raise AssertionError(output)
 
 
-def test_a_table_has_each_chips_change_and_says_which_is_missing():
+def test_a_table_lists_each_chip_s_change_and_missing_chips():
     reading = np.where(np.arange(6) < 3, np.arange(60.0).reshape(10, 6), np.nan)
     samples = Samples(np.arange(10), np.arange(10) / 400, reading, np.tile([24.0, np.nan], (10, 1)))
     lines = monitor.table(SkinCounters(samples=90, lost=10, rate=400.0), samples, np.full(6, 27.0))

@@ -1,4 +1,4 @@
-"""The RealSense driver against the SDK itself, playing what the SDK's software device recorded. No camera was there."""
+"""The RealSense driver with the SDK itself, which plays recordings of its software device. No camera was used."""
 
 import re
 import subprocess
@@ -41,7 +41,7 @@ def file(tmp_path_factory):
     return path
 
 
-def test_it_gives_metres_lens_and_aligned_colour_of_views_that_are_new(file):
+def test_the_camera_gives_metres_lens_and_aligned_colour_of_new_views(file):
     camera = RealSense(file=file, size=(64, 48))
     assert camera.serial_number == ""
     with camera:
@@ -91,7 +91,7 @@ def test_exposures_are_dated_where_the_clock_is_the_computers(file):
 
 
 def test_an_unplugged_camera_is_noticed_before_the_timeout(file):
-    """The SDK then gives no frames and says nothing, and its pipeline cannot be stopped."""
+    """The SDK then gives neither frames nor an error, and its pipeline cannot be stopped."""
     camera = RealSense(file=file, size=(64, 48))
     camera.connect()
     camera._pipe.stop()
@@ -122,8 +122,8 @@ for camera in (
 """
 
 
-def test_what_cannot_be_connected_says_why(file, tmp_path):
-    """In a process of its own: the SDK sometimes crashes the one in which it could not play a file."""
+def test_a_failed_connection_states_its_reason(file, tmp_path):
+    """The test runs in its own process, because the SDK sometimes crashes one in which it could not play a file."""
     torn = tmp_path / "torn.db3"
     torn.write_bytes(file.read_bytes()[:5000])
     words = [sys.executable, "-c", REFUSED, str(file), str(torn), str(tmp_path / "nowhere.db3")]
@@ -142,7 +142,7 @@ def test_what_cannot_be_connected_says_why(file, tmp_path):
         assert re.search(why, line)
 
 
-def test_which_models_see_at_the_papers_distance():
+def test_only_listed_models_measure_at_the_paper_s_distance():
     assert nearest("Intel RealSense D435I", 640, 360) == 0.150
     assert [name for name in realsense.NEAREST_MM if nearest(name, 640, 360) <= 0.104] == ["D405"]
     check_distance("D405", 1280, 720, 0.104)

@@ -77,7 +77,7 @@ def test_unplugging_is_noticed_and_replugging_resumes(tmp_path):
             assert np.all(np.diff(skin.since(-1).time) >= 0)
 
 
-def test_silence_is_noticed_and_ends_and_a_busy_computer_does_not_blame_the_board(monkeypatch):
+def test_silence_is_detected_and_a_busy_computer_not_blamed_on_the_board(monkeypatch):
     with run_board("--silent-after", "0.4", "--silent-for", "2.0") as (port, _), ReSkin(port) as skin:
         assert "check its cable" in failure(skin, "has been silent for")
         skin.read(20, PATIENCE)
@@ -112,7 +112,7 @@ def test_a_port_that_cannot_be_opened_is_reported_with_the_reason(tmp_path):
 
 @contextlib.contextmanager
 def reader_of(port: str, lock: bool = False):
-    """Another program that reads a port, with or without a lock; what is yielded is its process id."""
+    """Another program that reads a port, with or without a lock; yields its process id."""
     code = f"""import fcntl, os
 line = os.open({port!r}, os.O_RDONLY | os.O_NOCTTY)
 fcntl.flock(line, fcntl.LOCK_EX) if {lock} else None
@@ -128,7 +128,7 @@ while True:
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for other programs in /proc")
-def test_a_port_that_another_program_reads_is_not_said_to_be_unplugged(tmp_path):
+def test_a_port_read_by_another_program_is_not_reported_as_unplugged(tmp_path):
     link = tmp_path / "skin"  # of another name, as udev gives
     with run_board("--link", str(link)) as (port, _):
         for lock, problem in (False, r"is read by \S+ \(process %d\) too"), (True, r"in use by \S+ \(process %d\)"):
@@ -156,7 +156,7 @@ def test_a_second_reader_that_the_system_does_not_show_is_named_as_a_cause(tmp_p
     assert "is gone" in str(ReSkin(str(port))._lost_error(OSError(errno.EIO, "Input/output error")))
 
 
-def test_a_real_port_is_kept_from_programs_that_open_it_later(monkeypatch):
+def test_a_real_port_is_locked_against_other_programs(monkeypatch):
     fcntl = pytest.importorskip("fcntl")
     if sys.platform != "linux":
         pytest.skip("only Linux tells whether a terminal is exclusive")
@@ -190,7 +190,7 @@ def test_a_real_port_is_kept_from_programs_that_open_it_later(monkeypatch):
         ([20], ["ada"], "may not be opened by your group, dialout; allow it: sudo chmod g+rw"),
     ],
 )
-def test_a_forbidden_port_names_its_group_and_what_is_missing(monkeypatch, groups, members, words):
+def test_a_forbidden_port_is_reported_with_its_group_and_remedy(monkeypatch, groups, members, words):
     monkeypatch.setenv("USER", "ada")
     monkeypatch.setattr(serial_port.os, "getgroups", lambda: groups)
     monkeypatch.setattr(serial_port.os, "getegid", lambda: 1000)
@@ -234,7 +234,7 @@ def test_a_late_read_is_dated_back_and_the_reader_does_not_die_quietly():
     assert (np.diff(times) >= 0).all()
 
 
-def test_it_can_be_closed_from_anywhere_and_at_once():
+def test_a_stream_can_be_closed_from_any_thread_at_once():
     with run_board() as (port, process):
         skin = ReSkin(port)
         skin.connect()
@@ -253,7 +253,7 @@ def usb(device: str, vid: int | None, serial_number: str | None = None) -> Simpl
     return SimpleNamespace(device=device, vid=vid, pid=1, description="QT Py", serial_number=serial_number)
 
 
-def test_ports_are_found_by_who_made_the_board_and_a_board_under_another_name_is_known(monkeypatch):
+def test_ports_are_found_by_vendor_and_a_board_under_another_name_is_recognised(monkeypatch):
     skin = ReSkin()
     there: list[SimpleNamespace] = [usb("/dev/ttyS0", None)]
     monkeypatch.setattr(skin, "_comports", lambda: there)
@@ -281,7 +281,7 @@ def feel(process, field) -> None:
 
 
 def test_bytes_sent_before_opening_are_not_read():
-    """A board that talked for a second to a port that nobody read has filled its buffer with the past."""
+    """A board that has sent for a second to an unread port has filled its buffer with old samples."""
     with run_board("--field", "--noise", "0") as (port, process):
         holder = os.open(port, os.O_RDWR | os.O_NOCTTY)
         tty.setraw(holder)
@@ -297,7 +297,7 @@ def test_bytes_sent_before_opening_are_not_read():
 
 @pytest.mark.full
 @pytest.mark.parametrize("form", Format)
-def test_an_emulated_board_of_another_size_is_read_and_felt_end_to_end(form):
+def test_an_emulated_board_of_another_size_works_end_to_end(form):
     switches = ("--board", "grid-2x2", "--field", "--noise", "0", "--fail", "1", "--format", form)
     with run_board(*switches) as (port, process):
         with pytest.raises(DeviceError, match="frames of 4 chips arrive, not of 5; name the right board"):

@@ -1,4 +1,4 @@
-"""A lab's calibration file: what is written is read, and what cannot be is refused in one sentence."""
+"""A lab's calibration file: written values are read back, and impossible ones are refused in one sentence."""
 
 import re
 
@@ -117,7 +117,7 @@ def test_missing_and_unreadable_rig_files_are_refused(tmp_path, capsys):
     assert "exists already" in capsys.readouterr().err
 
 
-def test_an_object_outside_the_box_and_what_is_nearly_always_a_mistake_are_doubted(capsys, tmp_path):
+def test_an_object_outside_the_box_and_probable_mistakes_are_doubted(capsys, tmp_path):
     for rig, code, doubt in (
         (Rig(), 0, ""),
         (Rig(T_world_object=pose([0, 0, 0], [1, 0, 0])), 1, "OUTSIDE"),

@@ -28,7 +28,7 @@ def vertices():
     return make_object("star").mesh.vertices
 
 
-def test_there_are_enough_mistakes_and_right_rigs_are_plausible(vertices):
+def test_mistakes_are_numerous_and_correct_rigs_are_plausible(vertices):
     names = [mistake.name for mistake in MISTAKES]
     assert len(names) == len(set(names)) >= 53
     assert set(names) >= LEFT_TO_THE_FIRST_TOUCH
@@ -54,7 +54,7 @@ def test_a_mistake_is_refused_in_one_sentence_or_left_to_the_first_touch(mistake
         assert 25 < len(sentence) < 260
 
 
-def test_a_doubt_is_refused_with_the_way_round_it_and_a_mesh_in_another_unit_is_noticed(vertices):
+def test_an_implausible_rig_is_refused_with_the_flag_that_accepts_it(vertices):
     wrong = replace(Rig(), T_world_object=np.diag([1.0, -1.0, -1.0, 1.0]))
     with pytest.raises(ValueError, match=r"below the table: is it upside down.*--accept-unusual-rig"):
         require_plausible(wrong, vertices)

@@ -25,7 +25,7 @@ def at_rest(seed=0, count=200, chips=5, rate=400.0):
 
 
 def harmed(*harms):
-    """Samples of which parts (samples, chips, axes) are changed."""
+    """Samples in which given parts (samples, chips, axes) are changed."""
     samples = at_rest()
     by_chip = samples.reading.reshape(200, 5, 3)
     for part, change in harms:
@@ -43,7 +43,7 @@ def test_a_healthy_skin_has_no_defect(chips, count, rate):
         assert health.rate == pytest.approx(rate)
 
 
-def test_a_coarse_converter_is_no_frozen_one():
+def test_a_coarse_converter_does_not_count_as_frozen():
     """eFlesh's boards count in steps sixteen times as large: with little noise an axis hardly changes."""
     for seed in range(20):
         samples = at_rest(seed)
@@ -74,14 +74,14 @@ def clipped(values):
         (np.s_[:, 2, 0], lambda x: x + 12 * np.random.default_rng(1).standard_normal(200), "chip 2's x has 1", False),
     ],
 )
-def test_a_defect_is_one_sentence_and_what_lies_stops_a_session(part, change, sentence, stops):
+def test_each_defect_is_one_sentence_and_serious_ones_stop_a_session(part, change, sentence, stops):
     samples = harmed((part, change))
     (defect,) = check_skin(samples).defects
     assert defect.sentence.startswith(sentence)
     assert defect.stops == stops
 
 
-def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():
+def test_two_defects_are_two_sentences_and_a_missing_chip_is_not_a_defect():
     assert len(check_skin(harmed((np.s_[:, 2], np.zeros_like), (np.s_[:, 1, 1], frozen))).defects) == 2
     health = check_skin(harmed((np.s_[:, 2], lambda x: np.nan)))
     assert (health.defects, health.missing) == ((), (2,))
@@ -89,7 +89,7 @@ def test_two_defects_are_two_sentences_and_a_missing_chip_is_none():
 
 
 @pytest.mark.parametrize("chips", [1, 5])
-def test_a_board_is_frozen_that_changes_nowhere_in_24_samples(chips):
+def test_a_board_without_any_change_in_24_samples_is_frozen(chips):
     for seed in range(100):
         reading = at_rest(seed, 24, chips).reading
         assert frozen_sentence(reading) == ""

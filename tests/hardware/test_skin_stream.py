@@ -1,4 +1,4 @@
-"""Skins whose samples a thread receives: samples are of the present connection, or an error says why not."""
+"""Skins whose samples a thread receives: samples are of the present connection, or an error gives the reason."""
 
 import threading
 import time
@@ -19,7 +19,7 @@ def sample(ahead=0.0, values=3 * CHIPS):
 
 
 class Board(StreamedSkin):
-    """A board whose `receive` is what a test gives: a function of the number of the connection."""
+    """A board whose `receive` is given by the test as a function of the number of the connection."""
 
     def __init__(self, receive):
         super().__init__("the board", CHIPS, rate=400.0)
@@ -47,10 +47,10 @@ def fail(error):
         (lambda link: fail(OSError(5, "gone")), r"the board is gone \(.*gone\); plug it in"),
         (lambda link: fail(SystemExit(3)), r"the board is gone \(3\)"),
         (lambda link: [sample(values=4)], "do not have 6 values"),
-        (lambda link: [sample(ahead=100.0)], "dates samples in the future"),
+        (lambda link: [sample(ahead=100.0)], "sends samples with times in the future"),
     ],
 )
-def test_whatever_ends_the_thread_every_call_says_why(wrong, message):
+def test_every_call_states_why_the_thread_ended(wrong, message):
     sent = []
     skin = Board(lambda link: sent.append(link) or ([sample()] if len(sent) < 3 else wrong(link)))
     skin.connect()
@@ -59,7 +59,7 @@ def test_whatever_ends_the_thread_every_call_says_why(wrong, message):
     refuse(DeviceError, [(*call, message) for call in calls])
 
 
-def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection():
+def test_a_hung_old_thread_does_not_affect_the_new_connection():
     hangs, outcomes = threading.Event(), iter([lambda: [sample(), sample()], lambda: fail(OSError("late"))])
 
     def receive(link):
@@ -85,7 +85,7 @@ def test_an_old_thread_that_hung_does_not_speak_for_the_new_connection():
     skin.close()
 
 
-def test_a_board_that_cannot_be_opened_or_says_nothing_leaves_nothing_open():
+def test_a_failed_connection_leaves_no_port_open():
     silent = Board(lambda link: [])
     silent.stream_config = StreamConfig(first_sample_timeout=0.1)
     with pytest.raises(DeviceTimeoutError, match="has been silent"):

@@ -43,9 +43,9 @@ LOOKS = np.arange(0.0, 8e-3, 2e-3 / 125)  # m: 125 looks a second at 2 mm/s
 
 
 @pytest.mark.parametrize(("soft", "stiff"), [(0.9e-3, 1e4), (0.5e-3, 3e3), (1e-6, 4e3)], ids=["skin", "hard", "spring"])
-def test_where_a_press_began_is_found_and_in_noise_as_well_as_can_be(soft, stiff):
-    """As well as the Cramer-Rao bound says, 0.07 and 0.1 mm at 0.1 N, within what 16 trials scatter by: 18 % of one
-    standard deviation, of which three. A spring's first parameter is at the end of its range, where there is no bound.
+def test_the_onset_of_a_press_is_found_within_the_limit_of_the_noise(soft, stiff):
+    """The errors meet the Cramer-Rao bound, 0.07 and 0.1 mm at 0.1 N, within the scatter of 16 trials: three standard
+    deviations of 18 %. A spring's first parameter is at the end of its range, where there is no bound.
     """
     force = corner_force(LOOKS - 5e-3, soft, stiff)
     np.testing.assert_allclose(soft * np.cbrt(force) + force / stiff, np.maximum(LOOKS - 5e-3, 0), atol=1e-9)
@@ -67,7 +67,7 @@ def test_where_a_press_began_is_found_and_in_noise_as_well_as_can_be(soft, stiff
 
 
 class Fingered:
-    """A flat that each corner of a skin meets like a spring."""
+    """A flat that pushes back on each corner of a skin like a spring."""
 
     def __init__(self, true, height):
         self.true, self.height, self.reading = true, height, np.zeros(15)

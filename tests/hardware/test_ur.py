@@ -49,7 +49,7 @@ def status(host):
 
 @contextlib.contextmanager
 def emulators():
-    """Start emulated controllers that end with the block; what is yielded starts one and returns its address."""
+    """Start emulated controllers that end with the block; yields a function that starts one and returns its address."""
     pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
 
     def begin(*options):
@@ -97,7 +97,7 @@ def test_a_line_takes_the_time_of_a_trapezoid_and_a_stop_its_distance():
     assert before - robot.position[0] == pytest.approx(speed**2 / (2 * a), abs=speed * TICK)
 
 
-def test_timeouts_that_protect_nobody_are_refused():
+def test_timeouts_too_long_to_protect_are_refused():
     options = {"watchdog_rate": 0.01}, {"watchdog_rate": 200.0}, {"state_timeout": 60.0}
     refuse(ValueError, [(partial(connected, **option), ("127.0.0.1",), "is outside") for option in options])
 
@@ -133,7 +133,7 @@ LIBRARY = {  # answers of the part of ur_rtde that a motion needs
 }  # fmt: skip
 
 
-def test_a_motion_is_made_under_a_fed_watchdog_only():
+def test_motions_require_a_running_watchdog():
     ours, theirs = (rtde_worker.Channel(end) for end in socket.socketpair())
     library = Mock(**{f"{name}.return_value": value for name, value in LIBRARY.items()})
     library.getAsyncOperationProgressEx.return_value = library
@@ -201,7 +201,7 @@ def touching():
 
 @pytest.fixture
 def above(touching):
-    """The same, with the tool back where it began."""
+    """The arm of `touching`, with the tool back at its start."""
     host, arm = touching
     ask(host, "wrench 0 0 0 0 0 0")
     for attempt in range(4):  # a busy machine does not feed the watchdog while the arm is left alone
@@ -213,7 +213,7 @@ def above(touching):
     return host, arm
 
 
-def test_a_motion_ends_at_its_goal_no_faster_than_asked_or_the_slider_says(start):
+def test_a_motion_ends_at_its_goal_within_the_requested_speed_and_the_slider_s(start):
     host = start()
     ask(host, "wrench 0.5 -1 2 0 0 0")
     with connected(host, payload=(0.3, (0.0, 0.0, 0.05)), tool=pose(0, 0, 0.1, 0)) as arm:
@@ -278,7 +278,7 @@ def test_a_motion_that_meets_something_is_stopped_and_may_back_out(above):
     arm.go(BEGIN, 0.1)
 
 
-def test_a_force_above_its_limit_where_the_tool_arrives_is_told_and_forgotten(above):
+def test_a_force_above_its_limit_at_the_goal_is_reported_but_not_kept(above):
     host, arm = above
     force = STIFFNESS * 5e-4
     done = arm.approach(5.5e-3, 0.005, lambda state: None, force=0.999 * force)
@@ -292,14 +292,14 @@ def test_a_force_above_its_limit_where_the_tool_arrives_is_told_and_forgotten(ab
     arm.zero_wrench()
 
 
-def test_a_paused_motion_is_waited_for(above):
+def test_a_paused_motion_is_awaited(above):
     host, arm = above
     ask(host, "speed 0")
     threading.Timer(4.0, ask, (host, "speed 1")).start()  # s; at full speed it may take 2.8
     np.testing.assert_allclose(arm.go(pose(0.4, 0.02, 0.3), 0.1).T_b_t[1, 3], 0.02, atol=1e-6)
 
 
-def test_an_approach_that_nobody_watches_is_stopped(above):
+def test_an_unwatched_approach_is_stopped(above):
     host, arm = above
     with pytest.raises(DeviceError, match="was not watched"):
         arm.approach(0.02, 0.002, lambda state: time.sleep(3 * STATE_TIMEOUT))
@@ -336,7 +336,7 @@ def amid(host, speed, fault):
 
 
 def in_motion(arm, host, fault) -> tuple[str, float]:
-    """Do something in the middle of a motion of 0.05 m/s; what it is ended with, and how far along y it was."""
+    """Do something in the middle of a motion of 0.05 m/s; return the error that ended it, and the position along y."""
     with amid(host, 0.04, fault) as began, pytest.raises(DeviceError) as caught:
         arm.go(pose(0.4, 0.25, 0.3), 0.05)
     assert str(caught.value).count(". ") == 0  # one sentence
@@ -361,7 +361,7 @@ BROKEN = f"TimeoutError: .*({NO_NEWS}|The connection to the controller .* broke)
     ],
     ids=["stall", "stall-control", "drop-control", "drop-state", "SIGSEGV", "SIGKILL", "SIGSTOP", "kill-program"],
 )
-def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_asked(above, fault, message):
+def test_a_fault_in_a_motion_stops_the_arm_until_it_is_reconnected(above, fault, message):
     """The controller's streams and program, and a client library that crashes or hangs."""
     host, arm = above
     worker, uploads = arm.connection._process.pid, status(host)["uploads"]
@@ -392,8 +392,8 @@ def test_a_fault_in_a_motion_stops_the_arm_which_is_connected_again_only_when_as
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("guarded", [False, True], ids=["go", "approach"])
-def test_a_state_that_cannot_be_stops_the_arm(above, forged, guarded):
-    """NaN, infinite, frozen and absurd values of every number on which a motion depends."""
+def test_an_impossible_state_stops_the_arm(above, forged, guarded):
+    """The states are NaN, infinite, frozen and absurd values of every number on which a motion depends."""
     host, arm = above
     message = ""
     ask(host, "plane 0 0")
@@ -421,8 +421,8 @@ def test_a_killed_controller_is_noticed(start):
 
 
 @pytest.mark.parametrize("fault", ["stall", "stall-control"])
-def test_a_controller_that_sends_no_states_is_given_up_also_at_rest(start, fault):
-    """Nobody asks, and no motion is under way; its program ends all the same."""
+def test_a_controller_without_states_is_disconnected_even_at_rest(start, fault):
+    """No state is requested and no motion is under way; the program on the controller still ends."""
     host = start()
     with connected(host) as arm:
         arm.state(STATE_TIMEOUT)

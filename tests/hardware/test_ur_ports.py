@@ -23,7 +23,7 @@ class FakeController:
 
     Args:
         version: Major version of URControl that RTDE tells; 0 tells none.
-        states: Of the dashboard, by its questions.
+        states: Answers of the dashboard by question.
     """
 
     def __init__(self, version: int = 5, **states: str) -> None:
@@ -93,7 +93,7 @@ def test_a_controller_whose_ports_all_answer_is_accepted():
         assert ports.explain_no_answer(fake.host) == ""
 
 
-def test_polyscope_x_is_named_by_the_version_that_rtde_tells():
+def test_polyscope_x_is_recognised_by_the_version_from_rtde():
     with FakeController(version=10).listen(RTDE, SCRIPT) as fake:
         sentence = refusal(fake.host)
         assert "answers on ports 30004 (RTDE) and 30003 (real-time client)" in sentence
@@ -106,7 +106,7 @@ def test_polyscope_x_is_named_by_the_version_that_rtde_tells():
     assert "allow port" not in sentence  # nothing that would not help
 
 
-def test_a_dashboard_that_is_switched_off_is_to_be_switched_on():
+def test_the_remedy_for_a_disabled_dashboard_is_to_enable_it():
     with FakeController(version=5).listen(RTDE, SCRIPT) as fake:
         sentence = refusal(fake.host)
         assert "enable Dashboard Server under Settings > Security > Services" in sentence
@@ -124,12 +124,12 @@ def test_a_service_that_is_switched_off_is_named(port):
         assert f"enable {port.service} under" in sentence
 
 
-def test_a_port_that_a_firewall_drops_is_to_be_allowed():
+def test_the_remedy_for_a_port_behind_a_firewall_is_to_allow_it():
     with FakeController().listen(DASHBOARD, SCRIPT).listen(RTDE, answer=Answer.TIMED_OUT) as fake:
         assert "gives no sign on port 30004 (RTDE): allow port 30004" in refusal(fake.host)
 
 
-def test_an_address_where_all_ports_are_refused_is_another_machine_and_one_that_is_silent_is_none():
+def test_refused_ports_mean_another_machine_and_silence_means_no_machine():
     with FakeController() as fake:
         sentence = refusal(fake.host)
         assert "a machine is there, and refuses connections on ports 30004 (RTDE), 29999 (dashboard)" in sentence
@@ -142,7 +142,7 @@ def test_an_address_where_all_ports_are_refused_is_another_machine_and_one_that_
     assert "is not known to this computer" in refusal("http://192.168.0.2:29999")
 
 
-def test_ports_that_accept_and_say_nothing_ask_for_patience():
+def test_the_remedy_for_silent_open_ports_is_to_wait():
     with FakeController().listen(DASHBOARD, SCRIPT).listen(RTDE, answer=Answer.MUTE) as fake:
         assert "accepts connections and does not answer on port 30004 (RTDE): wait until" in refusal(fake.host)
 
@@ -156,12 +156,12 @@ def test_ports_that_accept_and_say_nothing_ask_for_patience():
         ("running", "Program running: true", "A program runs"),
     ],
 )
-def test_a_controller_that_answers_and_cannot_be_controlled_says_why(question, answer, words):
+def test_the_reason_is_given_if_a_controller_answers_but_cannot_be_controlled(question, answer, words):
     with FakeController(**{question: answer}).listen(*PORTS) as fake:
         assert words in refusal(fake.host)
 
 
-def test_an_old_dashboard_that_does_not_know_a_question_is_no_obstacle():
+def test_a_dashboard_that_lacks_a_command_is_accepted():
     unknown = dict.fromkeys(("is_in_remote_control", "safetystatus"), "could not understand")
     with FakeController(version=3, **unknown).listen(*PORTS) as fake:
         access.check_controller(fake.host)

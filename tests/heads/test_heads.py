@@ -133,7 +133,7 @@ def test_a_head_beats_nearest_readings_whether_or_not_sites_repeat(sites_repeat,
 
 
 def test_ranges_hold_on_strokes_that_err_alike():
-    """Strokes have a gain of their own: rows of one stroke err alike, and there are few strokes."""
+    """Each stroke has its own gain: rows of one stroke err alike, and there are few strokes."""
     inside = []
     stroke, travel = np.repeat(np.arange(12), 25), np.tile(np.linspace(0.2, 4, 25), 12)
     train, time = stroke < 8, 0.1 * np.arange(300) + 5.0 * stroke

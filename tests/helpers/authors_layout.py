@@ -1,4 +1,4 @@
-"""Writes recordings in the layout of the Imagine2touch code, from known contents, for the tests of its converter."""
+"""Writes recordings of known contents in the layout of the Imagine2touch code, for the tests of its converter."""
 
 import math
 import sys
@@ -21,7 +21,7 @@ AMBIENT = ("means", "vectors", "records", "tuples", "tens", "tens of records")
 
 
 class Contents(NamedTuple):
-    """What a converter should find."""
+    """Values that a converter should find."""
 
     reading: np.ndarray  # (n, 15) uT
     depth: np.ndarray  # (n, size, size) mm
@@ -33,7 +33,7 @@ class Contents(NamedTuple):
 
 
 def save(path: Path, values) -> None:
-    """As the authors do: `np.save` into a name without ending."""
+    """Save as the authors do, with `np.save` and a name without suffix."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb") as file:
         np.save(file, values, allow_pickle=True)
@@ -48,7 +48,7 @@ def sample(rng, field, order):
 
 
 def ambient_of(kind, rng, n, order):
-    """The contents of an ambient file, and the means it stands for (n, 15)."""
+    """The contents of an ambient file, and the means (n, 15) that it represents."""
     count = math.ceil(n / 10) if kind.startswith("tens") else n
     groups = rng.normal(0, 5, (count, 10, 15)) + rng.normal(0, 300, (count, 1, 15))
     means = groups.mean(1) if count == n else groups.mean(1)[np.arange(n) // 10]

@@ -8,7 +8,7 @@ from i2t.reconstruction.surface import SurfaceConfig, SurfaceModel
 
 
 def ball_model(grid: VoxelGrid, radii: np.ndarray, centre: np.ndarray, **changes) -> SurfaceModel:
-    """A model whose library are balls of some radii (m) around a point."""
+    """A model whose library is balls of given radii (m) around a point."""
     points = grid.points()
     distance = np.linalg.norm(points - centre, axis=-1)[:, None] - radii
     steps = np.clip(np.rint(distance / STEP_M), -127, 127).astype(np.int8)

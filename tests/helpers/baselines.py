@@ -20,7 +20,7 @@ PRESSURE = PressureModelConfig(pitch=1e-3, smooth=False, tilt=0.0)
 def bare_dataset(
     patches: np.ndarray, readings: np.ndarray, board: Board | None = None, source: str = "real", **columns: np.ndarray
 ) -> Dataset:
-    """Touches of one object, skin and session of which nothing else is known than the columns that are given."""
+    """Touches of one object, skin and session, of which only the given columns are known."""
     n, chips = len(patches), readings.shape[1] // 3
     still, zero, unknown = np.tile(np.eye(4), (n, 1, 1)), np.zeros(n), np.full(n, np.nan)
     others: dict[str, Any] = {
@@ -33,7 +33,7 @@ def bare_dataset(
 
 
 def placed_dataset(place: np.ndarray, patches: np.ndarray, readings: np.ndarray, **more: Any) -> Dataset:
-    """Touches as in `bare_dataset`, with the tip at places (n, 2) m and nothing seen around it."""
+    """Touches as in `bare_dataset`, with the tip at positions (n, 2) m and no surroundings."""
     T_w_o = np.tile(np.eye(4), (len(place), 1, 1))
     T_w_o[:, :2, 3] = place
     code = np.full(len(place), ReturnCode.UNDEFINED)

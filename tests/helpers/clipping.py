@@ -30,7 +30,7 @@ def turned(thing: Mesh, rotation, position=(0.0, 0.0, 0.0)) -> Mesh:
 
 
 def of_hammer_s_size(thing: Mesh) -> Surface:
-    """In one size class: one compilation."""
+    """A mesh in the hammer's size class, so that one compilation serves both."""
     return Surface(stack_surfaces([prepare_surface(thing), prepare_surface(make_object("hammer").mesh)]).triangles[0])
 
 

@@ -66,7 +66,7 @@ def site(number, x=0.0, y=0.0, height=HEIGHT, turned=DOWN):
 
 
 def listed(*sites):
-    """Chooses these sites, one after the other."""
+    """Choose these sites, one after the other."""
     return lambda history: sites[len(history)] if len(history) < len(sites) else None
 
 

@@ -48,7 +48,7 @@ def _dipoles(offset: np.ndarray, moment: np.ndarray) -> np.ndarray:
 
 
 def lagged(recorded: Recorded, rows: int) -> Recorded:
-    """Labels that come so many rows late: the reading of row i belongs to the labels of row i - rows."""
+    """Labels that come so many rows late: the reading of row i has the labels of row i - rows."""
     n = len(recorded.force)
     labels, readings = (slice(0, n - rows), slice(rows, n)) if rows > 0 else (slice(-rows, n), slice(0, n + rows))
     return Recorded(*(part[readings] for part in recorded[:3]), recorded.readings[labels])

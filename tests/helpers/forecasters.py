@@ -6,8 +6,8 @@ import numpy as np
 def calibrated_forecaster(
     seed: int, episodes: int, classes: int = 5, touches: int = 4
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A forecaster that is right by construction: truth from a Dirichlet p, and after each touch the exact posterior of
-    one more noisy sight of the truth.
+    """A forecaster that is right by construction: the truth is drawn from a Dirichlet p, and each touch adds a noisy
+    view of the truth to the exact posterior.
     """
     rng = np.random.default_rng(seed)
     p = rng.dirichlet(np.full(classes, 1.0), episodes)

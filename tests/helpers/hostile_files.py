@@ -100,7 +100,7 @@ XYZ = "property float x\nproperty float y\nproperty float z\n"
 
 
 def ply(corners: int, faces: int = 0, form: str = "binary_little_endian", body: bytes = CORNERS) -> bytes:
-    """Each face with four bytes for the number of its corners, and of so many."""
+    """A PLY whose faces have four bytes for the number of their corners."""
     elements = f"element vertex {corners}\n{XYZ}"
     elements += f"element face {faces}\nproperty list uint int vertex_indices\n" if faces else ""
     return f"ply\nformat {form} 1.0\n{elements}end_header\n".encode() + body
@@ -113,7 +113,7 @@ FORCE = "touches/force"
 
 
 def h5(change: Callable[[h5py.File], Any]) -> Content:
-    """A file of our schema with the right checksum, as anybody can write it."""
+    """A file of the schema with the correct checksum, as any program can write it."""
 
     def write(path: Path) -> None:
         save_dataset(path, random_touches.make(3))
@@ -127,7 +127,7 @@ def h5(change: Callable[[h5py.File], Any]) -> Content:
 
 
 def put(name: str, value: Any = None, **options: Any) -> Content:
-    """Something else under this name."""
+    """Replace the array or group of this name in the file."""
 
     def change(file: h5py.File) -> None:
         if name in file:
@@ -184,7 +184,7 @@ def npz(entries: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> bytes:
 
 
 def kept(kind: str, arrays: dict[str, Any]) -> bytes:
-    """A file as `i2t.files.serialization.save` writes it, with the right checksum, of whatever arrays."""
+    """A file of arbitrary arrays as `i2t.files.serialization.save` writes it, with the correct checksum."""
     arrays = {name: np.asarray(values) for name, values in arrays.items()}
     header = {"format": kind, "version": 1, "sha256": _digest(arrays), "about": {}}
     entries = {"about": np.array(json.dumps(header)), **arrays}
@@ -192,7 +192,7 @@ def kept(kind: str, arrays: dict[str, Any]) -> bytes:
 
 
 class Runs:
-    """Pickled, this is a program that leaves a mark."""
+    """An object whose pickle is a program that leaves a mark."""
 
     def __reduce__(self) -> Any:
         return os.system, ("touch i2t-was-here",)
@@ -242,7 +242,7 @@ def hand_eye(poses: str, **images: Path) -> Content:
 
 
 def reskin_run(tactile: Content) -> Content:
-    """Of an object that is called as its folder."""
+    """A run of an object with the name of its folder."""
     return {"theirs/theirs_tactile/experiment_1_reskin": tactile}
 
 

@@ -1,4 +1,4 @@
-"""Touches of random contents, for what reads and writes them."""
+"""Touches of random contents, for tests of readers and writers."""
 
 from dataclasses import replace
 
@@ -86,7 +86,7 @@ def assert_equal(a, b):
 
 
 def record(touch):
-    """What else may be recorded of one touch."""
+    """Other data that may be recorded with one touch."""
     rng = np.random.default_rng(7)
     reading = Series(1.7e9 + np.arange(800) / 400, rng.normal(size=(800, 15)), tuple("abcdefghijklmno"), "uT")
     return Record(

@@ -34,10 +34,10 @@ def write(
     """Record views of one camera to a new .db3 file.
 
     Args:
-        path: Of the file.
+        path: Path of the file.
         camera: Lens of depth and of colour.
         views: Depth in m, of which 0 is written where nothing was measured, and colour.
-        model: That the recording says.
+        model: Model that the recording states.
         unit: m per unit of depth.
         rate: Hz.
         T_depth_colour: (4, 4) where the colour camera stands in the depth camera.
@@ -93,7 +93,7 @@ def _channel(rs: Any, device: Any, camera: Camera, number: int, rate: int) -> tu
 
 
 def _frame(rs: Any, pixels: np.ndarray, stream: Any, *, number: int, rate: int) -> Any:
-    """An image as the SDK hands it on."""
+    """An image as the SDK returns it."""
     frame = rs.software_video_frame()
     frame.pixels = np.ascontiguousarray(pixels)
     frame.bpp = pixels.itemsize * (pixels.shape[2] if pixels.ndim == 3 else 1)

@@ -34,7 +34,7 @@ def refused(capsys, *words):
 
 
 def write_table(path: Path, names, rows, change=lambda text: text) -> Path:
-    """A table of numbers and texts under its names, of which there may be none, packed where its name says so."""
+    """A table of numbers and texts with or without a line of names, compressed if its name ends so."""
     cells = ([cell if isinstance(cell, str) else repr(float(cell)) for cell in row] for row in rows)
     text = change("\n".join(",".join(row) for row in [*([names] if len(names) else []), *cells]) + "\n").encode()
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -2,7 +2,7 @@
 
 
 def refused(capsys, main, *words, why, code=2):
-    """Require that a command ends with a code, and with one line that says why."""
+    """Require that a command ends with this code and with one line that states the reason."""
     capsys.readouterr()
     assert main([str(word) for word in words]) == code
     said = capsys.readouterr().err

@@ -6,7 +6,7 @@ from i2t.recognition.site_pool import SitePools
 
 
 def facing(angle_deg: float, at: float) -> np.ndarray:
-    """A tool pose on a line, whose outward normal is turned from up."""
+    """A tool pose on a line whose outward normal is tilted from the vertical."""
     a = np.radians(angle_deg)
     T = np.eye(4, dtype=np.float32)
     T[:3, :3] = np.array([[np.cos(a), 0, -np.sin(a)], [0, -1, 0], [-np.sin(a), 0, -np.cos(a)]])

@@ -1,4 +1,4 @@
-"""Tasks that take no time, and what may happen to those who make them."""
+"""Tasks that take no time, and failures of their workers."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ def write_number(path: Path, number: int) -> None:
 
 
 def die_at_first(path: Path, number: int, deaths: int = 1) -> None:
-    """As `write_number`, but whoever makes it is killed the first times."""
+    """Write a number as `write_number` does, but kill the worker the first times."""
     seen = path.with_suffix(".seen")
     seen.open("a").write("x")
     if len(seen.read_text()) <= deaths:
@@ -21,10 +21,10 @@ def die_at_first(path: Path, number: int, deaths: int = 1) -> None:
 
 
 def refuse(path: Path) -> None:
-    """A mistake of the user's."""
+    """Raise an error as a user's mistake does."""
     raise ValueError(f"{path.name} cannot be made")
 
 
 def write_cores(path: Path) -> None:
-    """The cores that a worker may use."""
+    """Write the cores that a worker may use."""
     path.write_text(repr(sorted(os.sched_getaffinity(0))))

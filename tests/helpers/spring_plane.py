@@ -18,8 +18,8 @@ class SpringPlane(ObjectScene):
         height: m, in the base.
         stiffness: N/m, with arm and mount in it.
         gain: (3 chips,) uT/N, by which each newton changes the reading.
-        errors: Of the lab.
-        board: Of the skin.
+        errors: Errors of the lab.
+        board: Board of the skin.
     """
 
     def __init__(self, height: float, stiffness: float, gain: Array, errors: SimulationErrors, board: Board) -> None:

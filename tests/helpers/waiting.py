@@ -1,4 +1,4 @@
-"""Waiting for what other processes and threads do."""
+"""Waiting for other processes and threads."""
 
 import time
 
@@ -6,7 +6,7 @@ PATIENCE = 20.0  # s that a loaded machine may need for what takes a moment
 
 
 def eventually(condition) -> None:
-    """Ask again until it is so."""
+    """Ask again until the condition holds."""
     end = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < end

@@ -310,7 +310,7 @@ def test_strips_of_triangles_in_ply_are_read_and_faces_with_them(tmp_path, faces
         (ply()[:-20], "cut off|numbers"),
         (
             ply("binary_little_endian")[:-9],
-            "cut off: its header announces 6 entries of element 'face', and 5 are there",
+            "cut off: its header announces 6 entries of element 'face', but only 5 are present",
         ),
         (ply("binary_big_endian", quads=MIXED)[:-9], "cut off"),
         (ply()[:60], "no PLY header, or is cut off within it"),
@@ -362,7 +362,7 @@ def test_dialects_of_off_are_read(tmp_path, data):
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (f"OFF\n8 6 12\n{OFF_ROWS}"[:-12], "cut off: its header announces 8 vertices and 6 faces, and 13 lines"),
+        (f"OFF\n8 6 12\n{OFF_ROWS}"[:-12], "cut off: its header announces 8 vertices and 6 faces, but only 13 lines"),
         (f"OFF\n8 5 12\n{OFF_ROWS}", "1 lines more than its header announces"),
         (f"OFF\n8 6 12\n{OFF_ROWS}"[:-3], "face 6 has too few corners"),
         (f"OFF\n8 6 12\n{OFF_ROWS}".replace(".", ","), "decimal commas"),

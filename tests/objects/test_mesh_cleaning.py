@@ -20,7 +20,7 @@ def turned(mesh: Mesh) -> Mesh:
 
 
 def mirrored(mesh: Mesh, axis: int = 0) -> Mesh:
-    """The mirror image with its triangles not turned, so that they look inward."""
+    """The mirror image without reversed triangles, so that they face inward."""
     return Mesh(mesh.vertices * np.where(np.arange(3) == axis, -1, 1), mesh.faces)
 
 
@@ -185,7 +185,7 @@ def test_bodies_that_share_only_an_edge_are_judged_separately():
     assert whole(mesh).volume == pytest.approx(2 * 0.02**3)
 
 
-def test_a_cavity_stays_a_cavity_and_a_solid_within_it_a_solid():
+def test_a_cavity_and_a_solid_within_it_keep_their_orientation():
     shell, core = plain(trimesh.creation.icosphere(2, 0.03)), plain(trimesh.creation.icosphere(2, 0.01))
     cavity = plain(trimesh.creation.icosphere(2, 0.02))
     expected = whole(shell).volume - whole(cavity).volume + whole(core).volume

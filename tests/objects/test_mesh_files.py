@@ -35,7 +35,7 @@ def test_units_and_formats(tmp_path, unit):
         assert len(thing.mesh.vertices) == 8
 
 
-def test_frames(tmp_path):
+def test_meshes_keep_their_own_frame_or_stand_on_the_table(tmp_path):
     part = box()
     part.apply_translation([0.1, 0.2, 0.3])
     part.export(tmp_path / "part.ply")

@@ -17,7 +17,7 @@ def test_only_catalogue_names_and_files_with_a_unit_are_objects(tmp_path):
     assert abs(thing.mesh.vertices[:, 2].max() - 10e-3) < 1e-6
     for name, unit, catalogue, problem in (
         ("cup.stl", "mm", True, "^--object cup.stl: is neither a mesh file nor an object of the catalogue"),
-        (str(mesh), None, True, "say in which unit the file is"),
+        (str(mesh), None, True, "its unit is missing"),
         ("star", "mm", False, "star: is not a mesh file$"),
         ("hamer", None, True, r"^--object hamer: is neither a mesh file nor .* catalogue; did you mean hammer\?$"),
         ("Hammer", None, True, r"did you mean hammer\?$"),

@@ -17,7 +17,7 @@ TOP = np.array([5e-3, -4e-3, 30e-3])  # on the hexagon's top, more than half a w
 
 
 def test_the_tool_stands_on_the_point_and_points_into_the_surface():
-    """At random points of a round and a flat object: trimesh's own samples and face normals."""
+    """Random points of a round and a flat object are compared with trimesh's own samples and face normals."""
     for mesh in (HEXAGON, DOME):
         whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
         points, faces = trimesh.sample.sample_surface(whole, 20, seed=0)

@@ -74,7 +74,7 @@ def pose(drawn) -> np.ndarray:
 
 @settings(max_examples=20, deadline=None)
 @given(drawn=POSES)
-def test_the_middle_of_a_view_is_the_patch_whatever_stands_beside_it(drawn):
+def test_the_middle_of_a_view_is_the_patch_whatever_surrounds_it(drawn):
     view, patch = jax.device_get(look_at_all(pose(drawn)))
     np.testing.assert_array_equal(centre(view.depth, PATCH_PIXELS), view.patch.depth)
     np.testing.assert_allclose(view.patch.nearest, patch.nearest, atol=ROUNDING)

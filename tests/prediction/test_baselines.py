@@ -1,4 +1,4 @@
-"""Baselines that are predictors: closed forms, what they are able to find, and ranges that hold what they say."""
+"""Baselines as predictors: closed forms, explained variance, and coverage of their ranges."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ def test_ridge_minimises_its_loss():
 
 
 def touches(n=240, seed=6):
-    """Patches, two measured values, and readings that both make, the measured ones two thirds of them."""
+    """Patches, two measured values, and readings that depend on both, two thirds on the measured ones."""
     rng = np.random.default_rng(seed)
     patches = rng.normal(size=(n, 6, 6))
     measured = rng.normal(size=(n, 2)) * (1, 1e-3)
@@ -48,7 +48,7 @@ def test_baselines_explain_only_what_their_inputs_determine():
 
 
 def test_baselines_on_predicted_pressure_equal_those_on_patches_for_the_same_image():
-    """Pressures in place of the patches, noise in place of the pressures: the same model."""
+    """With pressures in place of the patches and noise in place of the pressures, the model is the same."""
     patches, measured, y = touches()
     noise, groups = np.random.default_rng(1).normal(size=patches.shape), np.arange(240) // 9
     on_patches = fit_baselines(patches, measured, y, groups)
@@ -97,7 +97,9 @@ def test_methods_share_values_of_the_same_touches_only():
 
 
 def test_touches_that_are_all_alike_are_predicted_as_well():
-    """Patches of one place, a value that never changes, a dead channel: finite readings and ranges above zero."""
+    """Patches of one position, a value that never changes and a dead channel give finite readings and ranges above
+    zero.
+    """
     y = np.random.default_rng(5).normal(size=(30, 6))
     y[:, 2] = 0
     for model in fit_baselines(np.zeros((30, 5, 5)), np.full((30, 1), 2.0), y, np.zeros(30, int)).values():

@@ -52,8 +52,8 @@ def test_neighbours_by_hand():
 
 
 def test_options_are_chosen_between_groups():
-    """Every touch is there twice, in one group: inside a group its copy is the best neighbour; across groups chance
-    neighbours are useless and many of them are better than one.
+    """Every touch occurs twice, in one group. Within a group its copy is the best neighbour; across groups, neighbours
+    are random and many of them are better than one.
     """
     rng = np.random.default_rng(5)
     x, y = np.tile(rng.normal(size=(50, 4)), (2, 1)), np.tile(rng.normal(size=(50, 15)), (2, 1))

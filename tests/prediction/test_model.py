@@ -99,7 +99,7 @@ def test_with_a_force_that_weighs_nothing_the_network_and_its_loss_are_the_paper
 
 
 def test_weights_of_a_seed_are_those_of_earlier_versions() -> None:
-    """Whoever trained with a seed before gets the same network again."""
+    """A seed that was used for training before gives the same network again."""
     params = start(ModelConfig(pixels=4, encoder_width=3, auxiliary=False))
     expected = [1.2329613, 0.130290493, -0.636551082, 0.406681776, 0.446827978]
     np.testing.assert_allclose(params["bottleneck"]["kernel"][0], expected, rtol=4 * EPS)

@@ -37,7 +37,7 @@ def patches():
 
 
 def fitted_gp(patches: np.ndarray, channels: int) -> tuple[Predictor, jax.Array]:
-    """A Gaussian process conditioned on six round tips, with any readings at all, and these readings."""
+    """A Gaussian process conditioned on six round tips with arbitrary readings, and these readings."""
     pressure = predict_pressures(PRESSURE, patches, np.full(6, 0.8), np.full(6, np.nan))
     lengths = len(gp.LENGTHS_MM)
     hyper = gp.GPHyperparameters(jnp.full(lengths, 1 / lengths), jnp.float32(0.2), jnp.float32(1.0), jnp.float32(0.01))
@@ -173,7 +173,7 @@ def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_pa
     ],
 )
 def test_predictors_that_cannot_be_read_are_refused_in_one_sentence(network, tmp_path, change, words):
-    """Of later versions, incomplete, and foreign ones."""
+    """They are predictors of later versions, incomplete ones, and foreign files."""
     predictor.save(tmp_path / "p", network)
     path = tmp_path / "p" / "_CHECKPOINT_METADATA"
     about = json.loads(path.read_text())
@@ -242,7 +242,7 @@ def test_any_board_is_predicted(patches):
 
 
 def test_a_network_predicts_the_same_as_its_model(network, patches):
-    """Through the user's door or straight from i2t.prediction.model: the same numbers."""
+    """The public predictor and i2t.prediction.model give the same numbers."""
     params, cfg, norm = network.model.params, network.model.cfg, network.model.normalisation
     inputs = model.Inputs(jnp.asarray(patches[0]), jnp.array([1.2, -2e-4]))
     mean, std = model.predict(params, cfg, norm, inputs)
@@ -252,8 +252,8 @@ def test_a_network_predicts_the_same_as_its_model(network, patches):
 
 
 @pytest.mark.full
-def test_a_mesh_and_a_pose_are_a_patch(process, tmp_path):
-    """`predict_touch` renders just what `render_view` does, whoever brings the mesh."""
+def test_a_mesh_and_a_pose_give_a_patch(process, tmp_path):
+    """`predict_touch` renders exactly what `render_view` does, for a mesh from any library."""
     ball = catalogue.make_object("dome")
     top = float(ball.mesh.vertices[:, 2].max())
     T_w_t = geometry.contact_frame(jnp.array([1e-3, 0, top]), jnp.array([0.0, 0, 1]))

@@ -1,4 +1,4 @@
-"""Models of any class on disk: their fields come back as they were, and what no file holds is refused at once."""
+"""Models of any class on disk: their fields are restored, and fields that no file can hold are refused at once."""
 
 from dataclasses import dataclass
 from typing import Any, NamedTuple

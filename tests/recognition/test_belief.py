@@ -52,7 +52,7 @@ def outcomes(rng: np.random.Generator, *shape: int) -> PredictedTouch:
 
 
 def expected(outcome: PredictedTouch, load: int) -> np.ndarray:
-    """Where presses end (m) at the load of that number, but for the placement."""
+    """Positions (m) at which presses end at the load of this number, without the error of the placement."""
     sunk = np.asarray(outcome.indentation[..., load], np.float64)
     return np.asarray(outcome.approach_distance, np.float64) + sunk + LOADS[load] / ARM_STIFFNESS_N_PER_M
 
@@ -99,7 +99,7 @@ PRIOR = np.tile(np.diag(SPREAD**2), (MANY, 1, 1))
 
 
 def judged(outcome, error=0.0, *, likelihood=LIKE, mean=0.0, covariance=PRIOR, load=1, contact=True):
-    """What presses tell that end `error` (m) beyond where they would without an error of the placement."""
+    """Evidence of presses that end `error` (m) beyond where they would without an error of the placement."""
     at = measured(np.zeros((MANY, 15)), np.full(MANY, LOADS[load]), expected(outcome, load) + error, [contact] * MANY)
     return evidence(at, outcome, jnp.float32(np.broadcast_to(mean, (MANY, 6))), jnp.float32(covariance), likelihood)
 
@@ -186,7 +186,7 @@ def test_evidence_of_extreme_touches_is_finite():
 
 
 def total_covariance(twist, covariance) -> np.ndarray:
-    """Of all particles together."""
+    """Covariance of all particles together."""
     return np.cov(np.asarray(twist, np.float64).T) + np.asarray(covariance, np.float64).mean(0)
 
 
@@ -258,7 +258,7 @@ def test_touches_are_a_linear_regression():
 
 @pytest.fixture(scope="module")
 def middle() -> tuple[Belief, TouchObservation, PredictedTouch]:
-    """The middle of an episode."""
+    """The state in the middle of an episode."""
     rng = np.random.default_rng(8)
     now = belief.init(PLACES, OBJECTS, channels=15)
     now = now._replace(
@@ -274,7 +274,7 @@ def test_evidence_without_weight_may_be_nan(middle):
     now, at, outcome = middle
 
     def apart(other: TouchObservation, **weights: float) -> float:
-        """How far weights of particles come apart where another touch was measured."""
+        """Difference of the particles' weights after another touch was measured."""
         first, second = (update(now, touch, outcome, like(**weights)).log_weight for touch in (at, other))
         return float(np.abs(first - second).max())
 
@@ -325,7 +325,7 @@ def test_the_bias_of_the_sensor_is_tracked():
 
 @pytest.mark.full
 def test_posterior_probabilities_are_frequencies_of_right_decisions():
-    """All that happens is drawn from the model, which is known to be right then."""
+    """Everything is drawn from the model, which is therefore correct."""
     kinds, few, episodes, sites, shape = 3, 16, 1500, 6, (1500, 3)
     model, places = like(outlier_rate=1e-9, position_std=[0.5e-3]), belief.sample_particles(SPREAD, 16)
     rng = np.random.default_rng(12)

@@ -1,4 +1,4 @@
-"""Calibrated beliefs: known temperatures and logit scalings are found again; priors are moved by Bayes' rule."""
+"""Calibrated beliefs: known temperatures and logit scalings are recovered; priors change by Bayes' rule."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from i2t.recognition.calibrated import TemperatureScaling
 
 
 def test_the_fitted_temperature_corrects_beliefs_that_count_touches_twice():
-    """Right beliefs about normal readings, made too sure by a known temperature."""
+    """Correct beliefs about normal readings are made overconfident by a known temperature."""
     rng = np.random.default_rng(0)
     episodes, touches, classes = 4000, 6, 3
     truth = rng.integers(classes, size=episodes)
@@ -29,7 +29,7 @@ def test_the_fitted_temperature_corrects_beliefs_that_count_touches_twice():
 
 
 def test_platt_scaling_corrects_slope_and_offset_of_log_odds():
-    """Odds of normal signals about -1 and 1 (log odds 2x), told with a wrong slope and offset."""
+    """Odds of normal signals about -1 and 1 (log odds 2x) are reported with a wrong slope and offset."""
     rng = np.random.default_rng(1)
     unknown = rng.random(4000) < 0.5
     x = rng.normal(size=(4000, 3)) + np.where(unknown, 1, -1)[:, None]

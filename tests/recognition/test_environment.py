@@ -82,7 +82,7 @@ def test_objects_and_pads_are_drawn_in_every_episode_and_held_out_pads_are_other
 
 
 def test_future_touches_do_not_change_past_readings():
-    """The sensor remembers: a touch reads the same whether the episode goes on or not."""
+    """The sensor has a memory: a touch reads the same whether the episode continues or not."""
     environment, params = random_environment(EnvironmentConfig(touches=4))
     _, state = environment.reset(jax.random.key(0), params)
     readings = []
@@ -96,7 +96,7 @@ def test_future_touches_do_not_change_past_readings():
 
 
 def test_press_errors_exclude_those_of_the_sensor():
-    """Worlds that differ in these alone share what is compiled."""
+    """Worlds that differ only in the sensor's errors share compiled programs."""
     none, usual = SimulationErrors.error_free(), SimulationErrors()
     assert EnvironmentConfig(usual).press_errors == replace(usual, noise=none.noise, faults=none.faults)
     often = replace(usual, faults=replace(usual.faults, ambient_every=10))

@@ -1,4 +1,4 @@
-"""Recorded sessions as episodes: where the sites of touches lie, and what a touch without contact says."""
+"""Recorded sessions as episodes: the sites of touches, and the evidence of a touch without contact says."""
 
 import inspect
 from unittest.mock import create_autospec
@@ -37,7 +37,7 @@ LIKELIHOOD = fit_likelihood(
 
 
 def touches(T, **changes) -> Touches:
-    """Touches of the skin, blank but for what is given."""
+    """Touches of the skin whose fields are empty except for the given ones."""
     n, blank, index = len(T), np.zeros((len(T), 0)), np.zeros(len(T), np.int32)
     usual = Touches(
         patch=blank, view=blank, nearest=np.zeros(n), reading=np.ones((n, CHANNELS)), force=np.full(n, 0.5),
@@ -57,7 +57,7 @@ def recorded(heights: np.ndarray, codes: list[ReturnCode]) -> Dataset:
     return Dataset(recording, ("square",), ("pad",), ("session",), BOARD, "simulated")
 
 
-def test_the_site_of_a_touch_without_contact_lies_before_its_end():
+def test_the_site_of_a_touch_without_contact_is_before_its_end():
     heights = np.array([TOP, TOP + 3e-3, TOP - 1e-3])
     data = recorded(heights, [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH])
     sites, episodes = episodes_from_dataset(data, ["square"], 3, overtravel=OVERTRAVEL)
@@ -82,8 +82,8 @@ def test_each_kind_of_evidence_has_its_own_weight_and_fused_has_all():
 
 @pytest.mark.parametrize(("share", "together"), [(1, 2), (2, 3)])
 def test_the_batch_size_of_episodes_does_not_change_beliefs(monkeypatch, share, together):
-    """Each touch is judged by what was predicted at its own site, whichever episodes are taken together; a site that
-    episodes share is imagined once, also where one more episode would fit.
+    """Each touch is compared with the prediction at its own site, in any batch of episodes; a site that episodes share
+    is predicted once, also in a batch that has room for one more episode.
     """
     rng = np.random.default_rng(0)
     heights, chosen = rng.random(30).astype(np.float32), rng.permutation(30)[:21].reshape(7, 3)

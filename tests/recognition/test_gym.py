@@ -1,4 +1,4 @@
-"""Gymnasium's own checker, and what it does not check."""
+"""Gymnasium's own checker, and properties that it does not check."""
 
 import numpy as np
 import pytest

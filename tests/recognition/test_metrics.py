@@ -116,7 +116,7 @@ def test_stopping_by_hand():
     assert np.isnan([never.stopped_predicted_error, float(never.stopped_error.mean)]).all()
 
 
-def test_a_calibrated_forecaster_stops_with_the_error_it_promises():
+def test_a_calibrated_forecaster_stops_with_the_predicted_error():
     p, truth = calibrated_forecaster(7, 20000, touches=8)
     stopped = scores.stopping(p, truth, 0.1)
     four_sigma = 4 * np.sqrt(0.25 / (20000 * stopped.stopped.mean))

@@ -39,7 +39,7 @@ interpolate_load = jax.jit(jax.vmap(outcomes.interpolate_load, (None, None, 0)))
 
 
 def met(surface, T_w_o, twist, T_w_site) -> PredictedContact:
-    """Some touches, in one compilation for all tests; of a single site or a single place if that is all there is."""
+    """Some touches, in one compilation for all tests; a single site or position if there is only one."""
     twist, T = np.atleast_2d(twist), np.asarray(T_w_site).reshape(-1, 4, 4)
     twists, sites = (jnp.float32(np.resize(x, (MANY, *x.shape[1:]))) for x in (twist, T))
     full = meet(surface, jnp.float32(T_w_o), twists, sites, LOAD)
@@ -53,7 +53,7 @@ def pose(rotation, position) -> np.ndarray:
 
 
 def tilted(rng: np.random.Generator, size: float) -> np.ndarray:
-    """A tool that looks down but for a tilt and a turn."""
+    """A tool that points down, with a tilt and a rotation."""
     return Rotation.from_euler("xyz", [*rng.uniform(0.3, 1, 2) * size * rng.choice([-1, 1], 2), 1.0]).as_matrix() @ DOWN
 
 
@@ -102,7 +102,7 @@ def test_slopes_are_differences_of_approach_distances():
         assert np.abs(contacts.jacobian).max() > 0.5
 
 
-def test_a_miss_is_all_zeros_without_nan():
+def test_a_miss_reads_zero_and_not_nan():
     # Beside the block; above it by a little more and a little less than the overtravel; below it, where an approach
     # that begins a millimetre below the bottom leads away from it.
     places = [60e-3, 0, TOP], *([0, 0, TOP + PAST + off] for off in (4 * DELTA, -4 * DELTA)), [0, 0, -STANDOFF - 1e-3]

@@ -47,7 +47,7 @@ def beliefs() -> dict[str, np.ndarray]:
 
 
 class Table(TouchModel):
-    """Says nothing at all on the object that it is asked of first, and SECOND on the other."""
+    """Distances that carry no information on the object asked first, and SECOND on the other."""
 
     def __init__(self, objects: int) -> None:
         self.asked, self.objects = 0, objects
@@ -87,7 +87,7 @@ def test_votes_averages_and_products(beliefs):
 
 
 class Weight(TouchModel):
-    """Reads the force itself in every channel."""
+    """A skin that reads the force itself in every channel."""
 
     channels = CHANNELS
 

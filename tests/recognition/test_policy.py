@@ -1,4 +1,4 @@
-"""What a touch is expected to tell against mutual information by quadrature; decisions against tables by hand."""
+"""Expected information of a touch against quadrature; decisions against tables by hand."""
 
 from functools import partial
 from typing import Any
@@ -42,7 +42,7 @@ gains = jax.jit(partial(policy.expected_information_gain, num_draws=DRAWS, num_p
 
 
 def touches(change: Any, approach: Any = 0.0, hit: Any = True) -> PredictedTouch:
-    """Touches (sites, objects, places) that end at AT, where readings of CHANGE differ by `change` (uT) sideways."""
+    """Touches (sites, objects, placements) that end at AT, where readings of CHANGE differ laterally by `change` uT."""
     change = np.broadcast_to(change, SHAPE)
     reading = np.stack([np.sqrt(CHANGE**2 - change**2), change, *[0 * change] * 13], -1)
     values = (
@@ -70,7 +70,7 @@ def start(prior: float = 0.5) -> Belief:
 
 
 def apart(distances: np.ndarray) -> np.ndarray:
-    """Of the two objects at each site."""
+    """Difference of the two objects at each site."""
     return (distances[:, None] * np.array([-0.5, 0.5]))[..., None]
 
 

@@ -78,14 +78,14 @@ def leaning() -> ObjectRecognizer:
 
 
 def are_safe_in_the_world(mesh, poses) -> list[bool]:
-    """By the checks themselves, on the mesh where it stands."""
+    """Check the sites on the mesh at its true pose."""
     surface = prepare_surface(transform_mesh(mesh, TILTED))
     check = jax.jit(jax.vmap(lambda T: touch_sites.is_safe(surface, T, CONFIG.site_limits)))
     return check(jnp.float32(np.stack(poses))).tolist()
 
 
 def touch(recognizer: ObjectRecognizer, site: ChosenSite, truth: int, key: jax.Array):
-    """What a robot would measure: reading, force, end of the press and contact."""
+    """Measurements of a robot: reading, force, end of the press and contact."""
     row = jax.tree.map(lambda x: x[site.number, truth, POSE], recognizer.table)
     # Errors of the channels, of the position (m), and of the indentation.
     noise = jax.random.normal(key, (CHANNELS + 2,)).at[-2].multiply(POSITION_STD_M)
@@ -118,7 +118,7 @@ def test_an_object_is_recognised_by_chosen_touches(recognizer, truth):
 
 
 @pytest.mark.full
-def test_sites_stand_on_the_believed_object_and_are_safe_as_it_leans(recognizer):
+def test_sites_are_on_the_believed_object_and_safe_at_its_tilt(recognizer):
     own = np.flatnonzero(recognizer.sites.owner == 0).tolist()
     poses = [recognizer.site_pose(number) for number in own]
     assert all(are_safe_in_the_world(catalogue.make_object(NAMES[0]).mesh, poses))
@@ -126,8 +126,10 @@ def test_sites_stand_on_the_believed_object_and_are_safe_as_it_leans(recognizer)
     np.testing.assert_allclose(np.linalg.inv(TILTED) @ poses[0], recognizer.sites.T_w_t[own[0]], atol=1e-6)
 
 
-def test_only_sites_are_chosen_that_are_safe_as_the_object_stands(leaning):
-    """Three of five: where the object leans away, a site that leans with it would send the tool in from the side."""
+def test_only_sites_that_are_safe_at_the_object_s_pose_are_chosen(leaning):
+    """Three of five sites are safe: where the object leans away, a site that leans with it would send the tool in from
+    the side.
+    """
     poses = [leaning.site_pose(number) for number in range(given.SITES)]
     assert tuple(are_safe_in_the_world(catalogue.make_object("dome").mesh, poses)) == SAFE_WHEN_TILTED
     state, chosen = leaning.init(), []
@@ -142,7 +144,7 @@ def test_only_sites_are_chosen_that_are_safe_as_the_object_stands(leaning):
     assert cautious.choose_touch(leaning.init()) is None
 
 
-def test_it_stops_when_certain_but_not_before_the_minimum_number_of_touches(leaning):
+def test_an_episode_stops_when_certain_after_the_minimum_number_of_touches(leaning):
     three = copy(leaning)
     three.config = replace(leaning.config, max_touches=5, min_touches=3)
     state = three.init()._replace(probability=np.array([1.0, 0.0]))

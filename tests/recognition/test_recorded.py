@@ -1,4 +1,4 @@
-"""Recorded touches as recognition takes them: those of known objects, and samples of one contact as one touch."""
+"""Recorded touches for recognition: those of known objects, and samples of one contact as one touch."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def test_objects_without_a_mesh_are_left_out_or_named():
     assert list(touches.surfaces) == ["star"]
     assert len(touches.dataset) == 40
     nameless = recorded_presses(objects=("mug", "cup"))
-    with pytest.raises(DataError, match="there is no mesh of cup, mug; give them"):
+    with pytest.raises(DataError, match="there is no mesh of cup, mug; give their files"):
         recorded_touches(nameless, np.ones(40, bool), {}, "DATA")
 
 
@@ -68,7 +68,7 @@ def test_samples_of_one_contact_are_one_touch_with_their_mean():
     [
         ({"code": np.full(40, ReturnCode.AIR)}, "no press among the training touches was ended by the skin"),
         ({"force": np.full(40, np.nan)}, "no press among the training touches has a measured force, travel and pose"),
-        ({"pad": np.arange(40) % 2}, r"of several skins \(pad b, pad é\), and a pad model is of one"),
+        ({"pad": np.arange(40) % 2}, r"of several skins \(pad b, pad é\), but a pad model describes one skin"),
         ({"session": np.zeros(40)}, "40 usable training touches in 1 sessions are too few"),
         (
             {"code": np.where(np.arange(40) < 12, ReturnCode.SKIN, ReturnCode.AIR)},

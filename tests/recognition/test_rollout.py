@@ -1,4 +1,4 @@
-"""Rollouts: what a policy may touch, what methods share, and one simulation for one episode and for many."""
+"""Rollouts: sites that a policy may touch, touches that methods share, and one simulation for one or many episodes."""
 
 from functools import partial
 
@@ -19,7 +19,7 @@ K, LOADS = 4, 3
 
 
 def _with_predictions(params):
-    """The table's first placement in place of all, and as the prediction of every particle."""
+    """Replace all placements by the table's first, which is also the prediction of every particle."""
     touches = jax.tree.map(lambda x: jnp.repeat(x[:, :, :1], x.shape[2], axis=2), params.table.touches)
     params = params._replace(table=params.table._replace(touches=touches))
     first = jax.tree.map(lambda x: jnp.moveaxis(x[:, :, 0], 1, 2), touches)  # pads, sites, objects, ...
@@ -85,7 +85,7 @@ def test_parallel_episodes_equal_those_of_the_environment():
 
 
 def test_methods_share_the_touches_that_both_make(monkeypatch):
-    """What a second method finds made is what it would have made itself, in its own order."""
+    """A second method gets the touches that it would have made itself, in its own order."""
     environment, params = random_environment(EnvironmentConfig(touches=2))
     truth, batches = np.array([0, 1, 0]), []
     touch = rollout._touch

@@ -29,8 +29,8 @@ def world():
 
 @pytest.mark.full
 def test_a_linear_press_equals_the_full_physics_within_the_noise(world):
-    """Without friction: force within 8 %, travel within 20 um, and reading within 3 uT of those of cells of 0.5 mm and
-    displaced dipoles.
+    """Without friction, force is within 8 %, travel within 20 um, and reading within 3 uT of those of cells of 0.5 mm
+    and displaced dipoles.
     """
     _, params = world
     params = params._replace(pads=params.pads._replace(friction=jnp.zeros_like(params.pads.friction)))

@@ -22,7 +22,7 @@ def patches() -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def library(patches) -> PatchLibrary:
-    """Of those planes; where each is nearest, it is pressed."""
+    """Library of those planes, each pressed at its nearest point."""
     count, loads = len(patches), np.asarray(LOADS, np.float32)
     rng = np.random.default_rng(0)
     corner = np.stack([np.unravel_index(patch.argmin(), patch.shape) for patch in patches])
@@ -43,7 +43,7 @@ def library(patches) -> PatchLibrary:
 
 @pytest.fixture(scope="session")
 def model(library) -> PressModel:
-    """Of a pad of two chips, whose readings are in proportion to the load."""
+    """Model of a pad of two chips, whose readings are proportional to the load."""
     rng = np.random.default_rng(1)
     loads, count = np.asarray(LOADS, np.float32), len(library.patch)
     per_newton = rng.normal(0, 20, (CHANNELS, count))

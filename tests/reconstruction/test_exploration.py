@@ -1,4 +1,4 @@
-"""Where to touch next: only what is safe, and what each policy says it prefers."""
+"""The next touch: only safe sites, and the preference of each policy."""
 
 from functools import partial
 
@@ -35,7 +35,7 @@ def _config(**changes):
 
 @pytest.fixture(scope="module")
 def touched():
-    """The model, what is known after a touch from above, and the surface by that."""
+    """The model, its state after a touch from above, and the surface estimate."""
     model = _balls()
     state, _ = update(model, init(model)[0], contact_evidence(from_above(55e-3)))
     return model, state, estimate_surface(model, state)
@@ -56,7 +56,7 @@ def test_only_safe_sites_are_chosen_and_none_if_none_is_safe(policy, touched):
     assert choose_touch(model, state, config=_config(policy=policy), estimate=empty).T_o_t is None
 
 
-def test_sites_lie_on_the_surface_and_look_into_it():
+def test_sites_are_on_the_surface_and_face_into_it():
     model = _balls()
     estimate = estimate_surface(model, init(model)[0])
     proposals = exploration.propose_sites(estimate, np.random.default_rng(0), config=_config(limits=AROUND_LIMITS))
@@ -108,7 +108,7 @@ def test_the_uncertainty_policy_chooses_the_least_certain_site(touched):
 
 
 def test_the_expected_reduction_equals_that_of_the_variance_by_a_measurement():
-    """Against a measurement that is made: the regression with one more point."""
+    """The expected reduction is compared with a regression that has one more point."""
     model = _balls(free_tolerance=1.0)
     seen = CENTRE + 25e-3 * np.array([[0, 0, 1.0], [1.0, 0, 0]])
     weigh = partial(condition_on, model, weighted_prior(model, init(model)[0]))

@@ -1,4 +1,4 @@
-"""One press, and what it says of the surface: closed forms, dense linear algebra, small runs of the full physics."""
+"""Evidence of one press on the surface: closed forms, dense linear algebra, small runs of the full physics."""
 
 import jax
 import jax.numpy as jnp
@@ -98,8 +98,8 @@ def test_the_marginal_likelihood_equals_that_of_dense_matrices(press, model):
 
 
 @pytest.mark.full
-def test_a_slant_is_no_evidence_against_a_patch(press, model):
-    """What friction adds to a slanted press costs far less where the slant is a nuisance than where it is an error."""
+def test_a_slant_does_not_count_against_a_patch(press, model):
+    """The effect of friction on a slanted press costs far less as a nuisance than as an error."""
     reading, force, travel = press
     slanted = reading + 0.0175 * force[:, None] * model.sliding[0, 0, :, TRUE][None] / model.loads[0]
     blind, lost = model._replace(likelihood=model.likelihood._replace(slant_std=1e-6)), []
@@ -137,7 +137,7 @@ def test_a_blurred_mask_has_the_variance_of_the_blur_and_keeps_constant_masks():
 
 @pytest.mark.full
 def test_predicted_readings_equal_those_of_the_full_physics():
-    """On cells of 1 mm and with loose tolerances, within a fifth of presses on cells of half a millimetre."""
+    """Presses on cells of 1 mm with loose tolerances are within a fifth of presses on cells of half a millimetre."""
     surface = i2t.prepare_surface(i2t.make_object("stamp-cross").mesh)
     contacts, objects = sample_contacts(jax.random.key(0), [surface], 3)
     pad = i2t.sample_pad(jax.random.key(1))

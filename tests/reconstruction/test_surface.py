@@ -74,7 +74,7 @@ def test_the_signed_distance_of_a_ball_is_its_closed_form_and_its_mesh_has_its_v
 
 @pytest.mark.parametrize("on_table", [True, False])
 def test_shapes_of_the_library_are_the_meshes_on_all_sides_turned_and_mirrored(on_table):
-    """48 in all, each against the distance of the mesh that is turned so."""
+    """There are 48, each compared with the distance of the mesh in that orientation."""
     corner = trimesh.boolean.union(
         [trimesh.creation.box(bounds=[[0, 0, 0], high]) for high in ((30e-3, 8e-3, 8e-3), (8e-3, 20e-3, 14e-3))]
     )
@@ -121,7 +121,7 @@ def test_only_swept_space_is_free_and_an_invalid_pose_is_refused():
     lost = from_above(0.0)
     lost[0, 3] = np.nan
     for pose, swept in ((lost, 0.1), (from_above(0.0), np.nan)):
-        with pytest.raises(ValueError, match=r"T_o_t: is not a rigid motion|swept: is nan; give a way in metres"):
+        with pytest.raises(ValueError, match=r"T_o_t: is not a rigid motion|swept: is nan; give a distance in metres"):
             contact_evidence(pose, swept=swept)
     with pytest.raises(ValueError, match="is not a rigid motion"):
         contact_evidence(np.diag([-1.0, 1, 1, 1]))
@@ -156,7 +156,7 @@ def test_a_contact_chooses_among_known_shapes_and_narrows_the_band():
 
 
 def _turned(axis, height):
-    """A pad that looks along minus an axis."""
+    """A pad that faces along the negative direction of an axis."""
     z = -np.asarray(axis, float)
     x = np.roll(z, 1)
     T = np.eye(4)
@@ -207,7 +207,7 @@ def test_no_touch_reduces_the_floor_of_the_band():
     np.testing.assert_allclose(spread(2e-3), np.hypot(bare, 2e-3), rtol=1e-5)
 
 
-def test_felt_points_become_points_of_the_surface():
+def test_points_of_contact_become_points_of_the_surface():
     model = _balls()
     x, y = (axis.ravel() for axis in np.meshgrid(*2 * [np.linspace(-7e-3, 7e-3, 5)]))
     cap = np.stack([x, y, np.sqrt(25e-3**2 - x**2 - y**2)], -1)
@@ -220,7 +220,7 @@ def test_felt_points_become_points_of_the_surface():
 
 
 def test_a_reading_locates_the_contact_in_the_square_and_the_free_space_in_front(library, model):
-    """Of planes that tilt: the lowest corner is met, the opposite one is free."""
+    """For tilted planes, the lowest corner is in contact and the opposite one is free."""
     posterior = summarize(jnp.zeros(24).at[0].set(1.0), jnp.float32(1.0), library=library)  # nearest where x is least
     T_o_t = from_above(20e-3)
     touch, felt = contact_evidence(T_o_t), reading_evidence(T_o_t, posterior)

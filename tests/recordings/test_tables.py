@@ -204,7 +204,7 @@ def test_conversions_and_omissions_are_noted(tmp_path):
     both = np.column_stack([VALUES, VALUES[:, 0] + 5, VALUES[:, 0]])
     (recording,) = read_recordings(write_table(tmp_path / "c.csv", [*NAMES, "x_mm", "humidity"], both))
     assert any("x_mm appear twice: the first" in note for note in recording.notes)
-    assert any("humidity, which have no meaning" in note for note in recording.notes)
+    assert any("humidity, which are not used" in note for note in recording.notes)
     np.testing.assert_allclose(recording.targets["position"], SKIN.targets["position"])
 
 
@@ -244,7 +244,7 @@ def test_presses_with_force_but_no_travel_are_converted(tmp_path, capsys):
     np.testing.assert_allclose(touches.force, 9.80665 * SKIN.targets["travel"][:, 0], rtol=1e-6)
     assert np.isnan(touches.travel).all()
     np.testing.assert_allclose(touches.T_w_o[:, :2, 3], SKIN.targets["position"], atol=1e-8)
-    assert "known by their force" in capsys.readouterr().out
+    assert "described by their force" in capsys.readouterr().out
     presses = loaded_presses(dataset, "auto")
     assert presses.by_force
     assert len(presses.load) == 40
@@ -437,7 +437,7 @@ def test_only_one_of_two_clocks_is_the_time(tmp_path):
     assert read_text_table(path).header == ["timestamp_ms", "time_s", "b0x_uT"]
 
 
-def test_a_bad_first_stamp_does_not_decide(tmp_path):
+def test_a_damaged_first_stamp_does_not_condemn_later_ones(tmp_path):
     path = tmp_path / "a.csv"
     for bad, good in (("0", "1760961600.25"), ("n/a", "2025-10-20 12:00:00.25")):
         path.write_text(f"timestamp,b0x_uT\n{bad},1\n" + f"{good},2\n" * 5)

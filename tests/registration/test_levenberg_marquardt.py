@@ -28,7 +28,7 @@ def test_the_valley_of_rosenbrock_ends_at_its_minimum():
 
 
 def test_marquardts_damping_is_independent_of_units():
-    """In other units the same steps are taken."""
+    """In other units, the same steps are taken."""
     a, b = np.random.default_rng(0).normal(size=(8, 3)), np.random.default_rng(1).normal(size=8)
     units = np.array([1.0, 64.0, 1 / 1024])  # powers of two, which round nothing
     solution, scaled = (

@@ -39,8 +39,8 @@ register = jax.jit(partial(register_by_touch, **prior))
 
 
 def probe(key, surface: Surface):
-    """Where an object really stands, and the poses of first contact on ten sites of where it is believed to be (the
-    origin), each with a noise of NOISE along each axis.
+    """The true pose of an object, and the poses of first contact on ten sites of its believed pose (the origin), each
+    with noise of NOISE along each axis.
     """
     key_sites, key_motion, key_noise = jax.random.split(key, 3)
     sites = touch_sites.sample_sites(key_sites, surface, TOUCHES)
@@ -74,7 +74,7 @@ def once(contacts, touched):
 
 
 def errors(estimated, true) -> np.ndarray:
-    """Twists from the true to the found pose; their first order is enough for what is left of a degree."""
+    """Twists from the true to the estimated pose; their first order suffices for the remaining error of a degree."""
     return to_twist(np.linalg.inv(np.asarray(true, float)) @ np.asarray(estimated, float))
 
 
@@ -144,7 +144,7 @@ def test_symmetric_directions_keep_the_prior():
 
 @pytest.mark.full
 def test_touches_in_air_keep_the_prior():
-    """With no touch left the answer is the prior, whatever the poses hold."""
+    """Without any touch that counts, the result is the prior for any poses."""
     nowhere = jnp.full((TOUCHES, 4, 4), jnp.nan, jnp.float32)
     estimate = once(nowhere, jnp.zeros(TOUCHES, bool))
     np.testing.assert_allclose(estimate.T_w_o, np.eye(4), atol=1e-7)
@@ -158,7 +158,7 @@ def test_touches_in_air_keep_the_prior():
 
 
 @pytest.mark.full
-def test_a_wrong_touch_does_not_pull():
+def test_an_outlying_touch_does_not_shift_the_estimate():
     """One contact 5 mm too early weighs 5 / (4 + 50^2) = 0.002 and so pulls like one of 10 um, a tenth of the noise."""
     contacts, hit = (part[0] for part in draw(jax.random.split(jax.random.key(7), RUNS), SURFACES[0])[1:])
     wrong = contacts.at[4, 2, 3].add(5e-3)
@@ -170,7 +170,7 @@ def test_a_wrong_touch_does_not_pull():
 
 
 def test_padding_faces_are_not_candidates():
-    """Rounding may give a face of three equal corners an area, and such a face was met wherever it was put."""
+    """Rounding may give a face of three equal corners an area, and the face would then be met anywhere."""
     surface = prepare_surface(trimesh.creation.box((0.04, 0.04, 0.04)))
     assert len(surface.triangles) > 12
     corners = contacts.candidates(surface, jnp.eye(4).at[2, 3].set(0.02), 3e-3, 0.03, half_edge=0.01, count=128)
@@ -190,7 +190,7 @@ def test_another_edge_of_the_skin_compiles_nothing():
 
 
 def test_steps_follow_the_gradient_of_students_t_log_density():
-    """Of residuals that are linear in z, from a thousandth of the scale to thirty times it."""
+    """The residuals are linear in z, from a thousandth of the scale to thirty times it."""
     rng = np.random.default_rng(8)
     at, slope, weight = (rng.normal(size=size) for size in (9, (9, 6), 9))
     at, weight, scale = at * np.geomspace(1e-3, 30, 9), np.abs(weight), 0.7
@@ -211,7 +211,7 @@ def test_steps_follow_the_gradient_of_students_t_log_density():
 
 
 def test_contact_of_recorded_touches():
-    """The end of a press, taken back by its travel along tool z; what met nothing is left out."""
+    """The end of a press is moved back by its travel along tool z; touches without contact are left out."""
     T = np.asarray(random_motion(jax.random.key(0), 0.1, 1.0))
     codes = [ReturnCode.SKIN, ReturnCode.AIR, ReturnCode.WRENCH, ReturnCode.FAILED]
     touches = Touches(*[None] * len(Touches._fields))._replace(
@@ -227,7 +227,7 @@ CAMERA = Camera(320, 180, 161.2, 161.05, 159.5, 89.5)  # the paper's, every seco
 
 
 def look_at(at: np.ndarray, degrees: float, distance: float = 0.25) -> np.ndarray:
-    """T_w_c of a camera that looks down at a place, tilted."""
+    """T_w_c of a tilted camera that looks down at a point."""
     T = np.diag([1.0, -1.0, -1.0, 1.0])
     T[:3, :3] = T[:3, :3] @ Rotation.from_euler("yx", [degrees, degrees / 3], degrees=True).as_matrix()
     T[:3, 3] = at - distance * T[:3, 2]
@@ -305,7 +305,7 @@ def test_errors_of_the_camera_move_the_object():
     np.testing.assert_array_equal(camera_covariance(before, T_c_o, 0.0, 0.0), before)
 
 
-def test_what_cannot_be_registered_is_refused():
+def test_touches_that_cannot_be_registered_are_refused():
     rng, mesh = np.random.default_rng(0), make_object("hexagon").mesh
     T_w_c = look_at(np.array([0, 0, 15e-3]), 30)
     depth = noisy_image(mesh, T_w_c, rng)

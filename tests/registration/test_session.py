@@ -65,7 +65,7 @@ def twist_between(true: np.ndarray, estimated: np.ndarray) -> np.ndarray:
 @pytest.mark.full
 @pytest.mark.parametrize("name", NAMES)
 def test_object_and_camera_are_located_by_embree_views_and_contacts(name):
-    """Both are off by a millimetre and more along each axis, and by a degree about some."""
+    """Both are displaced by a millimetre or more along each axis, and rotated by a degree about some."""
     placed, camera = (np.asarray(from_twist(jnp.float32(twist)), float) for twist in APART)
     touches = embree_touches(MESHES[NAMES.index(name)], SURFACES[name], placed, camera)
     estimate = register_session(touches, SURFACES[name], config=CONFIG)
@@ -99,7 +99,7 @@ def test_intervals_of_session_twists_cover_the_truth():
 
 
 def test_derivatives_are_those_of_moved_cameras():
-    """Of blurred renderings, silhouettes included, by differences over half a pixel's way."""
+    """Derivatives of blurred renderings, including silhouettes, are compared with differences over half a pixel."""
     surface, pixels, pitch = SURFACES["hexagon"], 48, PATCH_WINDOW / 48
     T_o_c = np.asarray(i2t.contact_pose(MESHES[0], np.array([0.016, 0.004, 0.03]), roll=0.4), float)
     T_o_c = T_o_c @ np.asarray(from_twist(jnp.float32([0, 0, -1e-3, 1e-4, -2e-4, 0])), float)
@@ -142,7 +142,7 @@ def test_noise_is_measured_and_what_cannot_be_registered_is_refused():
 
 
 def test_views_of_registered_sessions_are_rendered_at_the_estimated_poses():
-    """Of two sessions one is registered; the other keeps what the camera saw."""
+    """One of two sessions is registered; the other keeps the camera's views."""
     n = 3
     pose = np.asarray(i2t.contact_pose(MESHES[0], np.array([0.0, 0.0, 0.03])), np.float32)
     T_w_t = np.tile(pose, (2 * n, 1, 1))
@@ -167,7 +167,7 @@ def test_views_of_registered_sessions_are_rendered_at_the_estimated_poses():
 
 @pytest.mark.full
 def test_a_collection_reports_the_errors_of_object_and_camera():
-    """The camera is off in tool axes at the pose from which it looks, so that what it turns by moves its views too."""
+    """The camera is displaced in tool axes at the pose from which it looks, so its rotation also moves its views."""
     rig, hammer = read_rig(LabArgs(), real=False), MESHES[1]
     placed, camera = (np.asarray(from_twist(jnp.float32(twist)), float) for twist in APART)
     back = np.eye(4)

@@ -29,7 +29,7 @@ PITCH = PATCH_WINDOW / PATCH_PIXELS
 
 
 def poses(thing, count: int, seed: int) -> np.ndarray:
-    """Tilted looks at a thing from above, onto random points of its upper faces (T_w_t)."""
+    """Tool poses T_w_t that look, tilted, from above onto random points of an object's upper faces."""
     rng = np.random.default_rng(seed)
     mesh = trimesh.Trimesh(thing.vertices, thing.faces, process=False)
     up = np.where(mesh.face_normals[:, 2] > 0.5, mesh.area_faces, 0)
@@ -102,7 +102,7 @@ def soup(*triangles) -> SimpleNamespace:
 
 
 def hostile() -> dict[str, tuple[Surface, np.ndarray]]:
-    """Scenes in which some ray meets what has no derivative."""
+    """Scenes in which some ray meets a point without a derivative."""
     on = (np.arange(PATCH_PIXELS)[20] + 0.5) * PITCH - PATCH_WINDOW / 2  # x and y of a ray
     straight = np.eye(4)
     aside, on_ray, turned, edge_on = (straight.copy() for _ in range(4))
@@ -134,8 +134,8 @@ def hostile() -> dict[str, tuple[Surface, np.ndarray]]:
 
 
 @pytest.mark.full
-def test_finite_whatever_the_rays_meet_and_backwards_is_forwards_transposed():
-    """In reverse mode, which trains and optimises, the same linear map by pose and by corners."""
+def test_derivatives_are_finite_in_every_scene_and_reverse_mode_is_forward_mode_transposed():
+    """Reverse mode, which training and optimisation use, is the same linear map by pose and by corners."""
     scenes = hostile()
     surfaces = stack_surfaces([surface for surface, _ in scenes.values()])
     T = np.stack([T for _, T in scenes.values()]).astype(np.float32)

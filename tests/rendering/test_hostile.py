@@ -27,8 +27,8 @@ def put(*place, value) -> np.ndarray:
 
 
 @pytest.mark.full
-def test_bad_poses_spoil_their_own_rows_only():
-    """Scaled, singular, mirrored, sheared, transposed and without a number: no image; places far away see nothing."""
+def test_non_finite_poses_affect_their_own_rows_only():
+    """Scaled, singular, mirrored, sheared, transposed and non-finite poses give no image; distant ones see nothing."""
     bad = [LOOK @ np.diag(scale).astype(np.float32) for scale in ([2, 2, 2, 1], [1, 1, 0, 1], [1, 1, -1, 1])]
     bad += [0 * LOOK, LOOK.T, LOOK @ (np.eye(4) + 0.01 * np.eye(4, k=1)).astype(np.float32), np.nan * LOOK]
     bad += [put(0, 3, value=np.nan), put(2, 3, value=-np.inf), put(1, 1, value=np.nan), put(3, 3, value=2)]
@@ -45,7 +45,9 @@ def test_bad_poses_spoil_their_own_rows_only():
 
 @pytest.mark.full
 def test_singular_maps_flatten_the_surface():
-    """`render_heights` takes any affine map: squashed along z the pyramid is its shadow, along x it is edge on."""
+    """`render_heights` accepts any affine map: squashed along z, the pyramid is its shadow; along x, it is seen edge
+    on.
+    """
     heights = jax.jit(render_heights)
     np.testing.assert_array_equal(np.abs(heights(PYRAMID, np.diag([1, 1, 0, 1]).astype(np.float32))), 0)
     for nothing in (np.diag([0, 1, 1, 1]), np.zeros((4, 4))):

@@ -48,7 +48,7 @@ def pose(attitude=None, position=(0.0, 0.0, 0.0)) -> np.ndarray:
 
 
 def soup(triangles) -> SimpleNamespace:
-    """A mesh whose faces share nothing."""
+    """A mesh whose faces share no vertices."""
     triangles = np.asarray(triangles, float)
     return SimpleNamespace(vertices=triangles.reshape(-1, 3), faces=np.arange(3 * len(triangles)).reshape(-1, 3))
 
@@ -222,7 +222,7 @@ def assert_same(patch, other, atol: float) -> None:
 @settings(max_examples=30, deadline=None)
 @given(ROTATIONS, st.sampled_from(["diagonal", "grid", "fan"]), st.floats(0, 0.3))
 def test_no_cracks(attitude, kind, offset):
-    """Rays that run along shared edges and through shared corners still hit, whatever way the scene is turned."""
+    """Rays along shared edges and through shared corners hit in every orientation of the scene."""
     x, y = centres()
     rim = 0.04 * np.array([[np.cos(k * np.pi / 12), np.sin(k * np.pi / 12), 0] for k in range(24)])
     thing = {

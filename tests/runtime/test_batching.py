@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def started(words, devices=1):
-    """A process of its own, which compiles more than it computes."""
+    """A separate process, which compiles more than it computes."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
     environment["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"
     flags = f"{os.environ.get('XLA_FLAGS', '')} --xla_force_host_platform_device_count={devices}"

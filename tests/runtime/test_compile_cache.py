@@ -36,7 +36,7 @@ def test_the_folder_is_in_the_users_cache_and_bounded(no_settings, tmp_path):
     assert int(os.environ["JAX_COMPILATION_CACHE_MAX_SIZE"]) == compile_cache.MAX_CACHE_BYTES
 
 
-def test_it_can_be_disabled_and_respects_settings_of_jax(no_settings, tmp_path):
+def test_the_cache_can_be_disabled_and_respects_settings_of_jax(no_settings, tmp_path):
     no_settings.setenv("XDG_CACHE_HOME", str(tmp_path))
     no_settings.setenv(CACHE_VARIABLE, "OFF")
     assert use_compile_cache() is None
@@ -57,8 +57,8 @@ def test_another_machine_has_a_folder_of_its_own(no_settings, tmp_path):
 
 
 @pytest.mark.parametrize("asked", [True, False])
-def test_a_folder_that_cannot_be_made_costs_one_line_at_most(no_settings, tmp_path, capsys, asked):
-    """A file where the folder should be is refused to every user, to root as well."""
+def test_a_folder_that_cannot_be_created_gives_at_most_one_line(no_settings, tmp_path, capsys, asked):
+    """A file where the folder should be is refused for every user, including root."""
     (tmp_path / "file").write_text("")
     no_settings.setenv(CACHE_VARIABLE if asked else "XDG_CACHE_HOME", str(tmp_path / "file"))
     assert use_compile_cache() is None
@@ -103,7 +103,7 @@ def test_a_second_process_finds_what_the_first_compiled(tmp_path):
 
 @pytest.mark.full
 def test_a_disk_that_fills_up_later_causes_no_warning(tmp_path):
-    """The folder is gone and cannot be made again once JAX writes into it."""
+    """The folder is gone and cannot be created again when JAX writes to it."""
     spoil = (
         "import os, shutil, pathlib; f = pathlib.Path(os.environ['JAX_COMPILATION_CACHE_DIR']); "
         "jax.jit(lambda x: x + 1)(1.0); shutil.rmtree(f); f.write_text('')"

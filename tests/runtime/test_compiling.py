@@ -76,7 +76,7 @@ def test_floats_of_a_configuration_are_traced_and_other_fields_static() -> None:
         assert compiled == ["jit(draw)"]
 
 
-def test_a_configuration_outside_of_programs_is_made_of_numbers_and_its_tree_is_not_checked_again() -> None:
+def test_a_configuration_outside_compiled_programs_holds_plain_numbers() -> None:
     assert hash(Drawing()) == hash(Drawing(Line(2.0, 1)))
     assert jax.tree.leaves(Drawing()) == [2.0, 0.5]
     assert jax.tree.map(lambda leaf: -leaf, Drawing()).offset == -0.5

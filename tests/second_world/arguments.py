@@ -9,8 +9,8 @@ from i2t.cli.options import Count
 
 @dataclass(frozen=True)
 class SecondWorldArgs(RunOptions):
-    """Does predicted contact pressure lead where the physics is another?"""
+    """Compare predicted contact pressure with baselines under physics that i2t does not model."""
 
-    out: Path = Path("runs/second_world")  # folder for metrics.json
-    skins: Count = 5  # random skins
-    touches: Count = 20  # of each object
+    out: Path = Path("runs/second_world")  # folder of the results, metrics.json and config.json
+    skins: Count = 5  # number of random skins
+    touches: Count = 20  # number of touches of each object

@@ -1,12 +1,12 @@
-"""Question: do predictors that were built with i2t's physics lead where the physics is another?
+"""Question: do predictors that were built with i2t's physics also lead under other physics?
 
     python -m tests.second_world               five skins
-    python -m tests.second_world --skins 1     one of them
+    python -m tests.second_world --skins 1     the first skin only
 
 The world is that of `tests.second_world.world`, which shares no code with i2t. Each of its objects is left out in turn:
-every method is fitted to touches of the others, and its hyperparameters are chosen on them. Baselines are given what
-the Gaussian process is given, the force and the predicted contact pressure. Pressures are predicted with i2t's own
-elastic layer. Nothing in i2t is chosen by the result. It goes to --out: metrics.json and config.json.
+every method is fitted to touches of the others, and its hyperparameters are chosen on them. Baselines have the same
+inputs as the Gaussian process, the force and the predicted contact pressure. Pressures are predicted with i2t's own
+elastic layer. Nothing in i2t is chosen on the result, which is written to --out: metrics.json and config.json.
 """
 
 from collections.abc import Sequence
@@ -56,8 +56,8 @@ def r2_of_skin(methods: Sequence[Method], seed: int, count: int) -> dict[str, fl
 
     Args:
         methods: The methods.
-        seed: Of the skin and its touches.
-        count: Touches of each object.
+        seed: Seed of the skin and its touches.
+        count: Number of touches of each object.
 
     Returns:
         R2 over all touches, each predicted from the touches of the other objects.

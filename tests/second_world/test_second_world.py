@@ -14,7 +14,7 @@ FLAT = np.zeros((world.CELLS, world.CELLS))
 TOUCHES = 20  # of each object
 
 
-def test_it_shares_no_code_with_i2t():
+def test_the_second_world_shares_no_code_with_i2t():
     nodes = ast.walk(ast.parse(Path(world.__file__).read_text()))
     imported = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
     names = [alias.name for node in imported for alias in node.names]
@@ -22,8 +22,8 @@ def test_it_shares_no_code_with_i2t():
     assert not [name for name in names if name.startswith(("i2t", "experiments", "jax"))]
 
 
-def test_a_flat_sinks_as_its_springs_say_and_a_dipole_has_its_field():
-    """On the axis of a dipole: mu0 m / (2 pi r^3)."""
+def test_a_flat_sinks_like_its_springs_and_a_dipole_has_its_field():
+    """The field on the axis of a dipole is mu0 m / (2 pi r^3)."""
     indentation, given = world.press(SKIN, FLAT, 3.0)
     np.testing.assert_allclose(given, indentation, rtol=1e-3)
     share = indentation / SKIN.thickness
@@ -36,7 +36,7 @@ def test_a_flat_sinks_as_its_springs_say_and_a_dipole_has_its_field():
 
 @pytest.mark.full
 def test_predicted_pressure_leads_baselines_on_patches_where_the_physics_is_another():
-    """On objects that none has seen, with i2t's own layer; the baselines are given the force, too."""
+    """The objects are unseen, the layer is i2t's own, and the baselines are given the force, too."""
     methods = methods_compared()
     r2 = r2_of_skin(methods, 0, TOUCHES)
     on_patches = [r2[method.title] for method in methods if method.baseline and not getattr(method, "on_pressure", 0)]

@@ -31,7 +31,7 @@ NOISE_UT, FORCE_NOISE_N = 1.5, 0.1
 
 
 class ReferenceSkin(NamedTuple):
-    """A foundation with magnets in it."""
+    """A foundation of springs that carries magnets."""
 
     stiffness: float  # Pa/m, of a spring at rest
     thickness: float  # m
@@ -50,7 +50,7 @@ class WorldTouches(NamedTuple):
 
 
 def make_skin(rng: np.random.Generator) -> ReferenceSkin:
-    """A random skin, whose readings change by some tens of microtesla at a newton."""
+    """A random skin, whose readings change by some tens of microtesla per newton."""
     thickness = rng.uniform(2e-3, 3e-3)
     magnets = np.c_[rng.uniform(-0.5, 0.5, (600, 2)) * EDGE_M, -thickness * rng.uniform(0.05, 0.95, 600)]
     patches = rng.normal(size=(5, 5, 3))  # regions that were magnetised alike
@@ -130,7 +130,7 @@ def _spring(skin: ReferenceSkin, given: np.ndarray) -> np.ndarray:
 
 
 def _relaxed(skin: ReferenceSkin, least: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Deflection under an obstacle that presses it at least so far, by projected relaxation from a smaller one."""
+    """Deflection under an obstacle that enforces at least `least`, by projected relaxation from a smaller one."""
     cell = EDGE_M / CELLS
     given = np.maximum(start, least)
     for _ in range(RELAXATIONS):
@@ -177,7 +177,7 @@ def _heights(mesh: trimesh.Trimesh, T_o_t: np.ndarray, cells: int) -> np.ndarray
 
 
 def _site(rng: np.random.Generator, mesh: trimesh.Trimesh) -> np.ndarray:
-    """Tool pose (4, 4) on a random point that is not too steep, turned in any way about its normal."""
+    """Tool pose (4, 4) on a random point that is not too steep, with a random rotation about its normal."""
     gentle = mesh.face_normals[:, 2] >= np.cos(np.radians(MAX_SLOPE_DEG))
     points, faces = trimesh.sample.sample_surface(
         mesh, 1, face_weight=np.where(gentle, mesh.area_faces, 0.0), seed=int(rng.integers(2**31))

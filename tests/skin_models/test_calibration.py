@@ -85,7 +85,7 @@ def by_travel(position=POSITIONS, load=TRAVEL, readings=READINGS, **given):
         (lambda *_: by_travel(POSITIONS[:4]), "do not belong together"),
         (lambda _, unknown: by_travel(previous_session=unknown), "other channels or another kind of load"),
         (lambda *_: by_travel(board=boards.grid_board(4, 4)), "16 chips"),
-        (lambda *_: calibrate(None, None, READINGS, load_kind="none"), "say nothing about another press"),
+        (lambda *_: calibrate(None, None, READINGS, load_kind="none"), "cannot predict another press"),
         (lambda _, unknown: unknown.predict(POSITIONS[:4], TRAVEL[:4]), "loads do not match this calibration"),
     ],
 )

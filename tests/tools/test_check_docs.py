@@ -1,4 +1,4 @@
-"""`tools.check_docs` finds a planted fault of each kind, says where it is, and says nothing of what is right."""
+"""`tools.check_docs` finds a planted fault of each kind with its place, and reports nothing else."""
 
 import json
 import re
@@ -54,7 +54,7 @@ def test_a_planted_fault_of_a_page_is_found(check, text, said):
 
 
 def _run(*words, cwd=ROOT):
-    """What a linter prints where it finds mistakes."""
+    """The output of a linter that finds mistakes."""
     done = subprocess.run([str(word) for word in words], capture_output=True, text=True, check=False, cwd=cwd)
     assert done.returncode == 1, done.stdout + done.stderr
     return done.stdout + done.stderr
@@ -106,7 +106,7 @@ def test_imports_against_a_contract_are_found_however_they_are_written(tmp_path)
         ('def f(a: int):\n    """Show.\n\n    Returns:\n        It.\n    """\n    print(a)\n', "should not have"),
     ],
 )
-def test_what_ruff_is_configured_to_find_is_found(source, finding):
+def test_the_configured_rules_of_ruff_are_active(source, finding):
     words = [sys.executable, "-m", "ruff", "check", "--stdin-filename", "i2t/dataset/planted.py", "-"]
     done = subprocess.run(words, input=source, capture_output=True, text=True, check=False, cwd=ROOT)
     assert finding in done.stdout
@@ -145,7 +145,7 @@ def test_links_anchors_and_names_that_lead_nowhere_are_found(tmp_path):
     assert "kept" not in report
 
 
-def test_code_on_a_page_that_calls_what_is_not_there_is_found(tmp_path):
+def test_calls_of_missing_names_on_a_page_are_found(tmp_path):
     (tmp_path / "docs").mkdir()
     (tmp_path / "docs" / "case.md").write_text(
         "# Case\n\n```python\ni2t.nothing()\ni2t.make_object('a', unknown=1)\nmine.say(i2t.DataError)\n```\n"

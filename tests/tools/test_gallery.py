@@ -5,7 +5,7 @@ import pytest
 from tools.gallery.arguments import FIGURE_NAMES, FIGURES_OF_RUN, GalleryArgs
 
 
-def test_a_figure_without_a_trained_run_needs_none(tmp_path):
+def test_only_figures_of_a_trained_run_require_one(tmp_path):
     nowhere = tmp_path / "none"
     GalleryArgs(pad_model=nowhere, only=tuple(set(FIGURE_NAMES) - FIGURES_OF_RUN)).check()
     for name in FIGURES_OF_RUN:

@@ -1,4 +1,4 @@
-"""Every notebook runs from top to bottom at its debug size, and what its cells end with can be shown."""
+"""Every notebook runs from top to bottom at its debug size, and the results of its cells can be shown."""
 
 import ast
 import os
@@ -14,7 +14,7 @@ NAMES = ("paper", "first_touches", "skin_physics", "recognition", "reconstructio
 
 
 def run(name: str) -> list[object]:
-    """What the last expression of each code cell gave."""
+    """The value of the last expression of each code cell."""
     shown: list[object] = []
     space: dict[str, object] = {"__name__": "__main__"}
     for number, source in enumerate(notebooks.sources(notebooks.FOLDER / f"{name}.ipynb")):
@@ -66,7 +66,7 @@ def stamped(folder: Path) -> Path:
 
 @pytest.mark.full
 def test_the_first_notebook_takes_a_mesh_file_of_its_reader():
-    """Its cells run on the mesh that a reader names. (Without one a tool of the catalogue stands in, as above.)"""
+    """Its cells run on a mesh file that a reader names; without one, an object of the catalogue is used."""
     import i2t
     from i2t import viz
 

@@ -1,4 +1,4 @@
-"""Steps measure once what the tables of the documents show, and tables are written from what was measured."""
+"""Steps measure each number of the documents' tables once, and tables are written from these numbers."""
 
 import contextlib
 import importlib
@@ -54,7 +54,7 @@ def reproduced(tmp_path, monkeypatch):
     return lambda *words: reproduce.main(["--out", "runs", "--docs", "docs", *words]), calls
 
 
-def test_steps_run_once_in_order_go_on_and_keep_what_they_measured(tmp_path, reproduced):
+def test_steps_run_once_in_order_resume_and_keep_their_measurements(tmp_path, reproduced):
     command, played = reproduced
     (tmp_path / "runs" / "study").mkdir(parents=True)
     (tmp_path / "runs" / "study" / "config.json").write_text("{}")  # begun, not finished
@@ -65,7 +65,7 @@ def test_steps_run_once_in_order_go_on_and_keep_what_they_measured(tmp_path, rep
     assert json.loads((tmp_path / "docs" / "results" / "paper.json").read_text()) == {"step": "paper", "sets": {}}
 
 
-def test_a_step_whose_recording_is_not_there_is_left_out(tmp_path, reproduced, monkeypatch, capsys):
+def test_a_step_without_its_recording_is_left_out(tmp_path, reproduced, monkeypatch, capsys):
     command, played = reproduced
     step = next(step for step in STEPS if step.needs)
     monkeypatch.setattr(reproduce, "STEPS", (step,))
@@ -112,7 +112,7 @@ def test_a_study_s_own_tables_are_kept_with_few_decimals_and_written():
     assert TABLES["open_set"]["auroc"](kept) == "| met | fused |\n| --- | --- |\n| air | 0.99 |"
 
 
-def test_local_shapes_are_shown_by_source_and_beside_their_goal():
+def test_local_shapes_are_shown_by_source_and_next_to_their_goal():
     names = [name for name, _ in PATCH_SCORES] + ["edge_degrees_median", "edge_mm_median"]
     methods = {name: dict.fromkeys(names, (value, -0.1, 1.1)) for name, value in (("p", 0.2), ("f", 0.3), ("c", 0.4))}
     measured = {

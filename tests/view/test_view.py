@@ -1,4 +1,4 @@
-"""A session as a Rerun recording and as a page: what was recorded is in both, and reads back."""
+"""A session as a Rerun recording and as a page: both contain all recorded data."""
 
 import json
 import re
@@ -58,7 +58,7 @@ def session(tmp_path):
 
 
 def column(chunks, entity, component):
-    """Values of a component of an entity, all rows after each other."""
+    """Values of a component of an entity, all rows in succession."""
     batches = [part.to_record_batch() for part in chunks if part.entity_path == entity]
     columns = [batch.column(component).to_pylist() for batch in batches if component in batch.schema.names]
     return [value for rows in columns for row in rows for value in row or ()]
@@ -109,7 +109,7 @@ def test_a_data_set_without_series_is_shown_too(tmp_path):
 
 
 @pytest.mark.full
-def test_without_rerun_one_sentence_says_what_to_install(session, tmp_path, capsys, monkeypatch):
+def test_a_missing_rerun_is_reported_with_what_to_install(session, tmp_path, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().err.strip()

@@ -58,7 +58,7 @@ def test_unrelated_modalities_are_not_found_to_agree_and_related_ones_are():
     assert max(related.p) == 0.01
 
 
-def test_groups_that_both_tell_apart_are_no_agreement_within_them():
+def test_groups_in_both_modalities_are_not_agreement_within_them():
     x, label = blobs(6, n=20)
     y, _ = blobs(7, n=20)
     anyhow = agreement.permutation_test(x, y, permutations=49)

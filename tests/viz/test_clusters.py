@@ -6,7 +6,7 @@ from helpers.blobs import blobs
 from i2t.viz import clusters
 
 
-def test_a_mask_is_what_lies_near_the_nearest_point():
+def test_a_mask_holds_the_pixels_near_the_nearest_point():
     patch = np.full((1, 4, 4), 4e-3)
     patch[0, 0] = [0.0, 1e-3, 2e-3, 1.5e-3]
     assert clusters.views(patch)[0, :4].tolist() == [1, 1, 0, 1]
@@ -21,7 +21,7 @@ def test_components_keep_distances_and_order_variances():
     assert (np.diff(c.var(0)) <= 1e-9).all()
 
 
-def test_clusters_far_apart_are_found_again_at_every_seed():
+def test_distant_clusters_are_recovered_with_every_seed():
     x, label = blobs()
     clustering = clusters.cluster(x, seed=3)
     assert clusters.rand_index(clustering.label, label) == 1

@@ -40,7 +40,7 @@ HEX = re.compile(r"#[0-9A-Fa-f]{6}\b")
 
 
 def _seen(colours, by):
-    """CIE Lab values (n, 3) of colours as some readers see them."""
+    """CIE Lab values (n, 3) of colours as seen with different colour vision."""
     rgb = np.array([to_rgb(colour) for colour in colours])
     linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
     seen = np.clip(linear @ np.asarray(SEEN_BY[by]).T, 0, 1)
@@ -70,7 +70,7 @@ def test_a_colour_map_can_be_ordered_by_its_lightness(name, by):
 
 
 def test_other_colours_are_grey_or_all_but_black_or_white():
-    """What is coloured is of the palette, by its name, or of these maps."""
+    """Every other colour is one of the palette, by its name, or from these maps."""
     style = ROOT / "i2t" / "viz" / "style.py"
     wrong, maps = [], set()
     for path in CODE:

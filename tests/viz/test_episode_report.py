@@ -1,4 +1,4 @@
-"""The report of an episode: what its page and its scene show, read back from the figures and from files."""
+"""The report of an episode: contents of its page and its scene, read back from the figures and from files."""
 
 from typing import Any
 
@@ -40,7 +40,7 @@ def texts(figure: Figure) -> list[str]:
 
 
 def test_a_page_shows_what_was_touched_and_believed(meshes):
-    """The patch of each candidate where it was touched, and what was there and believed."""
+    """The page shows the patch of each candidate at the touch, the true patch, and the belief."""
     page = viz.plot_episode(record(meshes))
     patches = [axes for axes in page.axes if axes.images and axes.get_label() != "<colorbar>"]
     depth = np.array([axes.images[0].get_array() for axes in patches]).reshape(3, 2, 48, 48)
@@ -67,7 +67,7 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
     assert not any("(true)" in text for text in shown)
 
 
-def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
+def test_drawing_is_probed_in_another_process(monkeypatch):
     scene.explain_no_scene.cache_clear()
     with monkeypatch.context() as broken:
         broken.setattr(scene, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
@@ -78,7 +78,7 @@ def test_a_machine_that_cannot_draw_is_asked_in_another_process(monkeypatch):
     scene.explain_no_scene.cache_clear()
 
 
-def test_without_a_scene_the_page_is_written_all_the_same(meshes, tmp_path, monkeypatch, capsys):
+def test_the_page_is_written_without_a_scene(meshes, tmp_path, monkeypatch, capsys):
     for module in (episode_report, scene):
         monkeypatch.setattr(module, "explain_no_scene", lambda: scene.NO_GL)
     written = viz.write_episode_report(record(meshes), tmp_path / "a")

@@ -1,4 +1,4 @@
-"""Figures for people: they draw what they are given and say where it comes from, and the core does without them."""
+"""Figures: they draw the given data and state its origin, and the core works without them."""
 
 import subprocess
 import sys
@@ -31,7 +31,7 @@ import i2t, i2t.viz.clusters, i2t.viz.agreement, i2t.types, i2t.dataset
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_field_vectors_have_one_round_scale_and_the_length_it_says(simulated):
+def test_field_vectors_share_one_round_scale_and_have_its_length(simulated):
     felt = np.zeros((2, 15))
     felt[0, 2], felt[1, 2] = 40.0, 20.0  # z of chip 0, whose axes are the tool's
     figure = viz.plot_readings(BOARD, {"felt": felt, "imagined": felt / 2}, ["one", "two"], "Touches", simulated)
@@ -79,7 +79,7 @@ def test_every_other_figure_can_be_written(tmp_path):
     assert ["simulated" in titles(figure) for figure in made] == 4 * [True] + 3 * [False]
 
 
-def test_without_gl_a_picture_says_what_to_install(monkeypatch):
+def test_a_missing_gl_is_reported_with_what_to_install(monkeypatch):
     monkeypatch.setattr(scene, "explain_no_scene", lambda: scene.NO_GL)
     vertices, faces = np.eye(3), np.array([[0, 1, 2]])
     figure = viz.plot_object(vertices, faces, np.eye(4)[None], "An object", True)
@@ -90,8 +90,8 @@ def test_without_gl_a_picture_says_what_to_install(monkeypatch):
 
 
 @pytest.mark.full
-def test_a_scene_shows_the_object_and_the_skin_and_a_surface_grows_from_nowhere():
-    """Before any touch there may be no surface at all: that is drawn as nothing."""
+def test_a_scene_shows_object_and_skin_and_an_unknown_surface():
+    """Before any touch there may be no surface at all; nothing is drawn then."""
     if scene.explain_no_scene():
         pytest.skip(scene.explain_no_scene())
     ball, T = trimesh.creation.icosphere(2, 30e-3), np.diag([1.0, -1, -1, 1])

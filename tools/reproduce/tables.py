@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from experiments.common.cells import UNSHOWN, Measured, Table
+from experiments.common.cells import AVERAGE_SUFFIX, Measured, Table
 from tools.reproduce import recognition_tables as recognition
 from tools.reproduce import shape_tables as shapes
 from tools.reproduce import skin_tables as skins
@@ -85,7 +85,7 @@ def shortened(step: str, measured: Measured) -> Measured:
     if "sets" in measured:
         kept_scores = ("accuracy", "mean", "last_other_objects", "calibration_error", "log_loss")
         for entry in measured["sets"].values():
-            entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(UNSHOWN)}
+            entry["methods"] = {name: x for name, x in entry["methods"].items() if not name.endswith(AVERAGE_SUFFIX)}
             for scores in entry["methods"].values():
                 for name in [name for name in scores if name not in kept_scores]:
                     del scores[name]

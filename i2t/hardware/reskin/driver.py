@@ -26,7 +26,8 @@ from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
 from i2t.hardware.serial_port import COMMON_PORT_USERS, explain_no_access, other_users, set_exclusive, users_of
 from i2t.hardware.skin_stream import Measurement, StreamConfig, StreamedSkin
 
-VENDORS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}  # of boards with the firmware
+# USB vendors, by number, of boards that run the skin's firmware.
+VENDORS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}
 CLOSE_PROGRAM = "close that program and connect again"
 
 
@@ -34,12 +35,13 @@ CLOSE_PROGRAM = "close that program and connect again"
 class BoardSearch:
     """Search for the rate and the format of a board, with times in seconds."""
 
-    baud_rates: tuple[int, ...] = (115200, 921600, 460800, 230400, 57600, 9600)  # in this order; over USB any works
+    # baud rates to try, in this order; over USB any works
+    baud_rates: tuple[int, ...] = (115200, 921600, 460800, 230400, 57600, 9600)
     read_timeout: float = 0.05
-    judged_bytes: int = 4000  # newest bytes, by which a board without frames is diagnosed
-    first_byte_timeout: float = 3.0  # after the port is opened
-    first_frame_timeout: float = 1.5  # after the first byte
-    startup_time: float = 6.0  # of invalid bytes after a reset, which opening the port may cause
+    judged_bytes: int = 4000  # number of newest bytes by which a board without frames is diagnosed
+    first_byte_timeout: float = 3.0  # s, waiting time for a byte after the port is opened
+    first_frame_timeout: float = 1.5  # s, waiting time for a frame after the first byte
+    startup_time: float = 6.0  # s, duration of invalid bytes after a reset, which opening the port may cause
 
 
 class BoardInfo(NamedTuple):
@@ -50,7 +52,7 @@ class BoardInfo(NamedTuple):
     form: Format
     description: str = ""  # USB description
     serial_number: str | None = None
-    usb: str | None = None  # vendor and product
+    usb: str | None = None  # USB vendor and product numbers
 
 
 class ReSkin(StreamedSkin):
@@ -262,7 +264,9 @@ class ReSkin(StreamedSkin):
             raise DeviceError(self._open_problem(port, error)) from error
         if others := other_users(port):
             line.close()
-            raise DeviceError(f"{port} is read by {others} too, but a byte reaches one program only; {CLOSE_PROGRAM}")
+            raise DeviceError(
+                f"{port} is also read by {others}, and each byte reaches only one program; {CLOSE_PROGRAM}"
+            )
         if _source(port) == "real":  # a pseudo-terminal would stay closed if this process were killed
             set_exclusive(line)
         return line

@@ -32,9 +32,10 @@ from i2t.hardware.reskin.layouts import (
 )
 from i2t.skin import boards
 
-TEMPERATURE_RANGE_C = (-40.0, 85.0)
-FIELD_RANGE_UT = (1e-5, 50e3)  # of a non-zero value: firmware that averages sends less than a step; end of the chip
-RUN_LENGTH = 3  # candidates in a row that are accepted without a frame before them
+TEMPERATURE_RANGE_C = (-40.0, 85.0)  # plausible temperatures of a chip
+# uT, range of non-zero values: firmware that averages sends less than a step, and the chip's range ends at 5e4
+FIELD_RANGE_UT = (1e-5, 50e3)
+RUN_LENGTH = 3  # number of candidates in a row that are accepted without a frame before them
 
 
 class Frame(NamedTuple):
@@ -50,15 +51,15 @@ class Decoder(NamedTuple):
 
     layout: FrameLayout = FrameLayout()
     rest: bytes = b""  # bytes that are not decided yet
-    sequence: int | None = None  # counter of the last frame
-    samples: int = 0  # delivered frames
-    empty: int = 0  # further frames, without any chip
-    missing: int = 0  # missing chips in the delivered frames
-    taken: int = 0  # bytes in frames, including empty ones
-    skipped: int = 0  # bytes outside frames
-    gap: int = 0  # skipped bytes since the last frame
-    gaps: int = 0  # places between frames where frames are missing
-    lost: int = 0  # missing frames, by the counter or by the bytes of their remains
+    sequence: int | None = None  # value of the last frame's counter
+    samples: int = 0  # number of delivered frames
+    empty: int = 0  # number of frames in which no chip answered
+    missing: int = 0  # number of missing chips in the delivered frames
+    taken: int = 0  # number of bytes in frames, including empty ones
+    skipped: int = 0  # number of bytes outside frames
+    gap: int = 0  # number of bytes skipped since the last frame
+    gaps: int = 0  # number of places between frames where frames are missing
+    lost: int = 0  # number of missing frames, by the counter or by the bytes of their remains
 
     @property
     def bytes(self) -> int:

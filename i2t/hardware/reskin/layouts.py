@@ -49,9 +49,9 @@ class _Checked(NamedTuple):
     """Layout of a format with a header, a counter and a checksum."""
 
     header: bytes
-    columns: int  # number of values of a chip, the last ones of t, x, y, z
-    checksum: Callable[[bytes], int]  # of all bytes between header and checksum
-    checksum_type: str  # format character of `struct`
+    columns: int  # number of values of a chip: the last ones of t, x, y, z
+    checksum: Callable[[bytes], int]  # function that computes the checksum of the bytes between header and checksum
+    checksum_type: str  # format character of the checksum in `struct`
 
 
 CHECKED_FORMATS = {
@@ -63,8 +63,9 @@ CHECKED_FORMATS = {
 class FrameValues(NamedTuple):
     """Values of the bytes of a frame."""
 
-    table: Float[np.ndarray, "chips 4"]  # t, x, y, z in degrees Celsius and uT; 0 for a value that is not sent
-    sequence: int | None = None  # counter of the frame
+    # (chips, 4) t, x, y, z in degrees Celsius and uT; 0 for a value that is not sent
+    table: Float[np.ndarray, "chips 4"]
+    sequence: int | None = None  # value of the frame's counter
 
 
 class FrameLayout(NamedTuple):

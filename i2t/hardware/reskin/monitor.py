@@ -34,17 +34,17 @@ class Options:
     """Show a ReSkin, AnySkin or eFlesh board live: change of the readings, rate, losses and health. Ctrl-C ends it."""
 
     port: str | None = None
-    """Serial port; by default that of the only board that is plugged in."""
+    """Serial port; by default, that of the only board that is plugged in."""
     baud: Count | None = None
-    """Baud rate; by default the usual ones are tried."""
+    """Baud rate; by default, the usual rates are tried."""
     board: str = DEFAULT_BOARD
     """Type of the board: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a file (.toml)."""
     record: Path | None = None
     """Write every sample to this new table (.csv)."""
     seconds: Positive = float("inf")
-    """Duration in seconds."""
+    """Duration (s); by default, until Ctrl-C."""
     list: bool = False
-    """List the USB serial ports and end."""
+    """List the USB serial ports and exit."""
 
 
 def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]:

@@ -30,7 +30,7 @@ from i2t.hardware.motion_limits import MotionLimits, format_position
 from i2t.patches.dimensions import MAX_POSE_M, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 from i2t.types import Array
 
-POSES = {  # with the largest translation along an axis, m
+POSES = {  # poses of a rig, with the largest translation (m) along an axis
     "T_flange_tool": SAFETY.max_tool_offset_m,
     "T_tool_camera": SAFETY.max_tool_offset_m,
     "T_world_base": MAX_POSE_M,
@@ -90,17 +90,20 @@ class Rig:
     Raises ValueError, which names the field, for an invalid value.
     """
 
-    T_flange_tool: Array = field(default_factory=lambda: _pose(0.0, 0.0, 0.05))  # (4, 4), the robot's TCP
-    mass: float = 0.5  # kg, of everything on the flange
-    centre: tuple[float, float, float] = (0.0, 0.0, 0.03)  # m, its centre of mass in the flange
-    T_tool_camera: Array = field(default_factory=lambda: _pose(0.0, 0.0, -0.064))  # as in the paper
-    looking_distance: float = 0.104  # m from the camera to the surface it looks at
+    # (4, 4) pose of the tool in the flange, the robot's TCP, m
+    T_flange_tool: Array = field(default_factory=lambda: _pose(0.0, 0.0, 0.05))
+    mass: float = 0.5  # kg, mass of everything on the flange
+    # m, centre of mass of everything on the flange, in the flange
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.03)
+    # (4, 4) pose of the camera in the tool, m; by default, as in the paper
+    T_tool_camera: Array = field(default_factory=lambda: _pose(0.0, 0.0, -0.064))
+    looking_distance: float = 0.104  # m, distance from the camera to the surface that it looks at
     camera: Camera = field(default_factory=lambda: Camera(640, 360, fx=322.4, fy=322.1, cx=319.5, cy=179.5))
     T_world_base: Array = field(default_factory=lambda: _pose(-0.4, 0.0, 0.0))
     T_world_object: Array = field(default_factory=lambda: np.eye(4))
-    object_from: str = "given"  # or registration, which starts from this pose
+    object_from: str = "given"  # origin of the object's pose: given, or registration, which starts from this pose
     limits: MotionLimits = field(default_factory=lambda: MotionLimits((0.25, -0.15, 0.005), (0.55, 0.15, 0.45)))
-    # (6, 6) m^2 (`i2t.registration.touch`): 1 mm and 1 degree along and about each axis
+    # (6, 6) m^2 (`i2t.registration.touch`): by default, 1 mm and 1 degree along and about each axis
     object_covariance: Array = field(
         default_factory=lambda: np.diag(np.repeat([1e-3, math.radians(1) * TWIST_LEVER_M], 3)) ** 2
     )

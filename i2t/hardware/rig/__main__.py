@@ -17,7 +17,7 @@ class RigArgs:
     """Check a lab's calibration and explain what it means."""
 
     file: tyro.conf.Positional[Path]  # the lab's calibration file
-    example: bool = False  # write the emulated lab's file, to start from
+    example: bool = False  # write the emulated lab's calibration as a new file to start from
 
 
 def _check(args: RigArgs) -> int:

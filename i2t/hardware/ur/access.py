@@ -95,7 +95,7 @@ def check_reachable(host: str, port: Port = RTDE) -> None:
         port: Port to check, by default that of RTDE.
 
     Raises:
-        DeviceError: The port does not answer; the message says which ports do, and what to change.
+        DeviceError: The port does not answer; the message lists the ports that do, and the remedy.
     """
     with _no_answer(host):
         if (answer := probe(host, port)) is not Answer.ANSWERS:
@@ -149,7 +149,7 @@ def controller_serial(host: str) -> str:
 
 @contextlib.contextmanager
 def _no_answer(host: str) -> Iterator[None]:
-    """Turn a failed connection into a DeviceError that says which ports answer."""
+    """Turn a failed connection into a DeviceError that lists the ports that answer."""
     try:
         yield
     except OSError as error:

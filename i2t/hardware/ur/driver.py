@@ -150,7 +150,7 @@ class UrArm(PolledArm):
         self.connection.start_motion(T_b_t, speed=speed, acceleration=acceleration, bounds=self.bounds)
 
     def brake(self) -> None:
-        """Brake."""
+        """Brake the arm to a stop."""
         self.connection.request_stop()
 
     def zero_sensor(self) -> None:

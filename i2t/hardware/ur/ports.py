@@ -23,7 +23,7 @@ class Port(NamedTuple):
 
     number: int
     name: str
-    service: str  # its name in the security settings of PolyScope 5
+    service: str  # name of the service in the security settings of PolyScope 5
 
     def __str__(self) -> str:
         return f"{self.number} ({self.name})"
@@ -104,7 +104,7 @@ def controller_version(host: str, timeout: float = 1.0) -> tuple[int, ...]:
 
 
 def explain_no_answer(host: str) -> str:
-    """Probe all ports of a controller that did not answer, and say what to change.
+    """Probe all ports of a controller that did not answer, and state the remedy.
 
     Args:
         host: Address of the controller.
@@ -170,7 +170,7 @@ def _explain_all_alike(host: str, answer: Answer) -> str:
 
 
 def _remedy(port: Port, answer: Answer, older: bool) -> str:
-    """Clause that says how to make a port answer; a controller of `older` software certainly has a dashboard."""
+    """Clause with the remedy for a silent port; a controller of `older` software certainly has a dashboard."""
     if answer is Answer.MUTE:
         return f"wait until port {port.number} answers, or restart the controller"
     if answer is Answer.TIMED_OUT or answer is Answer.NO_ROUTE:

@@ -37,8 +37,8 @@ class ControllerState(NamedTuple):
     """Newest state that the controller sent."""
 
     arm: ArmState
-    speed_share: float  # share of the requested speed that the pendant's slider leaves
-    program: bool  # whether our program runs on the controller
+    speed_share: float  # fraction of the requested speed at which the pendant's slider lets the arm move
+    program: bool  # whether i2t's program runs on the controller
 
 
 class RtdeConnection:
@@ -148,7 +148,7 @@ class RtdeConnection:
             raise NotConnectedError(f"The arm at {self.host} is not connected.")
         age = np.inf if state is None else time.monotonic() - state.arm.time
         if state is None or not age <= timeout:
-            raise self.give_up(f"No state arrived from {self.host} for {age:.2f} s: the arm was told to stop.")
+            raise self.give_up(f"No state arrived from {self.host} for {age:.2f} s: a stop was sent to the arm.")
         return state
 
     def running(self, timeout: float) -> ArmState:
@@ -198,7 +198,7 @@ class RtdeConnection:
         raise self.give_up(f"The arm at {self.host} was not seen to stop within {timeout:g} s.")
 
     def start_motion(self, goal: Array, *, speed: float, acceleration: float, bounds: tuple[float, float]) -> None:
-        """Start a straight motion; on return the newest state says that the arm moves.
+        """Start a straight motion; on return, the newest state shows the arm moving.
 
         Args:
             goal: (4, 4) pose of the tool in the base, m.
@@ -224,14 +224,14 @@ class RtdeConnection:
         self._wait(self._send("zero_wrench"), timeout)
 
     def end_program(self) -> None:
-        """End our program on the controller; raise DeviceError if that fails."""
+        """End i2t's program on the controller; raise DeviceError if that fails."""
         self._wait(self._send("end_program"), SAFETY.command_timeout_s)
 
     def give_up(self, sentence: str) -> DeviceTimeoutError:
         """Give up the arm: end the heartbeats, send "stop" to the dashboard, and end the process.
 
         Args:
-            sentence: Message that says what happened.
+            sentence: Message that states what happened.
 
         Returns:
             The error to raise; the first one if the arm had been given up already.
@@ -315,11 +315,11 @@ class RtdeConnection:
         if state is not None and state.arm.moving:
             age = now - state.arm.time
             if not age <= self.state_timeout:
-                self.give_up(f"No state arrived from {self.host} for {age:.2f} s: the arm was told to stop.")
+                self.give_up(f"No state arrived from {self.host} for {age:.2f} s: a stop was sent to the arm.")
                 return
         if self._stop_requested and self._brake is None:
             if state is not None and not now - state.arm.time <= self.state_timeout:  # it would not answer a command
-                self.give_up(f"The controller at {self.host} fell silent: it was told to stop.")
+                self.give_up(f"The controller at {self.host} stopped sending: a stop was sent to it.")
                 return
             with self._command_lock:
                 self._brake = self._send("brake")

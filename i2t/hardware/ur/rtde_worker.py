@@ -36,7 +36,7 @@ from typing import Any, NamedTuple, TypeAlias
 Message: TypeAlias = dict[str, Any]
 
 POLL_S = 0.01  # time between two polls of the state
-STATE_RATE_HZ = 125.0
+STATE_RATE_HZ = 125.0  # rate at which states are requested from the controller
 RTDE_PORT = 30004
 PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2  # runtime state; bits of the safety status
 TCP_LAST_RECEIVED = struct.Struct("52xI")  # field tcpi_last_data_recv of Linux's struct tcp_info, ms
@@ -48,10 +48,10 @@ class WorkerLimits(NamedTuple):
     watchdog_rate: float  # Hz, minimum rate of the heartbeats
     state_timeout: float  # s, maximum time for which a connection may receive nothing
     braking: float  # m/s^2, deceleration of a stop
-    standing_speed: float  # m/s and rad/s, below which the tool stands
-    brake_settling: float  # s of the controller's clock after a brake, in which states from before it may arrive
-    start_timeout: float  # s, in which a requested motion shows in the state
-    exit_timeout: int  # s to end the program on the controller, after which this process ends in any case
+    standing_speed: float  # m/s and rad/s, speed below which the tool counts as standing
+    brake_settling: float  # s, time on the controller's clock after a brake in which states from before it may arrive
+    start_timeout: float  # s, time in which a requested motion must show in the state
+    exit_timeout: int  # s, time for the program on the controller to end, after which this process ends in any case
 
 
 class Channel:
@@ -307,7 +307,7 @@ class Worker:
         self.bounds = force * (1 + 1e-9), torque * (1 + 1e-9)
 
     def brake(self) -> None:
-        """Brake to a stand, if our program runs."""
+        """Brake to a standstill, if i2t's program runs."""
         self.bounds = self.pending = None
         state = self.state
         if state is not None and state["program"] and state["safe"]:

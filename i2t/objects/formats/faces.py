@@ -14,8 +14,8 @@ from i2t.objects.polygons import triangulate
 class ParsedMesh(NamedTuple):
     """The triangles of a file, not yet cleaned."""
 
-    vertices: NDArray[np.float64]  # (n, 3), in the file's unit; all finite, and all used
-    faces: NDArray[np.int64]  # (m, 3)
+    vertices: NDArray[np.float64]  # (n, 3) vertices in the file's unit; all are finite and used
+    faces: NDArray[np.int64]  # (m, 3) indices of the faces' corners
     ignored: tuple[str, ...]  # counts of elements that are not faces, such as "2 lines"
 
 
@@ -52,8 +52,8 @@ def triangulate_polygons(
         name: Names the polygon of a given number, counted from 1, in an error.
 
     Returns:
-        The vertices, `(k, 3)` triangles, and a text that says how many polygons were left out because they have fewer
-        than three corners; empty if there are none.
+        The vertices, `(k, 3)` triangles, and a text with the number of polygons that were left out because they have
+        fewer than three corners; empty if there are none.
 
     Raises:
         DataError: A polygon refers to a vertex that does not exist or cannot be triangulated.

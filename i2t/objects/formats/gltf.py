@@ -24,7 +24,8 @@ from i2t.files.reading import parse_json, read_bytes
 from i2t.files.writing import file_in
 from i2t.objects.polygons import strip_triangles
 
-COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}  # glTF 2.0, 3.6.2.2
+# NumPy types of the component types of glTF 2.0 (3.6.2.2).
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 COMPRESSION_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
 DECOMPRESS = "export it again without compression, or decompress it, for instance with gltf-transform"
 
@@ -37,8 +38,8 @@ class SceneLimits:
     """Bounds on a scene, since nodes of a small file may repeat a mesh many times."""
 
     max_nodes: int = 10_000
-    max_faces: int = 2**23  # of all instances of all meshes, and likewise of vertices
-    box_tolerance: float = 1e-4  # error of a mesh's stated bounding box, relative to its longest side
+    max_faces: int = 2**23  # largest number of faces over all instances of all meshes, and likewise of vertices
+    box_tolerance: float = 1e-4  # largest error of a mesh's stated bounding box, relative to its longest side
 
 
 def read_scene(
@@ -319,7 +320,8 @@ def _chunks(path: Path, data: bytes) -> tuple[bytes, bytes]:
         raise DataError(f"{path}: is glTF {version}; export it as glTF 2.0")
     if length > len(data):
         raise DataError(
-            f"{path}: is cut off: it announces {length} bytes, and {len(data)} are there; export or copy it again"
+            f"{path}: is cut off: it announces {length} bytes, but only {len(data)} are present; export or copy it "
+            "again"
         )
     chunks: dict[bytes, bytes] = {}
     start = 12

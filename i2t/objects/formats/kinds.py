@@ -1,4 +1,4 @@
-"""Recognition of files that are not meshes, or are meshes of another format than their suffix says."""
+"""Recognition of files that are not meshes, or are meshes of another format than their suffix indicates."""
 
 import codecs
 import re
@@ -70,7 +70,7 @@ def foreign_kind(suffix: str) -> tuple[str, str]:
 
 
 def check_kind(path: Path, suffix: str, data: bytes) -> None:
-    """Refuse a file whose contents are of another kind than its suffix says.
+    """Refuse a file whose contents are of another kind than its suffix indicates.
 
     Args:
         path: The file's path, for messages.

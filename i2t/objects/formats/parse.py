@@ -33,8 +33,8 @@ def parse_mesh(path: Path, data: bytes) -> ParsedMesh:
         Vertices that a face uses, triangles with the same area as the file's polygons, and what was left out.
 
     Raises:
-        DataError: The file is cut off, is of another kind than its suffix says, holds no face or a feature that is not
-            supported, or uses vertices that are missing or not finite. One sentence names the file and a remedy.
+        DataError: The file is cut off, is of another kind than its suffix indicates, holds no face or a feature that is
+            not supported, or uses vertices that are missing or not finite. One sentence names the file and a remedy.
     """
     suffix = path.suffix.lower()
     check_kind(path, suffix, data)

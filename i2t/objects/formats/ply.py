@@ -126,7 +126,7 @@ def _text_element(path: Path, name: str, rows: list[bytes], properties: list[_Pr
         short = place != ends
     if short.any():
         number = int(short.argmax())
-        reason = f"{name} {number + 1} has {counts[number]} numbers, and its header announces others"
+        reason = f"{name} {number + 1} has {counts[number]} numbers, but its header announces another number"
         raise unreadable_file(path, reason, "export or copy it again")
     return _Element(len(rows), columns)
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from i2t.errors import DataError
 from i2t.objects.formats.text import PADDING, parse_numbers, plain_text
 
-HEADER_BYTES = 84  # of binary STL: any text, and the number of facets in the last four bytes
+HEADER_BYTES = 84  # size of a binary STL's header: any text, and the number of facets in the last four bytes
 FACET_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -63,7 +63,7 @@ def _text_facets(path: Path, text: bytes) -> NDArray:
     whole = len(words) // facet_words
     reason = ""
     if not ends:
-        reason = "it begins with no 'solid'"
+        reason = "it does not begin with 'solid'"
     elif not ends[-1]:
         reason = f"it ends within a solid, after {whole} facets, without 'endsolid'"
     elif 2 * sum(ends) != len(ends):
@@ -87,7 +87,7 @@ def _text_facets(path: Path, text: bytes) -> NDArray:
 
 
 def _without_titles(text: bytes) -> tuple[bytes, list[bool]]:
-    """Remove the lines that begin or end a solid from STL as text, and tell for each of them whether it ends one."""
+    """Remove the lines that begin or end a solid from STL as text, and return whether each of them ends one."""
     first, *others = text.split(b"solid")
     facets, ends, in_title = [first], [], False
     for part in others:

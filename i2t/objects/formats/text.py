@@ -39,7 +39,7 @@ def truncated_file(path: Path, announced: str, present: int | str) -> DataError:
     Returns:
         The error, for the caller to raise.
     """
-    reason = f"it is cut off: its header announces {announced}, and {present} are there"
+    reason = f"it is cut off: its header announces {announced}, but only {present} are present"
     return unreadable_file(path, reason, "export or copy it again")
 
 

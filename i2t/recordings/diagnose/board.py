@@ -25,7 +25,7 @@ from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.presses import Presses
 from i2t.types import Board
 
-AS_RECORDED = "as recorded"
+AS_RECORDED = "as recorded"  # name of the stage axes that need no correction
 STAGES: dict[str, np.ndarray] = {  # maps from the stage's x and y to the board's
     AS_RECORDED: np.array([[1, 0], [0, 1]]),
     "x mirrored": np.array([[-1, 0], [0, 1]]),
@@ -63,18 +63,18 @@ class StageConfig:
 class _SkinModel(NamedTuple):
     """Motion of the dipoles in a press, and noise."""
 
-    gap: float  # m, height of the dipoles over the chips
+    gap: float  # m, height of the dipoles above the chips
     reach: float  # m, length scale of the motion around a press
-    sideways: float  # sideways motion relative to the downward one
-    noise: float  # variance, relative to the readings' mean square
+    sideways: float  # lateral motion relative to the downward motion
+    noise: float  # variance of the noise, relative to the readings' mean square
 
 
 class _Sample(NamedTuple):
     """Presses that the evidence is computed on."""
 
-    position: np.ndarray  # (n, 2) m
-    growth: np.ndarray  # (n,) motion of the skin, with mean 1
-    readings: np.ndarray  # (n, chips, 3), with mean square 1
+    position: np.ndarray  # (n, 2) m, positions of the presses
+    growth: np.ndarray  # (n,) motion of the skin at each press, with mean 1
+    readings: np.ndarray  # (n, chips, 3) readings with mean square 1
 
 
 def find_board(
@@ -233,7 +233,7 @@ def _stage_finding(gains: dict[str, float], evidence_per_value: float, config: S
         correction = {"board_from_stage": STAGES[best].tolist()}
         return Finding(FindingName.STAGE, sentence, True, wrong=True, evidence=evidence, correction=correction)
     if best == AS_RECORDED and lead >= config.min_lead:
-        sentence = f"The board lies as described: any rotation or mirror loses {lead:.2f} of log evidence per value."
+        sentence = f"The board is as described: any rotation or mirror loses {lead:.2f} of log evidence per value."
         return Finding(FindingName.STAGE, sentence, identifiable=True, evidence=evidence)
     reason = f"{best} and {second} explain the readings about equally well ({lead:+.3f} of log evidence per value)"
     return not_identifiable(FindingName.STAGE, reason, **evidence)

@@ -102,7 +102,7 @@ class Correction(NamedTuple):
     field: float = 1.0
     height: float = 1.0
     force: float = 1.0
-    lag: int = 0  # rows, as `lag_rows` takes them
+    lag: int = 0  # rows by which readings lag, as `lag_rows` takes them
     board_from_stage: Float[np.ndarray, "2 2"] | None = None
 
 

@@ -112,19 +112,19 @@ class _GrowthModel(NamedTuple):
     """Parameters of the model of single presses, other than zero and power."""
 
     length: float  # m, length scale of the maps
-    free_share: float  # share of the variance that does not grow by the power
-    noise: float  # variance, relative to the readings' mean square
-    relative_noise: float  # standard deviation, relative to the signal at the same travel
+    free_share: float  # share of the variance that does not grow with travel by the power law
+    noise: float  # variance of the noise, relative to the readings' mean square
+    relative_noise: float  # standard deviation of the noise, relative to the signal at the same travel
 
 
 class _Fit(NamedTuple):
     """Zero of one subset of presses."""
 
-    zero: float  # m
+    zero: float  # m, estimated height of first contact
     r2: float
-    statistical_std: float  # m
+    statistical_std: float  # m, statistical standard deviation of the zero
     power_std: float  # m, standard deviation of the zero because the power is uncertain
-    range_zeros: tuple[float, ...]  # m, the zero at the ends of the range of powers
+    range_zeros: tuple[float, ...]  # m, estimated zeros at both ends of the range of powers
 
 
 def find_height_zero(

@@ -15,8 +15,8 @@ from i2t.leave_one_out import leave_out_rows
 class LeaveOneOutRows(NamedTuple):
     """Leave-one-out predictions of rows."""
 
-    error: Float[np.ndarray, "n c"]  # of each row, predicted from all others
-    log_density: float  # of all rows, each predicted from all others, at the most likely scale
+    error: Float[np.ndarray, "n c"]  # error of each row as predicted from all others
+    log_density: float  # log density of all rows, each predicted from all others, at the most likely scale
 
 
 def leave_one_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n c"]) -> LeaveOneOutRows:

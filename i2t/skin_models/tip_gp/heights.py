@@ -24,9 +24,9 @@ class Roughness:
     prior: float = 0.5  # prior probability that a skin has local heights
     error_exponent: float = 1.0  # exponent of the leave-one-out error in the probability of a hypothesis
     min_share: float = 0.01  # probability below which a hypothesis is dropped
-    stds: tuple[float, ...] = (0.02, 0.06, 0.12)  # typical loads
-    lengths: tuple[float, ...] = (1.0e-3, 2.0e-3, 4.0e-3)  # m
-    measurement_std: float = 5e-3  # typical loads, minimum error of the height that a press measures
+    stds: tuple[float, ...] = (0.02, 0.06, 0.12)  # standard deviations of the local heights, in typical loads
+    lengths: tuple[float, ...] = (1.0e-3, 2.0e-3, 4.0e-3)  # m, length scales of the local heights
+    measurement_std: float = 5e-3  # smallest error, in typical loads, of the height that a press measures
 
 
 ROUGHNESS = Roughness()
@@ -37,19 +37,19 @@ class Heights(NamedTuple):
     """Local heights of the skin in typical loads of the first kind, averaged over j hypotheses of its roughness."""
 
     std: Float[np.ndarray, " j"]
-    length: Float[np.ndarray, " j"]  # m
-    share: Float[np.ndarray, " j"]  # probability; the remainder up to 1 is that of a flat skin
+    length: Float[np.ndarray, " j"]  # m, length scale of the heights
+    share: Float[np.ndarray, " j"]  # probability of these heights; the remainder up to 1 is that of a flat skin
     measured: Float[np.ndarray, " n"]
-    variance: Float[np.ndarray, " n"]  # of the measured heights
+    variance: Float[np.ndarray, " n"]  # variance of the measured heights
 
 
 class SlopedErrors(NamedTuple):
     """Leave-one-out predictions of a mixture and their slopes."""
 
-    error: Float[np.ndarray, "n c"]  # uT
-    variance: Float[np.ndarray, "n c"]  # uT^2
-    slope: Float[np.ndarray, "n c"]  # uT per typical load
-    height: Float[np.ndarray, " n"]  # typical loads, used in the predictions
+    error: Float[np.ndarray, "n c"]  # uT, error of each prediction
+    variance: Float[np.ndarray, "n c"]  # uT^2, variance of each error
+    slope: Float[np.ndarray, "n c"]  # uT per typical load, slope of each prediction
+    height: Float[np.ndarray, " n"]  # heights used in the predictions, in typical loads
 
 
 def measured_heights(std: Float[np.ndarray, " j"], length: Float[np.ndarray, " j"], held_out: SlopedErrors) -> Heights:

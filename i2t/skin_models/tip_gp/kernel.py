@@ -31,25 +31,25 @@ class SkinKernels(NamedTuple):
     """Hyperparameters of s kernels."""
 
     load_power: Float[np.ndarray, " s"]
-    load_offset: Float[np.ndarray, " s"]  # typical loads
-    map_length: Float[np.ndarray, " s"]  # m, of g
-    bend_share: Float[np.ndarray, " s"]  # share of b in the variance of g and b together
-    bend_length: Float[np.ndarray, " s"]  # m
-    bend_load_width: Float[np.ndarray, " s"]  # typical loads
-    static_variance: Float[np.ndarray, " s"]  # of g0
-    static_length: Float[np.ndarray, " s"]  # m
+    load_offset: Float[np.ndarray, " s"]  # offset of the load, in typical loads
+    map_length: Float[np.ndarray, " s"]  # m, length scale of the map g
+    bend_share: Float[np.ndarray, " s"]  # share of the bend b in the variance of g and b together
+    bend_length: Float[np.ndarray, " s"]  # m, length scale of the bend b
+    bend_load_width: Float[np.ndarray, " s"]  # width of the bend over the load, in typical loads
+    static_variance: Float[np.ndarray, " s"]  # variance of the map g0
+    static_length: Float[np.ndarray, " s"]  # m, length scale of the map g0
     constant_variance: Float[np.ndarray, " s"]
     noise_variance: Float[np.ndarray, " s"]
-    gain_noise_variance: Float[np.ndarray, " s"]  # of noise that grows with e f
-    chip_reach: Float[np.ndarray, " s"]  # m, distance over which e falls
-    far_amplitude: Float[np.ndarray, " s"]  # e far from the chip; 1 if e does not fall
+    gain_noise_variance: Float[np.ndarray, " s"]  # variance of the noise that grows with e f
+    chip_reach: Float[np.ndarray, " s"]  # m, distance over which the amplitude e falls
+    far_amplitude: Float[np.ndarray, " s"]  # amplitude e far from the chip; 1 if e does not fall
 
 
 class PressGeometry(NamedTuple):
     """Positions and loads in the form that kernels use."""
 
     position: Float[np.ndarray, "n 2"]  # m
-    load: Float[np.ndarray, " n"]  # typical loads
+    load: Float[np.ndarray, " n"]  # loads of the presses, in typical loads
     chip_square: Float[np.ndarray, "chips n"] | None  # m^2, squared distances from the chips
 
 

@@ -24,11 +24,11 @@ class Observed(NamedTuple):
 class LeaveOneOutPresses(NamedTuple):
     """Leave-one-out predictions of n presses by s kernels."""
 
-    error: Float[np.ndarray, "s n c"]  # uT, reading minus mean
-    variance: Float[np.ndarray, "s n c"]  # uT^2, noise included
+    error: Float[np.ndarray, "s n c"]  # uT, reading minus predicted mean
+    variance: Float[np.ndarray, "s n c"]  # uT^2, predicted variance, noise included
     scale: Float[np.ndarray, "s c"]  # uT
-    part_error: Float[np.ndarray, "s n c"]  # uT, if all presses of a part are left out together
-    part_variance: Float[np.ndarray, "s n c"]  # uT^2
+    part_error: Float[np.ndarray, "s n c"]  # uT, error if all presses of a part are left out together
+    part_variance: Float[np.ndarray, "s n c"]  # uT^2, variance if all presses of a part are left out together
 
 
 class Conditioned(NamedTuple):

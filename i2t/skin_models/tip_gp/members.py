@@ -10,7 +10,7 @@ from i2t.skin_models.tip_gp import kernel
 from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
 from i2t.types import in_one_line
 
-NO_BOARD = -1
+NO_BOARD = -1  # number of the board of a member that uses no chips
 
 
 @in_one_line

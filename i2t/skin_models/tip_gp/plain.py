@@ -25,11 +25,12 @@ from i2t.skin_models.tip_gp.leave_one_out import Observed, condition_all
 class ScaleFit:
     """Fit of the hyperparameters: log-normal priors of l, w and noise, and the optimizer's limits."""
 
-    max_presses: int = 300  # because the cost grows with the cube of the number of presses
-    length_median: float = 0.8  # as a multiple of the spread of positions
-    width_median: float = 1.5  # as a multiple of the spread of loads
-    noise_median: float = 0.01  # relative to a channel's variance
-    prior_stds: tuple[float, float, float] = (0.7, 0.7, 2.0)  # of the logarithms of l, w and noise
+    max_presses: int = 300  # largest number of presses, because the cost grows with its cube
+    length_median: float = 0.8  # prior median of the length l, as a multiple of the spread of positions
+    width_median: float = 1.5  # prior median of the width w, as a multiple of the spread of loads
+    noise_median: float = 0.01  # prior median of the noise, relative to a channel's variance
+    # prior standard deviations of the logarithms of l, w and noise
+    prior_stds: tuple[float, float, float] = (0.7, 0.7, 2.0)
     # Starts and bounds of the same logarithms, relative to the medians.
     starts: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0), (-0.7, 0.0, 1.5))
     bounds: tuple[tuple[float, float], ...] = ((-4.0, 4.0), (-4.0, 4.0), (-7.0, 5.0))
@@ -43,9 +44,9 @@ _FIT = ScaleFit()
 class PlainScales(NamedTuple):
     """Hyperparameters of a plain Gaussian process."""
 
-    length: float  # m
-    width: float  # m or N, over loads
-    noise: float  # variance, relative to the signal's
+    length: float  # m, length scale over positions
+    width: float  # m or N, length scale over loads
+    noise: float  # variance of the noise, relative to the signal's
 
 
 def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> PlainScales:

@@ -83,7 +83,7 @@ class Weighting:
     parts: int = 5
     min_part_presses: int = 10
     near_part_share: float = 0.25  # share of the score from parts left out, for weights near the presses
-    far_part_share: float = 0.75  # the same for weights far from the presses
+    far_part_share: float = 0.75  # share of the score from parts left out, for weights far from the presses
     min_far_distance: float = 1e-4  # m, minimum distance between positions with near and with far weights
 
 
@@ -91,30 +91,32 @@ class Weighting:
 class Selection:
     """Selection of the members of the mixture, in stages of more presses and fewer kernels."""
 
-    stages: tuple[tuple[int, int], ...] = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))  # (presses, members)
-    kept_share: float = 0.995  # share of the weight that is kept at the end
+    # (presses, members) of each stage
+    stages: tuple[tuple[int, int], ...] = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))
+    kept_share: float = 0.995  # share of the members' weight that is kept at the end
     max_members: int = 48
     many_presses: int = 400  # number of presses above which fewer members are kept
     max_members_of_many: int = 6
-    board_kernels: int = 32  # kernels that choose one of several boards
+    board_kernels: int = 32  # number of kernels that choose one of several boards
 
 
 @dataclass(frozen=True)
 class Stacking:
     """Stacking with the plain process, chosen on simulated skins and on presses of one real skin."""
 
-    far_plain_presses: float = 2.0  # prior presses, far from the others, for which the population adds nothing
+    # number of prior presses, far from the others, for which the population adds nothing
+    far_plain_presses: float = 2.0
     parts: tuple[int, ...] = (5, 3)  # numbers of parts; larger parts resemble the edges of a skin
-    prior_channels: float = 4.0  # weight, in mean channels, of the share that all channels have in common
+    prior_channels: float = 4.0  # weight, in mean channels, of the part of the shares that all channels have in common
 
 
 @dataclass(frozen=True)
 class IntervalScaling:
     """Prior of the factor on the standard deviations."""
 
-    factor: float = 1.1  # factor found on simulated skins
-    prior_presses: float = 10.0  # weight of that factor, in presses
-    shared_presses: float = 30.0  # weight of a factor common to all channels, in presses
+    factor: float = 1.1  # factor on the standard deviations that was found on simulated skins
+    prior_presses: float = 10.0  # weight of `factor`, in presses
+    shared_presses: float = 30.0  # weight, in presses, of a factor common to all channels
 
 
 @dataclass(frozen=True)
@@ -130,7 +132,7 @@ class MixtureConfig:
     min_robust_presses: int = 8
     min_height_presses: int = 10
     height_passes: int = 2
-    given_height_passes: int = 3  # passes if the roughness of the skin is given
+    given_height_passes: int = 3  # number of passes if the roughness of the skin is given
 
 
 _CONFIG = MixtureConfig()
@@ -141,7 +143,7 @@ class PressTable(NamedTuple):
     """Presses, without their readings."""
 
     position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros if no position is known
-    loads: Float[np.ndarray, "n kinds"]  # m of travel, N of force; one column for each kind of load that is known
+    loads: Float[np.ndarray, "n kinds"]  # m of travel, N of force; one column for each known kind of load
     previous_mean: Float[np.ndarray, "n c"] | None = None  # uT, prediction of a previous session
 
 
@@ -156,8 +158,9 @@ class PopulationGP(NamedTuple):
     extra_noise: Float[np.ndarray, "n groups"]  # additional relative variance of outlying presses
     heights: Heights
     components: Components
-    weights: Float[np.ndarray, "k c"]  # near the presses
-    far_weights: Float[np.ndarray, "k c"] | None = None  # far from the presses; None if they are too few
+    weights: Float[np.ndarray, "k c"]  # weights of the members near the presses
+    # weights of the members far from the presses; None if the presses are too few
+    far_weights: Float[np.ndarray, "k c"] | None = None
 
 
 def fit_population(

@@ -23,8 +23,8 @@ class PlainMembers:
     """Plain Gaussian processes that join the population, and their shares of the prior."""
 
     share: float = 0.25  # prior probability of all plain processes together
-    fitted_part: float = 0.4  # part of that share for the process that is fitted to the presses
-    mean_part: float = 0.1  # part of that share for the process that predicts the mean of the presses
+    fitted_part: float = 0.4  # part of the plain processes' share for the one that is fitted to the presses
+    mean_part: float = 0.1  # part of the plain processes' share for the one that predicts the mean of the presses
     constant: float = 10.0  # variance of the constant, relative to the signal's
     min_fitted_presses: int = 4
     max_fitted_presses: int = 150
@@ -37,7 +37,7 @@ class KernelPrior(NamedTuple):
     """Kernels of a population of skins, and how common they are among skins pressed by travel and by force."""
 
     kernels: SkinKernels
-    log_share: Float[np.ndarray, "kinds s"]  # rows: travel, force
+    log_share: Float[np.ndarray, "kinds s"]  # log prior shares; the rows are travel and force
 
 
 @cache

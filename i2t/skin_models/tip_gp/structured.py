@@ -25,20 +25,20 @@ class StructuredGPHyperparameters(NamedTuple):
     """
 
     unit_load: float  # load at which f is 1
-    load_offset: float  # f vanishes at minus this load
+    load_offset: float  # load below zero at which f vanishes: f is zero at minus this load
     load_power: float
-    map_length: float  # m, of the maps g and g0
-    map_variance: float  # of g
-    bend_variance: float  # of b
-    bend_length: float  # m
-    bend_load_width: float  # load
-    static_variance: float  # of g0
-    constant_variance: float  # of const
-    noise_variance: float  # of noise and of model errors
-    height_std: float  # load, of h
-    height_length: float  # m
-    chip_reach: float  # m, distance over which e falls
-    far_amplitude: float  # e far from the chip
+    map_length: float  # m, length scale of the maps g and g0
+    map_variance: float  # variance of the map g
+    bend_variance: float  # variance of the bend b
+    bend_length: float  # m, length scale of the bend b
+    bend_load_width: float  # width of the bend b over the load
+    static_variance: float  # variance of the map g0
+    constant_variance: float  # variance of the constant const
+    noise_variance: float  # variance of the noise and of model errors
+    height_std: float  # standard deviation of the local heights h, as a load
+    height_length: float  # m, length scale of the local heights h
+    chip_reach: float  # m, distance over which the amplitude e falls
+    far_amplitude: float  # amplitude e far from the chip
 
 
 # Fitted to the development presses of one eFlesh session (docs/calibration.md). The long length is of the order of the

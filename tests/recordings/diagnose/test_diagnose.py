@@ -74,7 +74,7 @@ def test_wrong_signs_and_units_are_found_and_corrected():
         np.testing.assert_allclose(getattr(put_right, field), getattr(sound, field), rtol=1e-12)
 
 
-def test_what_a_recording_cannot_answer_is_not_identifiable():
+def test_unanswerable_questions_are_reported_as_not_identifiable():
     """Similar rows show no lag, forces of both signs no sign, and presses to one height no height zero."""
     height = 1e-3 * np.cos(np.linspace(0, 6 * np.pi, 600))
     readings = np.outer(np.maximum(-height, 0) ** 1.5, np.linspace(-3e6, 3e6, 15))
@@ -145,7 +145,7 @@ def test_height_zero_is_found_if_presses_lie_on_both_sides():
 
 
 @pytest.mark.full
-def test_a_mirrored_stage_is_never_called_correct():
+def test_a_mirrored_stage_is_never_accepted_as_correct():
     finding = diagnose.find_board(damaged("x mirrored"), reskin_board(), growth=None)
     assert finding.wrong or not finding.identifiable
     if finding.wrong:

@@ -1,4 +1,4 @@
-"""The Gaussian process of a population: its algebra against dense formulas, and what each of its parts is for."""
+"""The Gaussian process of a population: its algebra against dense formulas, and the effect of each of its parts."""
 
 from itertools import product
 from pathlib import Path
@@ -225,7 +225,7 @@ def test_one_bad_press_does_little_harm(monkeypatch):
     assert score[True] > score[False] + 0.05
 
 
-def test_an_earlier_session_is_used_while_it_holds_and_dropped_otherwise():
+def test_an_earlier_session_is_used_only_if_it_still_agrees():
     read, other = skin(18), skin(19)
     (x, d), (z, e) = drawn(20, 12), drawn(21, 60)
     readings = read(x, d) + np.random.default_rng(22).normal(size=(12, CHANNELS))
