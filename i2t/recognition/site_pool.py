@@ -97,7 +97,15 @@ def prepare_surfaces(meshes: Sequence[Any]) -> list[Surface]:
 
     Returns:
         Surfaces for rendering, padded to one size.
+
+    Raises:
+        ValueError: There are no meshes, or one of them cannot be rendered.
+
+    Example:
+        surfaces = i2t.prepare_surfaces([i2t.make_object(name).mesh for name in ("star", "square")])
     """
+    if not len(meshes):
+        raise ValueError("meshes: is empty; give at least one mesh")
     stacked = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
     return [element(stacked, i) for i in range(len(meshes))]
 

@@ -75,7 +75,7 @@ class Grid:
 
     @property
     def wavenumbers(self) -> np.ndarray:
-        """Wavenumbers (modes,) in 1/m: cosines 0 ... modes/2 - 1, then sines 1 ... modes/2, about the pad's centre."""
+        """Wavenumbers (modes,) in 1/m, of cosines 0 ... modes/2 - 1, then of sines 1 ... modes/2, about the pad's centre."""
         half = self.modes // 2
         return 2 * np.pi / (self.modes * self.spacing) * np.r_[0:half, 1 : half + 1]
 

@@ -43,7 +43,7 @@ class EpisodeRecord(NamedTuple):
 
     @property
     def drawn(self) -> int:
-        """Index of the candidate that a scene shows: the true one, else the most probable one at the end."""
+        """Index of the candidate that a scene shows, the true one or else the most probable one at the end."""
         return self.truth if self.truth >= 0 else int(self.p[-1].argmax())
 
     @property
