@@ -164,7 +164,13 @@ class Pad(NamedTuple):
 
 @in_one_line
 class Truth(NamedTuple):
-    """Error-free values of a simulated touch, which only the simulation knows."""
+    """Error-free values of a simulated touch, which only the simulation knows.
+
+    Example:
+        touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 100)
+        if touches.truth is not None:  # as it is for recorded touches
+            error = touches.reading - touches.truth.reading  # uT, of noise and ambient
+    """
 
     wide: Float[Any, "*n w w"]  # m, 72 x 72 view of the surface that the skin met, without camera or pose error
     nearest: Float[Any, "*n"]  # m, position of the nearest surface point along tool z at the end of the press
@@ -204,7 +210,11 @@ class Touches(NamedTuple):
 
 
 class ReturnCode(IntEnum):
-    """End of a press (the paper's codes)."""
+    """End of a press (the paper's codes).
+
+    Example:
+        in_contact = touches.code != i2t.ReturnCode.AIR
+    """
 
     FAILED = -1
     FREE = 0

@@ -24,7 +24,11 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """Conditions under which points determine a plane."""
+    """Conditions under which points determine a plane.
+
+    Example:
+        T_w_t = i2t.pose_at_pixel(image, camera, T_w_c, (320, 200), plane=i2t.PlaneFit(min_points=20))
+    """
 
     min_points: int = 8  # three determine a plane; the others average noise
     min_width_ratio: float = 0.1  # spread across relative to along; narrower points are a line, which fits any plane

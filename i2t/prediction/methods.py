@@ -147,6 +147,13 @@ class Method(ABC):
     Attributes:
         title: Name of its rows in tables.
         baseline: Whether it is a baseline that all other methods have to beat.
+
+    Example:
+        class Nothing(i2t.Method):
+            title = "always zero"
+
+            def fit(self, key, touches, split):
+                return touches.predictor(ZeroModel(), split)  # an i2t.TouchModel
     """
 
     title: ClassVar[str]

@@ -56,7 +56,12 @@ Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]] 
 
 @in_one_line
 class PaperEpisodes(NamedTuple):
-    """Episodes in which a method ran the paper's loop."""
+    """Episodes in which a method ran the paper's loop.
+
+    Example:
+        results = i2t.run_paper_loop(keys, {"mine": predictor}, surfaces, pad, reading_std=std, episodes=24)
+        accuracy = results["mine"].hits().mean(0)  # after each touch
+    """
 
     truth: Int[np.ndarray, " e"]  # index of the true object
     pool: Int[np.ndarray, " e"]  # index of the pool of sites; episodes of one pool are not independent

@@ -48,7 +48,12 @@ _DRAWS = SiteDraws()
 
 @in_one_line
 class SitePool(NamedTuple):
-    """Safe sites of some objects."""
+    """Safe sites of some objects.
+
+    Example:
+        sites = i2t.SitePool(T_w_t, np.zeros(len(T_w_t), int))  # all drawn on the first object
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, meshes, sites=sites)
+    """
 
     T_w_t: Float[Array, "sites 4 4"]  # poses of the tool at which the skin just touches the surface
     owner: Int[np.ndarray, " sites"]  # index of the object on which the site was drawn

@@ -8,7 +8,7 @@ writes `story.png`, a page with a row for each touch. If the machine can draw in
 needs pyvista (`pip install "imagine2touch[notebooks]"`), the page also shows the object with its touches.
 """
 
-import sys
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -27,6 +27,8 @@ from i2t.viz.patches import draw_patch
 from i2t.viz.scene import object_image, why_no_scene
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, explained
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
+
+log = logging.getLogger(__name__)
 
 
 class EpisodeRecord(NamedTuple):
@@ -57,7 +59,7 @@ class EpisodeRecord(NamedTuple):
 
 
 def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
-    """Write the report of an episode. If no scene can be drawn, the page omits it and the reason is printed to stderr.
+    """Write the report of an episode. If no scene can be drawn, the page omits it and the reason is logged.
 
     Args:
         record: The episode.
@@ -73,7 +75,7 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
     mesh = record.meshes[record.drawn]
     picture = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
     if picture is None:
-        print(why_no_scene(), file=sys.stderr)
+        log.warning("%s", why_no_scene())
     return [save_figure(plot_episode(record, picture), out / "story.png")]
 
 

@@ -94,5 +94,6 @@ def write_code(root: Path, folder: Path) -> list[Path]:
 
 def _example(name: str) -> str:
     """The example in a public name's docstring."""
-    docstring = inspect.getdoc(getattr(i2t, name)) or ""
+    value = getattr(i2t, name)
+    docstring = "" if inspect.ismodule(value) else inspect.getdoc(value) or ""
     return PRELUDE + textwrap.dedent(docstring.partition("Example:\n")[2])
