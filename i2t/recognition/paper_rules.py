@@ -358,19 +358,20 @@ def run_paper_loop(
     validation.count("episodes", episodes)
     validation.count("touches", touches)
     config = EnvironmentConfig(errors or SimulationErrors(), limits or PressLimits(), touches)
+    key_sites, key_episodes, key_choices = keys
     names, shapes = list(surfaces), list(surfaces.values())
     truth, pool = np.arange(episodes) % len(names), np.arange(episodes) // (episodes_per_pool or episodes)
     pools = sample_pools(
-        keys[0], shapes, names, pools=int(pool[-1]) + 1, per_object=sites_per_object, limits=site_limits
+        key_sites, shapes, names, pools=int(pool[-1]) + 1, per_object=sites_per_object, limits=site_limits
     )
     params = environment_params(shapes, [pad], pools.joined(), config)
-    begun = begin_episodes(keys[1], TouchEnvironment(config), params, truth)
+    begun = begin_episodes(key_episodes, TouchEnvironment(config), params, truth)
     scorers = reading_scorers(predictors, shapes, reading_std)
     scorers[PROPRIOCEPTION] = partial(contact_distances, shapes)
     shared: dict[TouchNumber, TouchOutcome] = {}
     results: dict[str, PaperEpisodes] = {}
     for method, score in scorers.items():
-        result = run_loop(jax.random.clone(keys[2]), score, begun, pools, pool, shared=shared, progress=progress)
+        result = run_loop(jax.random.clone(key_choices), score, begun, pools, pool, shared=shared, progress=progress)
         results[method] = PaperEpisodes(truth, pool, result.distance)
     return results
 

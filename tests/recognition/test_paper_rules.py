@@ -161,11 +161,11 @@ def test_the_loop_samples_hypotheses_from_its_votes_and_touches_by_the_heuristic
 def test_methods_meet_the_same_episodes_and_proprioception_is_among_them():
     names, pad = ("square", "cylinder"), nominal_pad()
     surfaces = dict(zip(names, prepare_surfaces([catalogue.make_object(name).mesh for name in names]), strict=True))
-    constant = {name: constant_predictor(np.ones(CHANNELS)) for name in ("one", "same")}
+    constant = {name: constant_predictor(np.ones(15)) for name in ("one", "same")}
     counts = []
     results = run_paper_loop(
         jax.random.split(jax.random.key(0), 3), constant, surfaces, pad,
-        reading_std=np.ones(CHANNELS), episodes=3, touches=2, sites_per_object=4, episodes_per_pool=2,
+        reading_std=np.ones(15), episodes=3, touches=2, sites_per_object=4, episodes_per_pool=2,
         progress=counts.append,
     )  # fmt: skip
     assert list(results) == ["one", "same", "proprioception"]
