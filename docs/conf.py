@@ -49,7 +49,10 @@ exclude_patterns = [".*", "build", "runs", "data"]
 nitpicky = True
 nitpick_ignore = [("py:class", "numpy.ndarray")]  # whose inventory needs a network
 nitpick_ignore_regex = [
-    ("py:class", r"i2t\..*\.(?:PopulationGP|StructuredGPHyperparameters|TouchModel)")
+    (
+        "py:class",
+        r"i2t\..*\.(?:ContactPressure|PopulationGP|PressureModelConfig|StructuredGPHyperparameters|TouchModel)",
+    )
 ]  # behind what the pages describe
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
@@ -63,9 +66,26 @@ napoleon_numpy_docstring = False
 # A page that no list names is no defect of the others.
 suppress_warnings = ["toc.not_included"]
 
-SECOND_TIER = ("i2t.recognition.recognizer", "i2t.skin_models.pad_model", "i2t.skin_models.calibration", "i2t.models",
-               "i2t.hardware.protocols", "i2t.hardware.plugins", "i2t.dataset.store", "i2t.dataset.splits",
-               "i2t.errors")  # fmt: skip
+SECOND_TIER = (
+    "i2t.paper",
+    "i2t.simulation",
+    "i2t.prediction",
+    "i2t.recognition",
+    "i2t.hardware",
+    "i2t.viz",
+    "i2t.skin_models",
+)  # packages, with the names that they list
+MODULES = (
+    "i2t.recognition.recognizer",
+    "i2t.skin_models.pad_model",
+    "i2t.skin_models.calibration",
+    "i2t.models",
+    "i2t.hardware.protocols",
+    "i2t.hardware.plugins",
+    "i2t.dataset.store",
+    "i2t.dataset.splits",
+    "i2t.errors",
+)  # documented whole
 GENERATED = {"docs/reference_commands": "commands_page", "docs/reference_api": "api_page"}
 CODE = re.compile(r"^(`{3,})[^`].*?^\1$|^#.*?$", re.M | re.S)  # and headings, whose anchors are made of their text
 NAME = re.compile(r"(?<!\[)`(((?:i2t|experiments|tools)(?:\.\w+)+)(?:\([^`]*\))?)`")
@@ -107,16 +127,21 @@ def commands_page() -> str:
 
 
 def api_page() -> str:
-    """The public names, and the modules of the second tier."""
+    """The public names, the packages of the second tier, and some modules."""
     lines = ["# Names of the library", "", "`import i2t` gives these; arguments say their shapes and units.", ""]
     lines += ["```{eval-rst}", ".. highlight:: python", "```", ""]
-    for name in i2t.__all__:
-        value = getattr(i2t, name)
-        lines += [f"## {name}", "", "```{eval-rst}", f".. {_directive(value)}:: i2t.{name}"]
-        lines += ["   :members:"] * (isinstance(value, type) and not issubclass(value, Exception))
+    for name in face_names():
+        lines += [f"## {name}", "", "```{eval-rst}", *_entry(f"i2t.{name}"), "```", ""]
+    for package in SECOND_TIER:
+        own = names_of(package)
+        lines += [f"## {package}", "", "```{eval-rst}", f".. automodule:: {package}", "   :no-members:", ""]
+        for name in own:
+            lines += [*_entry(f"{package}.{name}"), ""]
+        elsewhere = [name for name in pkgutil.resolve_name(package).__all__ if name not in own]
+        lines += [f"{package} also gives {', '.join(elsewhere)}, which have their own entries."] if elsewhere else []
         lines += ["```", ""]
-    for module in SECOND_TIER:
-        shown = [name for name in i2t.__all__ if getattr(i2t, name).__module__ == module]  # above
+    for module in MODULES:
+        shown = [name for name in face_names() if getattr(i2t, name).__module__ == module]  # above
         lines += [f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:"]
         lines += [f"   :exclude-members: {', '.join(shown)}", "```", ""]
     lines += ["## Other names on these pages", "", "```{eval-rst}", ".. py:currentmodule:: None"]
@@ -141,7 +166,31 @@ def other_names() -> dict[str, Any]:
                 with contextlib.suppress(ImportError, AttributeError):
                     values[name] = pkgutil.resolve_name(name)
     public = {f"i2t.{name}" for name in i2t.__all__}
-    return {name: value for name, value in values.items() if not name.startswith(SECOND_TIER) and name not in public}
+    public |= {f"{package}.{name}" for package in SECOND_TIER for name in names_of(package)}
+    return {name: value for name, value in values.items() if not name.startswith(MODULES) and name not in public}
+
+
+def face_names() -> list[str]:
+    """The names of the public face but for the packages of the second tier."""
+    return [name for name in i2t.__all__ if f"i2t.{name}" not in SECOND_TIER]
+
+
+def names_of(package: str) -> list[str]:
+    """The names that a package of the second tier lists and that have no other entry on the page."""
+    values = {name: getattr(pkgutil.resolve_name(package), name) for name in pkgutil.resolve_name(package).__all__}
+    others = {id(getattr(i2t, name)) for name in face_names()}
+    return [
+        name
+        for name, value in values.items()
+        if id(value) not in others and getattr(value, "__module__", None) not in MODULES
+    ]
+
+
+def _entry(name: str) -> list[str]:
+    """The directive that documents a value by its docstring."""
+    value = pkgutil.resolve_name(name)
+    members = isinstance(value, type) and not issubclass(value, Exception)
+    return [f".. {_directive(value)}:: {name}", *["   :members:"] * members]
 
 
 def _directive(value: Any) -> str:

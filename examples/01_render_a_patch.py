@@ -6,7 +6,6 @@ python examples/01_render_a_patch.py
 import numpy as np
 
 import i2t
-from i2t import viz
 
 
 def main(out: str = "runs/patch.png") -> i2t.Patch:
@@ -18,8 +17,10 @@ def main(out: str = "runs/patch.png") -> i2t.Patch:
 
     inside = np.asarray(patch.depth) < 4e-3  # metres behind the nearest point, clipped to 4 mm
     print(f"{inside.mean():.0%} of the window shows a surface; its nearest point is at {1e3 * patch.nearest:.2f} mm")
-    figure = viz.plot_patches(np.asarray(patch.depth)[None], ["hammer"], "Surface in front of the skin", simulated=True)
-    print(f"figure: {viz.save_figure(figure, out)}")
+    figure = i2t.viz.plot_patches(
+        np.asarray(patch.depth)[None], ["hammer"], "Surface in front of the skin", simulated=True
+    )
+    print(f"figure: {i2t.viz.save_figure(figure, out)}")
     return patch
 
 

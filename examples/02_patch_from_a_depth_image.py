@@ -6,7 +6,6 @@ python examples/02_patch_from_a_depth_image.py
 import numpy as np
 
 import i2t
-from i2t.simulation.depth_camera import render_view, table_triangles
 
 
 def main() -> float:
@@ -18,8 +17,8 @@ def main() -> float:
     T_w_c = T_w_t @ np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, -0.104], [0, 0, 0, 1]])  # view along tool z
 
     # A real image comes from a driver or a file: i2t.depth.camera.read_depth. Metres, NaN or 0 in unmeasured pixels.
-    triangles = np.concatenate([mesh.vertices[mesh.faces], table_triangles(np.eye(4))])
-    image, _ = render_view(triangles, T_w_c, camera)
+    triangles = np.concatenate([mesh.vertices[mesh.faces], i2t.simulation.table_triangles(np.eye(4))])
+    image, _ = i2t.simulation.render_view(triangles, T_w_c, camera)
     seen = i2t.patch_from_depth(image.astype(np.float32), camera, T_w_c.astype(np.float32), T_w_t.astype(np.float32))
 
     exact = i2t.render_patch(i2t.prepare_surface(mesh), T_w_t)

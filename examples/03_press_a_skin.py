@@ -6,7 +6,6 @@ python examples/03_press_a_skin.py
 import numpy as np
 
 import i2t
-from i2t import viz
 from i2t.skin.elasticity import GRID, interior, load
 
 
@@ -23,7 +22,7 @@ def main(out: str = "runs/press.png") -> np.ndarray:
         pad, load(pad, pressed.pressure), 0.0
     )  # (3, n, n) m, displacement of the surface along tool x, y, z
     board = i2t.Board(*map(np.asarray, pad.board))
-    figure = viz.plot_press(
+    figure = i2t.viz.plot_press(
         np.asarray(pressed.pressure),
         -np.asarray(moved[2]),
         board,
@@ -31,7 +30,7 @@ def main(out: str = "runs/press.png") -> np.ndarray:
         "A ball, 0.4 mm deep",
         simulated=True,
     )
-    print(f"figure: {viz.save_figure(figure, out)}")
+    print(f"figure: {i2t.viz.save_figure(figure, out)}")
     return np.asarray(pressed.reading)
 
 

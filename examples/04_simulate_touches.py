@@ -7,7 +7,6 @@ import jax
 import numpy as np
 
 import i2t
-from i2t.simulation.touches import SimulationErrors
 
 
 def main(path: str = "runs/touches.h5", n: int = 36) -> i2t.Dataset:
@@ -15,7 +14,7 @@ def main(path: str = "runs/touches.h5", n: int = 36) -> i2t.Dataset:
     names = ("hexagon", "star")
     surfaces = [i2t.prepare_surface(i2t.make_object(name).mesh) for name in names]
     pad = i2t.sample_pad(jax.random.key(0))  # every skin is different
-    touches = i2t.simulate_touches(jax.random.key(1), surfaces, pad, SimulationErrors(), n)
+    touches = i2t.simulate_touches(jax.random.key(1), surfaces, pad, i2t.SimulationErrors(), n)
 
     i2t.save_dataset(path, i2t.Dataset.simulated(touches, names, pad))  # the object is placed anew in each session
     dataset = i2t.load_dataset(path)

@@ -8,18 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 
 import i2t
-from i2t.skin.elasticity import GRID
 
 
 def main(presses: int = 60, tip_radius: float = 4e-3) -> float:
     """Calibrate a simulated skin from some presses, and return R2 on 60 others."""
     pad = i2t.sample_pad(jax.random.key(2))  # plays the real skin; use your own presses instead
-    random = np.random.default_rng(0)
+    random, grid = np.random.default_rng(0), i2t.Grid()
     positions = random.uniform(-6e-3, 6e-3, (presses + 60, 2))  # m, tip in the tool frame
     travels = random.uniform(0.1e-3, 0.5e-3, presses + 60)  # m past first contact
 
     def press(at: jax.Array) -> tuple[jax.Array, jax.Array]:
-        squared = (GRID.centres[None, :] - at[0]) ** 2 + (GRID.centres[:, None] - at[1]) ** 2
+        squared = (grid.centres[None, :] - at[0]) ** 2 + (grid.centres[:, None] - at[1]) ** 2
         pressed = i2t.press(pad, (squared - squared.min()) / (2 * tip_radius), at[2])
         return pressed.reading, pressed.force
 

@@ -9,13 +9,12 @@ import numpy as np
 import i2t
 from i2t.geometry import exp
 from i2t.registration import contact_poses
-from i2t.simulation.touches import SimulationErrors
 
 
 def main(n: int = 24) -> tuple[float, float]:
     """Touch a hammer that is displaced by 3 mm and 3 degrees; return the position errors (m) before and after."""
     surface = i2t.prepare_surface(i2t.make_object("hammer").mesh)
-    errors = SimulationErrors(placement=0.0, placement_angle=0.0)
+    errors = i2t.SimulationErrors(placement=0.0, placement_angle=0.0)
     touches = i2t.simulate_touches(jax.random.key(0), [surface], i2t.sample_pad(jax.random.key(1)), errors, n)
 
     # The simulated object is at the world's origin, and its nominal pose is elsewhere.

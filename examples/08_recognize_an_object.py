@@ -7,30 +7,26 @@ import jax
 import numpy as np
 
 import i2t
-from i2t.contact.press import PressLimits
-from i2t.recognition.recognizer import RecognizerConfig
-from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
-from i2t.types import ReturnCode
 
 
-def main(training_touches: int = 36, config: RecognizerConfig | None = None) -> str | None:
+def main(training_touches: int = 36, config: i2t.RecognizerConfig | None = None) -> str | None:
     """Fit a pad model to touches of a hexagon, recognise a hidden object among three, and return its name."""
-    pad, errors, limits = i2t.sample_pad(jax.random.key(0)), SimulationErrors(), PressLimits()
+    pad, errors, limits = i2t.sample_pad(jax.random.key(0)), i2t.SimulationErrors(), i2t.PressLimits()
     hexagon = i2t.prepare_surface(i2t.make_object("hexagon").mesh)
     touches = i2t.simulate_touches(jax.random.key(1), [hexagon], pad, errors, training_touches)
     dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.ones(training_touches, bool)
     fitted = ContactModel(errors, limits).fit(jax.random.key(2), ObjectTouches(dataset, rows, {"hexagon": hexagon}))
 
     meshes = {name: i2t.make_object(name).mesh for name in ("star", "cylinder", "hammer")}
-    config = config or RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, to start sooner
+    config = config or i2t.RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, to start sooner
     recognizer = i2t.ObjectRecognizer(jax.random.key(3), fitted.model, meshes, config=config)
     hidden = i2t.prepare_surface(meshes["cylinder"])  # your robot touches a real object
-    touch = touch_simulator(jax.random.key(4), hidden, pad, errors=errors, limits=limits)
+    touch = i2t.simulation.touch_simulator(jax.random.key(4), hidden, pad, errors=errors, limits=limits)
     state, info = recognizer.init(), None
     while (site := recognizer.choose_touch(state)) is not None:
         result = touch(site.T_w_t)
-        contact = int(result.code) != ReturnCode.AIR
+        contact = int(result.code) != i2t.ReturnCode.AIR
         observation = recognizer.observe(
             site, result.reading, force=float(result.force), T_w_t=result.T_w_t, contact=contact
         )

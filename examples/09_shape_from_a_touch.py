@@ -9,11 +9,8 @@ import jax
 import numpy as np
 
 import i2t
-from i2t.contact.press import PressLimits
 from i2t.reconstruction import build_library, infer_patch, predict_presses, sample_contacts
 from i2t.runtime.compiling import jit_quickly
-from i2t.simulation.press_curves import simulate_press_curve
-from i2t.simulation.touches import SimulationErrors
 
 
 def main(patches: int = 512, presses: int = 16) -> tuple[float, float]:
@@ -25,7 +22,9 @@ def main(patches: int = 512, presses: int = 16) -> tuple[float, float]:
 
     star = i2t.prepare_surface(i2t.make_object("star").mesh)
     contacts, _ = sample_contacts(jax.random.key(3), [star], presses)
-    curve = jit_quickly(partial(simulate_press_curve, errors=SimulationErrors(), limits=PressLimits()))
+    curve = jit_quickly(
+        partial(i2t.simulation.simulate_press_curve, errors=i2t.SimulationErrors(), limits=i2t.PressLimits())
+    )
     infer = jit_quickly(infer_patch, static_argnames=("samples",))
     before = np.mean(library.patch, axis=0, dtype=np.float32)
     errors = []

@@ -11,8 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 import i2t
-from i2t.recognition.environment import EnvironmentConfig, EnvironmentParams, EpisodeState, TouchAction
-from i2t.recognition.touch_table import make_environment
+from i2t.recognition import EnvironmentConfig, EnvironmentParams, EpisodeState, TouchAction, make_environment
 from i2t.runtime.compiling import jit_quickly
 
 

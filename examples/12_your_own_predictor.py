@@ -10,15 +10,10 @@ import jax
 import numpy as np
 
 import i2t
-from i2t.dataset import Split
-from i2t.prediction.methods import Method, TrainingTouches
-from i2t.prediction.predictor import save
-from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel
-from i2t.simulation.touches import SimulationErrors
 
 
 @dataclass(frozen=True)
-class SlopeModel(TouchModel):
+class SlopeModel(i2t.TouchModel):
     """A linear function of a patch's slopes, spread and near fraction; its fields are saved."""
 
     weights: np.ndarray  # (5, c) uT
@@ -29,10 +24,10 @@ class SlopeModel(TouchModel):
         """Number of values of a reading."""
         return len(self.spread)
 
-    def predict_batch(self, touches: TouchBatch) -> Reading:
+    def predict_batch(self, touches: i2t.prediction.TouchBatch) -> i2t.Reading:
         """Predict n touches; `touches` also contains force and travel if measured."""
         mean = features(touches.patch) @ self.weights
-        return Reading(mean, np.broadcast_to(self.spread, mean.shape))
+        return i2t.Reading(mean, np.broadcast_to(self.spread, mean.shape))
 
 
 def features(patch: np.ndarray) -> np.ndarray:
@@ -43,12 +38,12 @@ def features(patch: np.ndarray) -> np.ndarray:
     return np.stack([np.ones(len(patch)), near, *slope, 1e3 * patch.std((1, 2))], 1)
 
 
-class Slopes(Method):
+class Slopes(i2t.Method):
     """Least squares on the training touches."""
 
     title = "least squares on slopes"
 
-    def fit(self, key: jax.Array, touches: TrainingTouches, split: Split) -> i2t.Predictor:
+    def fit(self, key: jax.Array, touches: i2t.prediction.TrainingTouches, split: i2t.Split) -> i2t.Predictor:
         """Fit to the training touches; a method with its own validation uses `split.validation`."""
         seen = touches.dataset.touches
         x, y = features(seen.patch[split.train]), seen.reading[split.train]
@@ -60,10 +55,10 @@ class Slopes(Method):
 def main(out: str = "runs/slopes", n: int = 72) -> i2t.Predictor:
     """Fit the model to simulated touches, save it, load it, and return it."""
     surface, pad = i2t.prepare_surface(i2t.make_object("hexagon").mesh), i2t.nominal_pad()
-    touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, SimulationErrors(), n)
+    touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, i2t.SimulationErrors(), n)
     dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.arange(n) < n * 2 // 3
-    split = Split(rows, ~rows, ~rows, dataset.touches.session, "time")
-    save(out, Slopes().fit(jax.random.key(1), TrainingTouches(dataset), split))
+    split = i2t.Split(rows, ~rows, ~rows, dataset.touches.session, "time")
+    i2t.prediction.save(out, i2t.fit_predictor(jax.random.key(1), dataset, split, method=Slopes()))
     predictor = i2t.load_predictor(out)
     error = predictor.predict(dataset.touches.patch[~rows]).mean - dataset.touches.reading[~rows]
     print(f"RMS error {np.sqrt((error**2).mean()):.0f} uT on the last {(~rows).sum()} (simulated)")

@@ -18,6 +18,7 @@ import tyro
 
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Limits, Seed, docstring_of, require_writable
+from i2t.files.checkpoints import is_checkpoint
 from i2t.models import READY_MODELS, ready_hint, ready_path
 from i2t.objects.named import read_object
 from i2t.patches.dimensions import MAX_SKIN_FORCE_N
@@ -87,7 +88,7 @@ def _check(args: ImagineArgs) -> None:
     if args.out.suffix.lower() not in endings:
         raise ValueError(f"--out {args.out}: is not the name of a picture; use the ending {' or '.join(endings)}")
     folder = ready_path(args.model, "predictor")
-    if not any((folder / part / "_CHECKPOINT_METADATA").is_file() for part in ("", "checkpoint/predictor")):
+    if not any(is_checkpoint(folder / part) for part in ("", "checkpoint/predictor")):
         raise ValueError(
             f"--model {args.model}: holds no predictor; name the folder that `python -m experiments.train` wrote"
             + ready_hint(args.model, "predictor")

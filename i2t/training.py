@@ -100,7 +100,12 @@ class EpochInfo(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Training options."""
+    """Training options.
+
+    Example:
+        training = i2t.TrainConfig(epochs=60, batch_size=32)
+        predictor = i2t.fit_predictor(jax.random.key(0), dataset, split, training=training)
+    """
 
     epochs: int = 200  # largest number of epochs, over which the learning rate falls to 0
     batch_size: int = 128

@@ -164,7 +164,13 @@ class Pad(NamedTuple):
 
 @in_one_line
 class Truth(NamedTuple):
-    """Error-free values of a simulated touch; a real lab cannot measure them."""
+    """Error-free values of a simulated touch; a real lab cannot measure them.
+
+    Example:
+        touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 100)
+        if touches.truth is not None:  # it is None for recorded touches
+            error = touches.reading - touches.truth.reading  # uT, of noise and ambient
+    """
 
     view: Float[Any, "*n w w"]  # m, view (72 x 72) of the surface that the skin met, without camera or pose error
     nearest: Float[Any, "*n"]  # m, position of the nearest surface point along tool z at the end of the press
@@ -205,7 +211,11 @@ class Touches(NamedTuple):
 
 
 class ReturnCode(IntEnum):
-    """End of a press (the paper's codes)."""
+    """End of a press (the paper's codes).
+
+    Example:
+        in_contact = touches.code != i2t.ReturnCode.AIR
+    """
 
     FAILED = -1
     FREE = 0

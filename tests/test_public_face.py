@@ -5,7 +5,11 @@ import json
 import re
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
+from dataclasses import is_dataclass
+from itertools import chain
 from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
 
 import jax
 import numpy as np
@@ -61,6 +65,7 @@ DATA = {
     "anyskin_board": ("depth",),
     "calibrate": ("positions", "loads", "readings"),
     "contact_pose": ("mesh", "point"),
+    "fit_predictor": ("key", "dataset", "split"),
     "load_calibration": ("path",),
     "load_dataset": ("path",),
     "load_mesh": ("path", "unit"),
@@ -72,12 +77,14 @@ DATA = {
     "patch_from_depth": ("depth", "camera", "T_w_c", "T_w_t"),
     "pose_at_pixel": ("depth", "camera", "T_w_c", "pixel"),
     "prepare_surface": ("mesh",),
+    "prepare_surfaces": ("meshes",),
     "press": ("pad", "height", "indentation"),
     "register_by_depth": ("mesh", "T_w_o", "depth", "camera", "T_w_c"),
     "register_by_touch": ("key", "surface", "T_w_o", "T_w_contact", "weight"),
     "register_session": ("touches", "surface"),
     "render_patch": ("surface", "T_o_t"),
     "reskin_board": ("depth",),
+    "run_paper_loop": ("keys", "predictors", "surfaces", "pad"),
     "sample_pad": ("key",),
     "sample_touch_sites": ("mesh", "n"),
     "save_dataset": ("path", "dataset"),
@@ -94,6 +101,58 @@ def test_arguments_after_the_data_are_keyword_only():
         for name, parameters in given.items()
     }
     assert positional == DATA
+
+
+SECOND_TIER = ("hardware", "paper", "prediction", "recognition", "simulation", "skin_models", "viz")
+BUILT_BY = {"Calibration": i2t.calibrate, "PadModel": i2t.load_pad_model}  # results that no user constructs
+
+
+def _classes(hint: Any) -> Iterator[type]:
+    """The classes of i2t in an annotation."""
+    for part in (*get_args(hint), get_origin(hint)):
+        yield from chain(*map(_classes, part)) if isinstance(part, list) else _classes(part) if part else ()
+    if isinstance(hint, type) and hint.__module__.startswith("i2t."):
+        yield hint
+
+
+def _calls(name: str) -> list[Callable[..., Any]]:
+    """What a user calls by a name of the face: a function, or a class and its other constructors."""
+    value = getattr(i2t, name)
+    if not inspect.isclass(value) or name in BUILT_BY or inspect.isabstract(value):
+        return [value] if inspect.isfunction(value) else []
+    others = [method for method in vars(value).values() if isinstance(method, classmethod)]
+    construct = vars(value).get("__init__", value)
+    with_fields = is_dataclass(value) or issubclass(value, tuple)
+    return [value if with_fields else construct, *(inspect.unwrap(method.__func__) for method in others)]
+
+
+def test_every_type_that_its_functions_take_is_on_it():
+    face = {getattr(i2t, name) for name in i2t.__all__}
+    missing = {
+        f"{name}({parameter}: {kind.__module__}.{kind.__qualname__})"
+        for name in i2t.__all__
+        for call in _calls(name)
+        for parameter, hint in get_type_hints(call).items()
+        if parameter != "return"
+        for kind in _classes(hint)
+        if kind not in face
+    }
+    assert missing == set()
+
+
+def test_packages_of_the_second_tier_give_what_they_list():
+    for name in SECOND_TIER:
+        package = getattr(i2t, name)
+        assert inspect.ismodule(package)
+        assert len(package.__all__) > 10
+        assert [each for each in package.__all__ if inspect.ismodule(getattr(package, each))] == []
+
+
+def test_the_paper_on_one_page_needs_the_face_alone():
+    page = (ROOT / "examples" / "00_the_paper.py").read_text()
+    assert re.findall(r"^ *(?:from|import) .*", page, re.M) == ["import jax", "import i2t"]
+    used = set(re.findall(r"\bi2t\.(\w+)", page))
+    assert used <= {*i2t.__all__} - {*SECOND_TIER}
 
 
 CUBE = i2t.prepare_surface(i2t.make_object("square").mesh)
@@ -177,6 +236,12 @@ CALLS = [
     ("T_o_t", "i2t.render_patch(surface, 'here')"),
     ("pixels", "i2t.render_patch(surface, eye, pixels=-1)"),
     ("mesh", "i2t.prepare_surface('star')"),
+    ("mesh", "i2t.prepare_surfaces(['star'])"),
+    ("meshes", "i2t.prepare_surfaces([])"),
+    ("key", "i2t.fit_predictor(0, None, None)"),
+    ("method", "i2t.fit_predictor(key, None, None, method='perfect')"),
+    ("keys", "i2t.run_paper_loop(key, {}, {'star': surface}, pad, reading_std=reading, episodes=2)"),
+    ("surfaces", "i2t.run_paper_loop(jax.random.split(key, 3), {}, {}, pad, reading_std=reading, episodes=2)"),
     ("point", "i2t.contact_pose(mesh, 'top')"),
     ("pixel", "i2t.pose_at_pixel(image, camera, eye, 'middle')"),
     ("camera", "i2t.patch_from_depth(image, 'D405', eye, eye)"),

@@ -22,7 +22,6 @@ few hours.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,7 +31,7 @@ import numpy as np
 from experiments.common.runs import Part
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
-from experiments.recognize.plans import draw_pools, meshes_by_name
+from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.report import (
     CONSTANT_READING,
     FORCE_NETWORKS,
@@ -47,20 +46,8 @@ from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig
 from i2t.prediction.predictor import Predictor, load_predictor
-from i2t.recognition.environment import EnvironmentConfig, TouchEnvironment, TouchOutcome
-from i2t.recognition.paper_rules import (
-    PROPRIOCEPTION,
-    Scorer,
-    at_median_force,
-    beliefs_by_rule,
-    constant_predictor,
-    contact_distances,
-    reading_scorers,
-    run_loop,
-)
-from i2t.recognition.rollout import TouchNumber, begin_episodes
+from i2t.recognition.paper_rules import at_median_force, beliefs_by_rule, constant_predictor, run_paper_loop
 from i2t.recognition.site_pool import prepare_surfaces
-from i2t.recognition.touch_table import environment_params
 from i2t.runtime.progress import progress
 from i2t.skin.files import load_pad
 from i2t.types import Pad, Surface
@@ -170,9 +157,11 @@ def play(cfg: Recognition, run: FinishedRun, seed: int) -> Part:
     for i, (name, objects) in enumerate(names.items()):
         own = [next(surfaces) for _ in objects]
         key = jax.random.fold_in(jax.random.key(seed), i)
-        scorers = reading_scorers(predictors, own, paper.std) | {PROPRIOCEPTION: partial(contact_distances, own)}
         label = f"pad {run.pad_name}, {run.folder.name}"
-        results[name] = play_set(key, name, objects, surfaces=own, scorers=scorers, pad=pad, cfg=cfg, label=label)
+        results[name] = play_set(
+            key, name, objects,
+            surfaces=own, predictors=predictors, reading_std=paper.std, pad=pad, cfg=cfg, label=label,
+        )  # fmt: skip
     return reporting.to_part(results)
 
 
@@ -182,26 +171,28 @@ def play_set(
     objects: Sequence[str],
     *,
     surfaces: Sequence[Surface],
-    scorers: Mapping[str, Scorer],
+    predictors: Mapping[str, Predictor],
+    reading_std: np.ndarray,
     pad: Pad,
     cfg: Recognition,
     label: str,
 ) -> EpisodeResults:
     """Simulate the episodes of every method with one set of objects, with the same placements, errors and pools."""
-    key_sites, key_world, key_choice = jax.random.split(key, 3)
-    truth = np.arange(cfg.paper_episodes * len(objects)) % len(objects)
-    pools, pool = draw_pools(key_sites, objects, surfaces, len(truth), cfg)
-    config = EnvironmentConfig(cfg.errors, cfg.limits, cfg.touches)
-    environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], pools.joined(), config)
-    episodes = begin_episodes(key_world, environment, params, truth)
-    shared: dict[TouchNumber, TouchOutcome] = {}
-    beliefs: dict[str, np.ndarray] = {}
-    with progress(total=len(scorers) * truth.size * cfg.touches, desc=f"{name}: the paper's loop", unit="touch") as bar:
-        for method, score in scorers.items():
-            played = run_loop(
-                jax.random.clone(key_choice), score, episodes, pools, pool,
-                shared=shared, progress=bar.update,
-            )  # fmt: skip
-            beliefs |= {f"{method}, {rule}": p for rule, p in beliefs_by_rule(played.distance).items()}
+    named, count = dict(zip(objects, surfaces, strict=True)), cfg.paper_episodes * len(objects)
+    total = (len(predictors) + 1) * count * cfg.touches  # proprioception is one more method
+    with progress(total=total, desc=f"{name}: the paper's loop", unit="touch") as bar:
+        results = run_paper_loop(
+            jax.random.split(key, 3), predictors, named, pad,
+            reading_std=reading_std, episodes=count, touches=cfg.touches, errors=cfg.errors, limits=cfg.limits,
+            site_limits=cfg.site_limits, sites_per_object=cfg.pool_sites, episodes_per_pool=cfg.pool_episodes,
+            progress=bar.update,
+        )  # fmt: skip
+    beliefs = {
+        f"{method}, {rule}": p
+        for method, episodes in results.items()
+        for rule, p in beliefs_by_rule(episodes.distance).items()
+    }
+    first = next(iter(results.values()))
+    truth, pool = first.truth, first.pool
     labels = np.array([f"{label}, {name}, pool {number}" for number in pool])
     return EpisodeResults(tuple(objects), truth, beliefs, None, label.split(",")[0], labels)

@@ -19,7 +19,7 @@ from i2t.skin_models import calibrate
 from i2t.skin_models.tip_gp.leave_one_out import limit_blas_threads
 from i2t.skin_models.tip_gp.plain import PlainScales, fit_scales, predict_plain
 
-PLAIN, CALIBRATED = "tuned GP on position and load", "i2t.calibrate"
+TUNED, CALIBRATED = "tuned GP on position and load", "i2t.calibrate"
 
 
 class _TrainingPresses(NamedTuple):
@@ -61,10 +61,10 @@ def position_readings(
     x = np.column_stack([presses.position, presses.load])
     train = _TrainingPresses(x[training], presses.readings[training], split.groups[rows])
     at, count = x[number[held_out]], min(len(rows), max_calibration_presses)
-    return {PLAIN: _plain(train, at), f"{CALIBRATED}, {count} of the presses": _calibrated(presses, train, at, count)}
+    return {TUNED: _tuned(train, at), f"{CALIBRATED}, {count} of the presses": _calibrated(presses, train, at, count)}
 
 
-def _plain(train: _TrainingPresses, at: Float[np.ndarray, "m 3"], *, tuning_presses: int = 1000) -> Reading:
+def _tuned(train: _TrainingPresses, at: Float[np.ndarray, "m 3"], *, tuning_presses: int = 1000) -> Reading:
     """Predict with the scales that have the least error on held-out groups of the training presses, and return that
     error as the standard deviation. The cost of tuning grows with the cube of the number of presses.
     """

@@ -8,6 +8,7 @@
 """
 
 import errno
+import logging
 import signal
 import sys
 import threading
@@ -43,11 +44,12 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
         the command line); 1 if a device or the disk failed; 130 after Ctrl-C; 141 if the reader of the output has
         ended.
     """
-    use_compile_cache()
     show_warning, warnings.showwarning = warnings.showwarning, _show_warning
     try:
-        with _delayed_interrupts():
-            result = work()
+        with _shown_log():
+            use_compile_cache()
+            with _delayed_interrupts():
+                result = work()
         if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()  # here, where a failure can be reported
         return result if isinstance(result, int) else 0
@@ -144,6 +146,34 @@ def _delayed_interrupts() -> Iterator[None]:
         sys.unraisablehook = unraisable_hook
         if is_default:
             signal.signal(signal.SIGINT, previous)
+
+
+class _PlainLines(logging.Handler):
+    """Handler that prints messages to stderr without level and name."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print the message of a record."""
+        try:
+            print(self.format(record), file=sys.stderr, flush=True)
+        except (OSError, ValueError):  # stderr is closed
+            self.handleError(record)
+
+
+@contextmanager
+def _shown_log() -> Iterator[None]:
+    """Show what the library logs, from INFO on, while a command runs."""
+    log, level = logging.getLogger("i2t"), logging.getLogger("i2t").level
+    handler = _PlainLines()
+    if any(isinstance(other, _PlainLines) for other in log.handlers):  # a command within a command
+        yield
+        return
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
+        log.setLevel(level)
 
 
 def _importing() -> bool:

@@ -33,9 +33,7 @@ class Split:
         description: Description of what is held out.
 
     Example:
-        session = dataset.touches.session
-        held_out = session % 5 == 4
-        split = i2t.Split(~held_out, held_out, np.zeros(len(session), bool), session, "every fifth session")
+        split = i2t.Split.hold_out(dataset, "object", validation=["cutter"])
     """
 
     train: np.ndarray
@@ -43,6 +41,29 @@ class Split:
     test: np.ndarray
     groups: np.ndarray
     description: str
+
+    @classmethod
+    def hold_out(
+        cls, dataset: Dataset, kind: str, *, validation: Sequence[str] = (), test: Sequence[str] = ()
+    ) -> "Split":
+        """Hold out the touches of some objects, pads or sessions, and train on all others.
+
+        Args:
+            dataset: Data set of n touches.
+            kind: "object", "pad" or "session".
+            validation: Names to validate on.
+            test: Names to test on.
+
+        Returns:
+            The split, with sessions as groups.
+
+        Raises:
+            DataError: The data set lacks a name, or a name is given for both.
+        """
+        if both := [name for name in validation if name in test]:
+            raise DataError(f"{kind} {', '.join(both)}: is held out for validation and for test; choose one of them")
+        validating, testing = (holdout_names(dataset, kind, names) for names in (validation, test))
+        return cls(~(validating | testing), validating, testing, dataset.touches.session, kind)
 
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:

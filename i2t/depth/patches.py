@@ -39,7 +39,12 @@ from i2t.types import Patch, in_one_line
 
 @dataclass(frozen=True)
 class SurfaceTracing:
-    """How rays are followed through a depth image to its surface."""
+    """How rays are followed through a depth image to its surface.
+
+    Example:
+        tracing = i2t.SurfaceTracing(max_depth_step=3e-3)  # for a coarse camera
+        patch = i2t.patch_from_depth(image, camera, T_w_c, T_w_t, tracing=tracing)
+    """
 
     # rad, smallest angle between a triangle and the line of sight; a smaller one spans a depth edge
     grazing_angle: float = math.radians(10)

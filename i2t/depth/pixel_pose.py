@@ -24,7 +24,11 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """Conditions under which points determine a plane."""
+    """Conditions under which points determine a plane.
+
+    Example:
+        T_w_t = i2t.pose_at_pixel(image, camera, T_w_c, (320, 200), plane=i2t.PlaneFit(min_points=20))
+    """
 
     min_points: int = 8  # smallest number of points; three determine a plane, and the others average noise
     # smallest ratio of the points' smaller to larger spread in the plane; narrower points form a line

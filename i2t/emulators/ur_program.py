@@ -4,7 +4,7 @@ Commands and results pass through registers: input_int_0 holds a command. output
 returns to ready once the client has written 0. `i2t.emulators.ur_controller` describes what is emulated.
 """
 
-import sys
+import logging
 from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any
@@ -13,6 +13,8 @@ import numpy as np
 
 from i2t.emulators import rtde_protocol
 from i2t.emulators.robot_motion import Robot
+
+log = logging.getLogger(__name__)
 
 TICK = 0.002  # s, period of the controller
 STOPPED, PLAYING, PAUSED = 1, 2, 4  # values of the runtime state
@@ -136,7 +138,7 @@ class Controller:
                 self._execute(command)
                 self.out_ints[0] = Handshake.DONE
             except (ArithmeticError, ValueError) as error:  # a runtime error ends the program on a real controller
-                print(f"command {command}: {error}: the program ends", file=sys.stderr, flush=True)
+                log.warning("command %s: %s: the program ends", command, error)
                 self.kill()
 
     def _execute(self, command: int) -> None:

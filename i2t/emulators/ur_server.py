@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import json
+import logging
 import struct
 import sys
 import time
@@ -16,6 +17,8 @@ from i2t.emulators import rtde_protocol
 from i2t.emulators.robot_motion import plane
 from i2t.emulators.rtde_protocol import PacketType
 from i2t.emulators.ur_program import PLAYING, TICK, Controller
+
+log = logging.getLogger(__name__)
 
 Serve: TypeAlias = Callable[["Client"], Awaitable[None]]
 
@@ -110,7 +113,7 @@ class Server:
         except (asyncio.IncompleteReadError, asyncio.CancelledError, OSError):
             pass
         except (ValueError, ArithmeticError, struct.error) as error:
-            print(f"{error}: a connection is closed", file=sys.stderr, flush=True)
+            log.warning("%s: a connection is closed", error)
         finally:
             with contextlib.suppress(ValueError):
                 self.rtde_clients.remove(client)

@@ -1,1 +1,8 @@
-"""Devices that produce readings, poses and images: the imperative layer, which imports no JAX."""
+"""Devices that produce readings, poses and images: the imperative layer, which imports no JAX.
+
+Each name is loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names of __init__.pyi

@@ -11,7 +11,12 @@ ImageKind: TypeAlias = Literal["depth", "mask", "pressure"]
 
 @dataclass(frozen=True)
 class PaperOptions:
-    """Options of the paper's network and loss; the defaults are the paper's values, if it states any."""
+    """Options of the paper's network and loss; the defaults are the paper's values, if it states any.
+
+    Example:
+        paper = i2t.PaperOptions(bottleneck=3)
+        predictor = i2t.fit_predictor(jax.random.key(0), dataset, split, paper=paper)
+    """
 
     encoder_width: int = 200
     bottleneck: int = 5

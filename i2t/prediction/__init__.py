@@ -1,1 +1,8 @@
-"""Predictors of skin readings from a view and a force, their training and their scores."""
+"""Predictors of skin readings from a view and a force, their training and their scores.
+
+Each name is loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names of __init__.pyi

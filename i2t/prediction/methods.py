@@ -29,6 +29,7 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_disk
 from i2t.skin.boards import board_as_lists
 from i2t.training import TrainConfig
+from i2t.validation import random_key
 
 METHODS: Mapping[str, str] = {  # by the name on the command line; of equally good methods the first one is kept
     "mean": "i2t.prediction.baselines:Mean",
@@ -146,6 +147,13 @@ class Method(ABC):
     Attributes:
         title: Name of its rows in tables.
         baseline: Whether it is a baseline that all other methods have to beat.
+
+    Example:
+        class Nothing(i2t.Method):
+            title = "always zero"
+
+            def fit(self, key, touches, split):
+                return touches.predictor(ZeroModel(), split)  # an i2t.TouchModel
     """
 
     title: ClassVar[str]
@@ -212,6 +220,50 @@ def find_methods(names: Sequence[str]) -> tuple[Method, ...]:
                 f"the method {name} has the same title as another method, {method.title!r}; give it another title"
             )
     return tuple(methods.values())
+
+
+def fit_predictor(
+    key: Key[Array, ""],
+    dataset: Dataset,
+    split: Split,
+    *,
+    method: str | Method = "paper-depth",
+    paper: PaperOptions | None = None,
+    training: TrainConfig | None = None,
+) -> Predictor:
+    """Fit a predictor of readings to the patches of a data set.
+
+    `python -m experiments.train` also predicts contact pressures, which some methods need, and compares methods.
+
+    Args:
+        key: Random key of initial weights and minibatches.
+        dataset: Data set of touches.
+        split: Touches to fit to, and those on which a network chooses its epoch.
+        method: The method, or its name as for `find_method`; by default the paper's network on depths.
+        paper: Sizes and loss of the paper's network.
+        training: Options of the training of networks.
+
+    Returns:
+        The fitted predictor.
+
+    Raises:
+        TypeError: `key` is no random key.
+        ValueError: There is no method of this name, or the touches lack an input of the method.
+
+    Example:
+        split = i2t.Split.hold_out(dataset, "object", validation=["cutter"])
+        predictor = i2t.fit_predictor(jax.random.key(0), dataset, split, training=i2t.TrainConfig(epochs=60))
+    """
+    random_key("key", key)
+    chosen = find_method(method) if isinstance(method, str) else method
+    touches = TrainingTouches(dataset, paper=paper or PaperOptions(), training=training or TrainConfig())
+    predictor = chosen.fit(key, touches, split)
+    if predictor is None:
+        raise ValueError(
+            f"method: {chosen.title} needs more than the patches of the touches; choose another method, or train by "
+            "python -m experiments.train"
+        )
+    return predictor
 
 
 def views_of(dataset: Dataset) -> np.ndarray:

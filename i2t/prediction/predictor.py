@@ -28,7 +28,7 @@ from orbax.checkpoint import v1 as ocp
 from i2t.contact.pressure import PressureModelConfig
 from i2t.errors import CheckpointError
 from i2t.files.archives import max_unpacked_size
-from i2t.files.reading import read_json
+from i2t.files.checkpoints import custom_metadata
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.models import ready_hint, ready_path
 from i2t.patches.dimensions import PATCH_PIXELS
@@ -371,7 +371,7 @@ _FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "m
 def _description(directory: Path, hint: str) -> dict[str, Any]:
     """Read the description of a predictor on disk; `hint` ends the message if there is none."""
     try:
-        about = read_json(directory / "_CHECKPOINT_METADATA", 2**26)["custom_metadata"]
+        about = custom_metadata(directory)
         if about["format"] != PREDICTOR_FORMAT:
             raise KeyError(about["format"])
         version = about["version"]

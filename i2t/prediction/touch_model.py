@@ -121,7 +121,17 @@ def stacked(touches: Touches | TouchBatch, names: Sequence[str]) -> np.ndarray:
 
 
 class TouchModel(ABC):
-    """Model of the readings of touches. A subclass is a frozen dataclass."""
+    """Model of the readings of touches. A subclass is a frozen dataclass.
+
+    Example:
+        @dataclass(frozen=True)
+        class ZeroModel(i2t.TouchModel):
+            channels = 15
+
+            def predict_batch(self, touches):
+                zero = np.zeros((len(touches.patch), self.channels), np.float32)
+                return i2t.Reading(zero, zero + 50)  # uT
+    """
 
     registered: ClassVar[dict[str, type["TouchModel"]]] = {}  # by module and name
     pressure: ClassVar[PressureModelConfig | None] = None  # a field of models on predicted contact pressure

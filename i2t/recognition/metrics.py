@@ -180,7 +180,7 @@ def calibration_error(
     *,
     cluster: Shaped[Array, "*n"] | None = None,
 ) -> CalibrationError:
-    """Compute the expected calibration error of the top class: the mean over decisions of |frequency - confidence| of
+    """Compute the expected calibration error of the top class: the mean over decisions of `|frequency - confidence|` of
     their bin (Guo et al., ICML 2017).
 
     Few decisions in a bin make it positive for any forecaster, so it comes with its distribution for decisions that are

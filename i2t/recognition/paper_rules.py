@@ -6,8 +6,8 @@ reading from the measured one, in standard deviations of the training readings. 
 takes the distance of the contact from the object's surface, in millimetres.
 
 `paper_rules` applies the rules to recorded episodes. `run_loop` is the paper's whole procedure (`i2t.paper.loop`), in
-which every method is scored by its own distances. A method is called Imagine2touch only if its predictor is the paper's
-network.
+which every method is scored by its own distances, and `run_paper_loop` compares methods by it on simulated touches. A
+method is called Imagine2touch only if its predictor is the paper's network.
 
 Source: Ayad et al., "Imagine2touch", section II. Units are metres, newtons and microtesla; a reading has c = 3 * chips
 channels.
@@ -16,13 +16,15 @@ channels.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from functools import partial
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, Key
 
+from i2t import validation
+from i2t.contact.press import PressLimits
 from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -30,21 +32,62 @@ from i2t.patches.views import centre
 from i2t.prediction.baselines import MeanReading
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch
-from i2t.recognition.environment import TouchOutcome
+from i2t.recognition.environment import EnvironmentConfig, TouchEnvironment, TouchOutcome
 from i2t.recognition.episodes import Episodes, MeasuredTouches
-from i2t.recognition.rollout import RunningEpisodes, TouchNumber, advance, last_touches
-from i2t.recognition.site_pool import SitePools, pool_informativeness
+from i2t.recognition.metrics import hits
+from i2t.recognition.rollout import RunningEpisodes, TouchNumber, advance, begin_episodes, last_touches
+from i2t.recognition.site_pool import SitePools, pool_informativeness, sample_pools
+from i2t.recognition.touch_table import environment_params
 from i2t.rendering.render import render_view
 from i2t.runtime.batching import filled_batches, map_on_devices
+from i2t.simulation.site_limits import SiteLimits
+from i2t.simulation.sites import RECOGNITION_LIMITS
+from i2t.simulation.touches import SimulationErrors
 from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.layer import MIN_LOAD_N
-from i2t.types import Surface
+from i2t.types import Pad, Surface, in_one_line
 
 PROPRIOCEPTION = "proprioception"  # name of the scorer that uses only where presses end
 VIEW_BATCH = 64  # number of views rendered and predicted together, so that they compile once
 
 
 Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects
+
+
+@in_one_line
+class PaperEpisodes(NamedTuple):
+    """Episodes in which a method ran the paper's loop.
+
+    Example:
+        results = i2t.run_paper_loop(keys, {"mine": predictor}, surfaces, pad, reading_std=std, episodes=24)
+        accuracy = results["mine"].hits().mean(0)  # after each touch
+    """
+
+    truth: Int[np.ndarray, " e"]  # index of the true object
+    pool: Int[np.ndarray, " e"]  # index of the pool of sites; episodes of one pool are not independent
+    distance: Float[np.ndarray, "e t objects"]  # of each touch from each object, by the method
+
+    def beliefs(self, rule: str = "votes") -> Float[np.ndarray, "e t objects"]:
+        """Compute the beliefs of a rule.
+
+        Args:
+            rule: Name of one of `i2t.paper.rules.RULES`.
+
+        Returns:
+            `(e, t, objects)` beliefs after each touch.
+        """
+        return loop.beliefs(self.distance, rule)
+
+    def hits(self, rule: str = "votes") -> Float[np.ndarray, "e t"]:
+        """Score the decisions of a rule.
+
+        Args:
+            rule: Name of one of `i2t.paper.rules.RULES`.
+
+        Returns:
+            `(e, t)` scores after each touch: 1 or 0, and 1/n if the true object ties with n - 1 others.
+        """
+        return hits(self.beliefs(rule), self.truth)
 
 
 def constant_predictor(reading: Float[np.ndarray, " c"]) -> Predictor:
@@ -255,6 +298,83 @@ def run_loop(
     )  # fmt: skip
     rows = [row(hypothesis, site) for hypothesis, site in zip(result.hypothesis.T, result.site.T, strict=True)]
     return result._replace(site=np.stack(rows, axis=1))
+
+
+def run_paper_loop(
+    keys: Key[Array, "3"],
+    predictors: Mapping[str, Predictor],
+    surfaces: Mapping[str, Surface],
+    pad: Pad,
+    *,
+    reading_std: Float[np.ndarray, " c"],
+    episodes: int,
+    touches: int = loop.TOUCHES,
+    errors: SimulationErrors | None = None,
+    limits: PressLimits | None = None,
+    site_limits: SiteLimits = RECOGNITION_LIMITS,
+    sites_per_object: int = 24,
+    episodes_per_pool: int | None = None,
+    progress: Callable[[int], object] = lambda touches: None,
+) -> dict[str, PaperEpisodes]:
+    """Recognise objects by the paper's loop on simulated touches, with each predictor and with proprioception.
+
+    The true object of episode i is object i modulo the number of objects. All methods meet the same objects, placements
+    and errors, and make the same draws as long as their beliefs are equal.
+
+    Args:
+        keys: Three random keys: of the sites, of all random events in the episodes, and of hypotheses and choices.
+        predictors: Predictors of readings, by name.
+        surfaces: Surfaces of the possible objects, by name, all of one size class (`prepare_surfaces`).
+        pad: The pad.
+        reading_std: Standard deviation (uT) of each channel in the training data.
+        episodes: Number of episodes e.
+        touches: Number of touches t of each episode.
+        errors: Errors of camera, arm and skin.
+        limits: Limits of a press.
+        site_limits: Limits of safe sites.
+        sites_per_object: Number of sites of each object in a pool.
+        episodes_per_pool: Number of consecutive episodes that share a pool of sites; all of them by default.
+        progress: Function that is called with the number of touches made.
+
+    Returns:
+        Episodes by the predictors' names and "proprioception".
+
+    Raises:
+        TypeError: A count is not a whole number.
+        ValueError: There are no surfaces, a count is below 1, `keys` are not three keys, or an object has too few safe
+            sites.
+
+    Example:
+        predictor = i2t.load_predictor("runs/train")
+        surfaces = dict(zip(("star", "square"), i2t.prepare_surfaces([star, square])))
+        keys = jax.random.split(jax.random.key(0), 3)
+        results = i2t.run_paper_loop(keys, {"mine": predictor}, surfaces, pad, reading_std=std, episodes=24)
+        accuracy = results["mine"].hits()[:, -1].mean()
+    """
+    validation.random_key("keys", keys)
+    if keys.shape[:1] != (3,):
+        raise ValueError(f"keys: shape {keys.shape}; give three keys, such as jax.random.split(key, 3)")
+    if not surfaces:
+        raise ValueError("surfaces: no object; give at least one")
+    validation.count("episodes", episodes)
+    validation.count("touches", touches)
+    config = EnvironmentConfig(errors or SimulationErrors(), limits or PressLimits(), touches)
+    key_sites, key_episodes, key_choices = keys
+    names, shapes = list(surfaces), list(surfaces.values())
+    truth, pool = np.arange(episodes) % len(names), np.arange(episodes) // (episodes_per_pool or episodes)
+    pools = sample_pools(
+        key_sites, shapes, names, pools=int(pool[-1]) + 1, per_object=sites_per_object, limits=site_limits
+    )
+    params = environment_params(shapes, [pad], pools.joined(), config)
+    begun = begin_episodes(key_episodes, TouchEnvironment(config), params, truth)
+    scorers = reading_scorers(predictors, shapes, reading_std)
+    scorers[PROPRIOCEPTION] = partial(contact_distances, shapes)
+    shared: dict[TouchNumber, TouchOutcome] = {}
+    results: dict[str, PaperEpisodes] = {}
+    for method, score in scorers.items():
+        result = run_loop(jax.random.clone(key_choices), score, begun, pools, pool, shared=shared, progress=progress)
+        results[method] = PaperEpisodes(truth, pool, result.distance)
+    return results
 
 
 # --- views ---

@@ -49,7 +49,12 @@ _DRAWS = SiteDraws()
 
 @in_one_line
 class SitePool(NamedTuple):
-    """Safe sites of some objects."""
+    """Safe sites of some objects.
+
+    Example:
+        sites = i2t.SitePool(T_w_t, np.zeros(len(T_w_t), int))  # all drawn on the first object
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, meshes, sites=sites)
+    """
 
     T_w_t: Float[Array, "sites 4 4"]  # poses of the tool at which the skin just touches the surface
     owner: Int[np.ndarray, " sites"]  # index of the object on which the site was drawn
@@ -98,7 +103,15 @@ def prepare_surfaces(meshes: Sequence[Any]) -> list[Surface]:
 
     Returns:
         Surfaces for rendering, padded to one size.
+
+    Raises:
+        ValueError: There are no meshes, or one of them cannot be rendered.
+
+    Example:
+        surfaces = i2t.prepare_surfaces([i2t.make_object(name).mesh for name in ("star", "square")])
     """
+    if not len(meshes):
+        raise ValueError("meshes: is empty; give at least one mesh")
     stacked = stack_surfaces([prepare_surface(mesh) for mesh in meshes])
     return [element(stacked, i) for i in range(len(meshes))]
 

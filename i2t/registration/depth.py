@@ -34,7 +34,11 @@ STD_PER_MAD = 1.4826  # ratio of the standard deviation of a normal distribution
 
 @dataclass(frozen=True)
 class DepthRegistrationConfig:
-    """Options of a pose search by depth image."""
+    """Options of a pose search by depth image.
+
+    Example:
+        config = i2t.DepthRegistrationConfig(final_reach=5e-3)  # for a noisy camera
+    """
 
     initial_reach: float = 15e-3  # m, largest distance of a point from the believed object at first
     final_reach: float = 3e-3  # m, largest distance of a point from the believed object at the end

@@ -46,7 +46,11 @@ from i2t.types import Surface
 @traced_floats
 @dataclass(frozen=True)
 class TouchRegistrationConfig:
-    """Options of a pose search by touches."""
+    """Options of a pose search by touches.
+
+    Example:
+        config = i2t.TouchRegistrationConfig(num_starts=40)  # for a poorly known pose
+    """
 
     num_starts: int = 12  # number of starts of the search: the prior's mean and draws of the prior
     annealing_steps: int = 10  # number of steps while the noise shrinks

@@ -26,9 +26,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.core import ShapedArray
-from jax.extend.core import Primitive
-from jax.interpreters import batching, mlir
+from jax import ShapeDtypeStruct as ShapeDtype
 from jaxtyping import Array, Bool, Float, Int
 
 from i2t.patches.dimensions import STANDOFF
@@ -51,6 +49,7 @@ from i2t.rendering.tiles import (
     place_boxes,
     to_tool,
 )
+from i2t.runtime.jax_internals import single_operation
 from i2t.types import Surface
 
 
@@ -122,15 +121,9 @@ def _rasterise(
     meshes = tuple(jnp.asarray(part)[None] for part in (surface.triangles, surface.boxes, surface.groups))
     views = [jnp.asarray(part)[None] for part in view]
     options = {"window": grid.window, "pixels": grid.pixels, "reach": reach, "with_faces": with_faces}
-    heights, faces = _cast_primitive.bind(*meshes, jnp.zeros(1, jnp.int32), *views, **options)
+    heights, faces = _cast_operation(*meshes, jnp.zeros(1, jnp.int32), *views, **options)
     poison = 0 * sum(jnp.sum(part) for part in view)  # a non-finite pose gives an image of NaN
     return heights[0] + poison, faces[0]
-
-
-# JAX sees a single operation, so that programs with a renderer are traced once and not again for each transformation
-# such as `vmap`.
-_cast_primitive = Primitive("i2t_cast")
-_cast_primitive.multiple_results = True
 
 
 def _cast_arrays(
@@ -142,13 +135,12 @@ def _cast_arrays(
     return _cast((triangles, boxes, groups), mesh, view, PixelGrid(window, pixels), reach, with_faces)
 
 
-@_cast_primitive.def_abstract_eval
-def _(
-    triangles: ShapedArray, boxes: ShapedArray, groups: ShapedArray, mesh: ShapedArray, *views: ShapedArray,
+def _result_shapes(
+    triangles: ShapeDtype, boxes: ShapeDtype, groups: ShapeDtype, mesh: ShapeDtype, *views: ShapeDtype,
     pixels: int, **options: Any,
-) -> tuple[ShapedArray, ShapedArray]:  # fmt: skip
+) -> tuple[ShapeDtype, ShapeDtype]:  # fmt: skip
     shape = (*mesh.shape, pixels, pixels)
-    return ShapedArray(shape, jnp.result_type(triangles.dtype, views[0].dtype)), ShapedArray(shape, jnp.int32)
+    return ShapeDtype(shape, jnp.result_type(triangles.dtype, views[0].dtype)), ShapeDtype(shape, jnp.int32)
 
 
 def _batch_cast(arrays: Sequence[Array], axes: Sequence[int | None], **options: Any) -> tuple[list[Array], list[int]]:
@@ -164,16 +156,17 @@ def _batch_cast(arrays: Sequence[Array], axes: Sequence[int | None], **options: 
         meshes = [leading(*pair) for pair in zip(meshes, axes[:3], strict=True)]
         mesh = mesh + meshes[0].shape[1] * indices(size)[:, None]
         meshes = [_flat(part) for part in meshes]
-    hits = _cast_primitive.bind(*meshes, _flat(mesh), *(_flat(part) for part in views), **options)
+    hits = _cast_operation(*meshes, _flat(mesh), *(_flat(part) for part in views), **options)
     return [hit.reshape(size, -1, *hit.shape[1:]) for hit in hits], [0, 0]
 
 
-_cast_primitive.def_impl(
-    # for calls outside compiled functions
-    jax.jit(_cast_arrays, static_argnames=("window", "pixels", "reach", "with_faces"))
+_cast_operation = single_operation(
+    "i2t_cast",
+    _cast_arrays,
+    result_shapes=_result_shapes,
+    batch=_batch_cast,
+    static_argnames=("window", "pixels", "reach", "with_faces"),
 )
-batching.primitive_batchers[_cast_primitive] = _batch_cast
-mlir.register_lowering(_cast_primitive, mlir.lower_fun(_cast_arrays, multiple_results=True))
 
 
 def _cast(

@@ -10,12 +10,15 @@ module does not import JAX.
 
 import hashlib
 import importlib.util
+import logging
 import os
 import platform
 import sys
 import tempfile
 import warnings
 from pathlib import Path
+
+log = logging.getLogger(__name__)
 
 CACHE_VARIABLE = "I2T_COMPILE_CACHE"
 JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
@@ -39,9 +42,7 @@ def use_compile_cache() -> Path | None:
     folder = (Path(requested).expanduser() if requested else _user_cache() / "i2t" / "compiled") / _processor()
     if not _writable(folder):
         if requested:
-            print(
-                f"warning: {CACHE_VARIABLE} {requested}: cannot write to this folder; the cache is off", file=sys.stderr
-            )
+            log.warning("warning: %s %s: cannot write to this folder; the cache is off", CACHE_VARIABLE, requested)
         return None
     _configure(folder)
     return folder

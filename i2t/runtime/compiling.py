@@ -11,13 +11,12 @@ times. The options are therefore chosen for each program, and for some by the am
 """
 
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
 from functools import cache, wraps
 from typing import Any, TypeVar, get_type_hints
 
 import jax
-from jax.extend.core import get_opaque_trace_state
+import numpy as np
 
 Config = TypeVar("Config")
 _traced: set[type] = {float}  # types of traced fields, including configurations
@@ -80,7 +79,9 @@ def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[st
 
     @wraps(function)
     def call(*args: Any, **named: Any) -> Any:
-        inside = get_opaque_trace_state() != _no_trace()  # where compiler options are refused
+        # Compiler options are refused while a program is traced, where all arrays are tracers, new ones too.
+        arrays = jax.tree.leaves((jax.device_put(np.int32(0)), args, named))
+        inside = any(isinstance(array, jax.core.Tracer) for array in arrays)
         return (usual if inside else quick())(*args, **named)
 
     call.compiler_options = _options  # type: ignore[attr-defined]  # for `i2t.runtime.batching`
@@ -104,13 +105,6 @@ def jit_by_amount(
     quick = jit_quickly(function, static_argnames=static_argnames)
     usual = jax.jit(function, static_argnames=static_argnames)
     return lambda amount: quick if amount <= few else usual
-
-
-@cache
-def _no_trace() -> Any:
-    """Get JAX's state where nothing is traced, which is that of a new thread."""
-    with ThreadPoolExecutor(1) as pool:
-        return pool.submit(get_opaque_trace_state).result()
 
 
 @cache

@@ -47,7 +47,8 @@ class _Lines(_Bar):
         """Write a line, unless the last one is recent."""
         if time.monotonic() - self._last_line_at >= LOG_INTERVAL_S:
             self._last_line_at = time.monotonic()
-            print(self.line(), file=sys.stderr, flush=True)
+            self.fp.write(f"{self.line()}\n")
+            self.fp.flush()
 
     def line(self) -> str:
         """Describe the progress in a sentence."""

@@ -1,1 +1,8 @@
-"""Simulated touches: sites, presses and batches of touches with the errors of camera, arm and skin."""
+"""Simulated touches: sites, presses and batches of touches with the errors of camera, arm and skin.
+
+Each name is loaded when it is first used.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)  # names of __init__.pyi

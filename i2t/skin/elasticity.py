@@ -57,7 +57,13 @@ _dot = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
 
 @dataclass(frozen=True)
 class Grid:
-    """Square cells on the pad, and the Fourier series of a longer period around it."""
+    """Square cells on the pad, and the Fourier series of a longer period around it.
+
+    Example:
+        grid = i2t.Grid()
+        height = (grid.centres[:, None] ** 2 + grid.centres[None, :] ** 2) / (2 * 8e-3)  # m, a ball of 8 mm radius
+        pressed = i2t.press(i2t.nominal_pad(), height, 0.3e-3, grid=grid)
+    """
 
     cells: int = 40  # number of cells along each edge of the pad
     modes: int = 64  # number of cells along each edge of the period; even, as is `cells`
@@ -75,7 +81,7 @@ class Grid:
 
     @property
     def wavenumbers(self) -> np.ndarray:
-        """Wavenumbers (modes,) in 1/m: cosines 0 ... modes/2 - 1, then sines 1 ... modes/2, about the pad's centre."""
+        """Wavenumbers (modes,) in 1/m, cosines 0 ... modes/2 - 1, then sines 1 ... modes/2, about the pad's centre."""
         half = self.modes // 2
         return 2 * np.pi / (self.modes * self.spacing) * np.r_[0:half, 1 : half + 1]
 

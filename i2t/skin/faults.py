@@ -59,7 +59,11 @@ Size: TypeAlias = float | Float[Array, ""]  # size of a fault; traced if `Faults
 @traced_floats
 @dataclass(frozen=True)
 class Faults:
-    """Sizes of the faults of one board and session; zero turns a fault off, and all are off by default."""
+    """Sizes of the faults of one board and session; zero turns a fault off, and all are off by default.
+
+    Example:
+        errors = i2t.SimulationErrors(faults=i2t.Faults(hysteresis=0.3))  # and no other fault
+    """
 
     softening: float = 0.0  # final relative growth of readings with use (Mullins softening); see `mullins_softening`
     relaxation: float = 0.0  # final share of the layer's stress that relaxes; see `creep`

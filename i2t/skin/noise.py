@@ -25,7 +25,11 @@ from i2t.types import Board
 @traced_floats
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the sensor's errors (uT); zero turns an error off."""
+    """Sizes of the sensor's errors (uT); zero turns an error off.
+
+    Example:
+        errors = i2t.SimulationErrors(noise=i2t.Noise(contact_samples=1))  # readings without averaging
+    """
 
     xy: float = 3.1  # uT, standard deviation of one sample at rest, for each of x and y
     z: float = 4.6  # uT, standard deviation of one sample at rest, for z

@@ -50,7 +50,12 @@ MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and a whol
 
 @in_one_line
 class Press(NamedTuple):
-    """Result of a press of the pad."""
+    """Result of a press of the pad.
+
+    Example:
+        pressed = i2t.press(pad, height, 0.3e-3)
+        print(f"{float(pressed.force):.2f} N")
+    """
 
     reading: Float[Array, " c"]  # uT, reading without noise, in the board's order and axes
     force: Float[Array, ""]  # N

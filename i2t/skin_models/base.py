@@ -39,7 +39,7 @@ class FittedSkinModel(Protocol[Contact]):
 
     @property
     def leave_one_out(self) -> Float[np.ndarray, "n c"]:
-        """Errors (uT) on the touches of the fit: measured minus predicted from all other touches."""
+        """Errors (uT) on the touches of the fit, measured minus predicted from all other touches."""
         ...
 
     def predict(self, *contact: Contact.args, **options: Contact.kwargs) -> tuple[Any, Any]:

@@ -62,6 +62,10 @@ class Calibration:
         metadata: The caller's own data, in types that JSON can hold.
         previous: Calibration of an earlier session of the same skin; part of the mixture uses its predictions as mean.
         boards: Name of the board that takes part, if any.
+
+    Example:
+        calibration = i2t.load_calibration("eflesh")
+        mean, std = calibration.predict([[0.0, 2e-3]], 0.3e-3)  # uT, of a press 0.3 mm deep at x = 0, y = 2 mm
     """
 
     gp: PopulationGP

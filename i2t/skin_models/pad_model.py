@@ -31,7 +31,12 @@ PAD_MODEL_KIND = "i2t pad model"
 
 @in_one_line
 class PadModel(NamedTuple):
-    """Model of a pad, fitted to its touches of known objects."""
+    """Model of a pad, fitted to its touches of known objects.
+
+    Example:
+        pad_model = i2t.load_pad_model("nominal").model
+        print(f"R2 {pad_model.r2:.2f} of touches left out one at a time")
+    """
 
     reading_model: LinearReadingModel  # model that predicts the reading of a contact
     likelihood: Likelihood  # likelihood of readings and positions

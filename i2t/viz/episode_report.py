@@ -8,7 +8,7 @@ writes `story.png`, a page with a row for each touch. If the machine can draw in
 needs pyvista (`pip install "imagine2touch[notebooks]"`), the page also shows the object with its touches.
 """
 
-import sys
+import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -28,6 +28,8 @@ from i2t.viz.scene import explain_no_scene, object_image
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
 
+log = logging.getLogger(__name__)
+
 
 class EpisodeRecord(NamedTuple):
     """One episode of t touches, at least one, with n candidates and a board of c / 3 chips."""
@@ -43,7 +45,7 @@ class EpisodeRecord(NamedTuple):
 
     @property
     def shown_candidate(self) -> int:
-        """Index of the candidate that a scene shows: the true one, else the most probable one at the end."""
+        """Index of the candidate that a scene shows, the true one or else the most probable one at the end."""
         return self.truth if self.truth >= 0 else int(self.p[-1].argmax())
 
     @property
@@ -57,7 +59,7 @@ class EpisodeRecord(NamedTuple):
 
 
 def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
-    """Write the report of an episode. If no scene can be drawn, the page omits it and the reason is printed to stderr.
+    """Write the report of an episode. If no scene can be drawn, the page omits it and the reason is logged.
 
     Args:
         record: The episode.
@@ -73,7 +75,7 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
     mesh = record.meshes[record.shown_candidate]
     picture = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
     if picture is None:
-        print(explain_no_scene(), file=sys.stderr)
+        log.warning("%s", explain_no_scene())
     return [save_figure(plot_episode(record, picture), out / "story.png")]
 
 

@@ -21,6 +21,7 @@ from i2t.dataset import (
     BadFileWarning,
     Record,
     Series,
+    Split,
     by_group,
     concatenate,
     files,
@@ -311,6 +312,12 @@ def test_splits_are_whole_groups(n, seed, fraction, size):
     assert [dataset.objects[i] == "star" for i in dataset.touches.object] == star.tolist()
     with pytest.raises(DataError, match="no pad is called pad c; the data set has pad é, pad b"):
         holdout_names(dataset, "pad", ["pad b", "pad c"])
+    split = Split.hold_out(dataset, "object", test=["star"])
+    assert (split.test == star).all()
+    assert (split.train == ~star).all()
+    assert not split.validation.any()
+    with pytest.raises(DataError, match="object star: is held out for validation and for test; choose one of them"):
+        Split.hold_out(dataset, "object", validation=["star"], test=["star"])
     groups = by_group(dataset.touches.session)
     rows = np.concatenate(list(groups.values()))
     assert sorted(rows) == list(range(n))

@@ -1,4 +1,4 @@
-"""Recorded sessions as episodes: the sites of touches, and the evidence of a touch without contact says."""
+"""Recorded sessions as episodes: the sites of touches, and the evidence of a touch without contact."""
 
 import inspect
 from unittest.mock import create_autospec

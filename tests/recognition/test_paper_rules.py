@@ -14,9 +14,10 @@ from i2t.recognition import paper_rules as paper_rules_module
 from i2t.recognition.belief import TouchObservation
 from i2t.recognition.environment import EnvironmentConfig
 from i2t.recognition.episodes import Episodes, MeasuredTouches
-from i2t.recognition.paper_rules import at_median_force, constant_predictor, paper_rules, run_loop
+from i2t.recognition.paper_rules import at_median_force, constant_predictor, paper_rules, run_loop, run_paper_loop
 from i2t.recognition.rollout import RunningEpisodes
 from i2t.recognition.site_pool import prepare_surfaces
+from i2t.skin.pad import nominal_pad
 
 CHANNELS = 12  # of a 4-chip board
 STD = 2.0  # uT, of every channel
@@ -154,6 +155,26 @@ def test_the_loop_samples_hypotheses_from_its_votes_and_touches_by_the_heuristic
     assert 0.3 < share[0] < 0.7  # nothing is believed yet
     assert share[1] == 1  # all votes are for the second object
     assert 0.3 < share[2] < 0.7  # one vote each: an argmax would always take the first
+
+
+@pytest.mark.full
+def test_methods_meet_the_same_episodes_and_proprioception_is_among_them():
+    names, pad = ("square", "cylinder"), nominal_pad()
+    surfaces = dict(zip(names, prepare_surfaces([catalogue.make_object(name).mesh for name in names]), strict=True))
+    constant = {name: constant_predictor(np.ones(15)) for name in ("one", "same")}
+    counts = []
+    results = run_paper_loop(
+        jax.random.split(jax.random.key(0), 3), constant, surfaces, pad,
+        reading_std=np.ones(15), episodes=3, touches=2, sites_per_object=4, episodes_per_pool=2,
+        progress=counts.append,
+    )  # fmt: skip
+    assert list(results) == ["one", "same", "proprioception"]
+    assert sum(counts) == 3 * 3 * 2
+    np.testing.assert_array_equal(results["one"].distance, results["same"].distance)
+    np.testing.assert_array_equal(results["one"].truth, [0, 1, 0])
+    np.testing.assert_array_equal(results["one"].pool, [0, 0, 1])
+    assert results["proprioception"].hits().shape == (3, 2)
+    np.testing.assert_allclose(results["proprioception"].beliefs("average").sum(-1), 1, rtol=1e-5)
 
 
 def test_hypotheses_follow_the_requested_rule(recorded):

@@ -78,12 +78,12 @@ def test_drawing_is_probed_in_another_process(monkeypatch):
     scene.explain_no_scene.cache_clear()
 
 
-def test_the_page_is_written_without_a_scene(meshes, tmp_path, monkeypatch, capsys):
+def test_the_page_is_written_without_a_scene(meshes, tmp_path, monkeypatch, caplog):
     for module in (episode_report, scene):
         monkeypatch.setattr(module, "explain_no_scene", lambda: scene.NO_GL)
     written = viz.write_episode_report(record(meshes), tmp_path / "a")
     assert written == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
-    assert capsys.readouterr().err == scene.NO_GL + "\n"
+    assert caplog.messages == [scene.NO_GL]
     with pytest.raises(ValueError, match="same number of touches"):
         viz.write_episode_report(record(meshes, readings=np.ones((2, 15))), tmp_path)
 

@@ -94,5 +94,6 @@ def write_code(root: Path, folder: Path) -> list[Path]:
 
 def _example(name: str) -> str:
     """Example in the docstring of a public name."""
-    docstring = inspect.getdoc(getattr(i2t, name)) or ""
+    value = getattr(i2t, name)
+    docstring = "" if inspect.ismodule(value) else inspect.getdoc(value) or ""
     return PRELUDE + textwrap.dedent(docstring.partition("Example:\n")[2])

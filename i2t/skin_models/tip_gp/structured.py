@@ -22,6 +22,12 @@ class StructuredGPHyperparameters(NamedTuple):
     """Hyperparameters of one kernel.
 
     Loads have the unit of the presses' loads (m or N); variances are relative to a channel's at the unit load.
+
+    Example:
+        from i2t.skin_models import FORCE_HYPERPARAMETERS
+
+        stiff = FORCE_HYPERPARAMETERS._replace(unit_load=2.0)  # N
+        calibration = i2t.calibrate(positions, forces, readings, load_kind="force", hyperparameters=stiff)
     """
 
     unit_load: float  # load at which f is 1
