@@ -32,7 +32,7 @@ def custom_metadata(folder: Path) -> dict[str, Any]:
         folder: The checkpoint.
 
     Returns:
-        The metadata.
+        The metadata, as the program passed them to orbax.
 
     Raises:
         OSError: The file is missing or is not a regular file.

@@ -5,8 +5,8 @@ from .base import DeviceBase as DeviceBase
 from .contract import ArmContract as ArmContract
 from .contract import CameraContract as CameraContract
 from .contract import SkinContract as SkinContract
-from .guarded import PolledArm as PolledArm
 from .guarded import MotionWatch as MotionWatch
+from .guarded import PolledArm as PolledArm
 from .limits import SAFETY as SAFETY
 from .limits import SafetyLimits as SafetyLimits
 from .motion_limits import MotionLimits as MotionLimits

@@ -7,9 +7,9 @@ from .environment import EpisodeState as EpisodeState
 from .environment import TouchAction as TouchAction
 from .environment import TouchEnvironment as TouchEnvironment
 from .environment import TouchOutcome as TouchOutcome
+from .environment_beliefs import with_beliefs as with_beliefs
 from .episodes import Episodes as Episodes
 from .episodes import MeasuredTouches as MeasuredTouches
-from .environment_beliefs import with_beliefs as with_beliefs
 from .metrics import accuracy as accuracy
 from .metrics import auroc as auroc
 from .metrics import calibration_error as calibration_error
