@@ -96,7 +96,7 @@ def test_each_world_differs_in_the_property_of_its_name():
     made = mismatch.worlds(lab)
     assert next(iter(made)) == "matched"
     assert made["arm twice as stiff"].limits.stiffness == 2 * lab.cfg.limits.stiffness
-    assert made["chip remembers twice as much"].errors.faults.hysteresis == 2 * lab.cfg.errors.faults.hysteresis
+    assert made["twice the hysteresis"].errors.faults.hysteresis == 2 * lab.cfg.errors.faults.hysteresis
     lab.size = StudySize(1, debug=True)
     assert set(mismatch.worlds(lab)) == set(mismatch.DEBUG_WORLDS)
 
