@@ -86,7 +86,7 @@ def test_settings_are_compared_with_the_first_and_counted_as_by_hand():
     usual, broken = table["rows"]
     assert (usual[0], usual[1], usual[2]["mean"], usual[3]["mean"]) == ("usual", "fused", 1.0, 0.0)
     assert (broken[0], broken[2]["mean"], broken[3]["mean"], broken[5]["mean"]) == ("broken", 0.5, -0.5, -0.5)
-    assert table["columns"][3] == {"name": "minus usual", "decimals": 3, "signed": True, "percent": False}
+    assert table["columns"][3] == {"name": "difference from usual", "decimals": 3, "signed": True, "percent": False}
     with pytest.raises(ValueError, match="'fused, usual' is missing in some"):
         report.report_settings([one, {name: one[name] for name in one if name != "fused, usual"}], ["0", "1"])
 
