@@ -77,7 +77,7 @@ def command(
     description: str | None = "",
     interrupted: str = "interrupted",
 ) -> Callable[..., int]:
-    """Make the `main` of a command that reads options, checks their numbers and does its work.
+    """Make the `main` function of a command, which reads options, checks their numbers and does the work.
 
     Args:
         kind: A dataclass of options, or a union of those of the sub-commands.

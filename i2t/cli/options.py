@@ -24,14 +24,14 @@ Options = TypeVar("Options")
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the numbers that an option allows, as a part of its type."""
+    """Smallest and largest number that a command-line option allows, as an annotation of its type."""
 
     minimum: int | float = -math.inf
     maximum: int | float = math.inf
     above: bool = False  # whether `minimum` itself is excluded
 
     def allow(self, value: int | float) -> bool:
-        """Test a number against the limits.
+        """Test whether a number is allowed.
 
         Args:
             value: Any number.
@@ -96,7 +96,7 @@ def read_options(
 
 
 def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -> None:
-    """Refuse numbers outside their limits, and lists that were given without values.
+    """Refuse option values that are outside their `Limits`, and list options that were given without values.
 
     Args:
         options: A dataclass that was read from a command line; groups of options are dataclasses within it.
