@@ -87,7 +87,7 @@ def command(
         interrupted: The sentence to print after Ctrl-C.
 
     Returns:
-        A function that takes the words after the program's name, by default those of this process, and returns the exit
+        A function that takes the words after the program's name, by default those of `sys.argv`, and returns the exit
         code.
     """
 

@@ -69,7 +69,7 @@ def read_options(
 
     Args:
         kind: The dataclass of options, or a union of those of the sub-commands.
-        words: The words after the program's name; None takes those of this process.
+        words: The words after the program's name; None takes those of `sys.argv`.
         program: The command as a user types it.
         description: Text of the help; if it is empty, the docstring of the dataclass.
         config: Configuration of tyro. By default, flags that are off have no counterpart that turns them off.
@@ -155,8 +155,8 @@ def require_with(flag: str, given: bool, needed: str, holds: bool) -> None:
     """Refuse an option that has no effect without another.
 
     Args:
-        flag: The option.
-        given: Whether it was given.
+        flag: The option that may have no effect.
+        given: Whether that option was given.
         needed: The option without which the first one has no effect, as a user types it.
         holds: Whether the needed option was given.
 

@@ -25,7 +25,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command `python -m i2t.collect`.
 
     Args:
-        argv: Arguments without the program's name; by default those of this process.
+        argv: Arguments without the program's name; by default, those of `sys.argv`.
 
     Returns:
         The exit code of the process, as in `i2t.cli.exit_codes`.

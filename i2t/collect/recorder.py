@@ -107,7 +107,7 @@ class EventLog:
             skin: Name of a further skin; empty for the pressing one, the only one in most labs.
 
         Raises:
-            StorageError: If they cannot be written.
+            StorageError: If the samples cannot be written to the file.
         """
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
         self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
@@ -120,7 +120,7 @@ class EventLog:
             state: State as the arm returned it.
 
         Raises:
-            StorageError: If it cannot be written.
+            StorageError: If the state cannot be written to the file.
         """
         self.states.append(state)
         row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
@@ -133,7 +133,7 @@ class EventLog:
             text: Description of the event in a few words.
 
         Raises:
-            StorageError: If it cannot be written.
+            StorageError: If the event cannot be written to the file.
         """
         now = self._clock.now()
         self.events.append((now, text))

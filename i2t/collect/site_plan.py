@@ -71,10 +71,10 @@ class SiteSampler:
         return collect_sites(key, self._surface, self._batch, self.limits, self._name, obstacles=self._obstacles)
 
     def next(self, done: Collection[int]) -> Site:
-        """Return the first site that was not done.
+        """Return the safe site of the lowest number that was not done yet.
 
         Args:
-            done: Numbers of the sites that were done.
+            done: Numbers of the sites that were tried already.
 
         Returns:
             The site with its pose (m) in W.

@@ -95,7 +95,7 @@ class PressResult(NamedTuple):
 
     @property
     def press(self) -> Press:
-        """The same state as a `Press`."""
+        """Reading, force, indentation and pressure at the end of the press, as a `Press`."""
         return Press(self.reading, self.force, self.indentation, self.pressure, jnp.asarray(True))
 
 

@@ -316,7 +316,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run one command of `python -m i2t.convert`.
 
     Args:
-        args: Arguments without the program's name; by default those of this process.
+        args: Arguments without the program's name; by default, those of `sys.argv`.
 
     Returns:
         The exit code, as in `i2t.cli.exit_codes`: 2 if a recording cannot be used.

@@ -66,8 +66,8 @@ def check_session(
 
     Args:
         name: Name of the session.
-        presses: Presses as recorded.
-        board: Board as described.
+        presses: Presses of the session as recorded, before any correction.
+        board: Board of the skin as the user describes it.
         notes: Log that receives a sentence on each finding.
         stated_zero: Height (m) of first contact that the recording states.
         keep_zero: Whether that height is kept even if the readings contradict it.

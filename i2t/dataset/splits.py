@@ -67,7 +67,7 @@ class Split:
 
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
-    """Group the rows by their label.
+    """Group row numbers by an integer label of each row.
 
     Args:
         labels: `(n,)` integers, such as an index array of touches, or block numbers.

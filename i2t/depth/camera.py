@@ -89,7 +89,7 @@ MODEL_NAMES: dict[str, Distortion | None] = {
 
 
 class Encoding(StrEnum):
-    """How a file encodes depth in its 16-bit numbers."""
+    """Encodings of depth in the 16-bit numbers of a depth image file."""
 
     PLAIN = "plain"
     ROTATED = "rotated"  # rotated left by three bits, as in files of a RealSense F200

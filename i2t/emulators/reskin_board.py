@@ -203,7 +203,7 @@ def main(args: Sequence[str] | None = None) -> int:
     """Run the emulated board's command line until SIGTERM or Ctrl-C.
 
     Args:
-        args: Arguments without the program's name; by default those of this process.
+        args: Arguments without the program's name; by default, those of `sys.argv`.
 
     Returns:
         The exit code of the process.

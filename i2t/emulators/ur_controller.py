@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Run an emulated UR controller by its command line until SIGTERM or Ctrl-C, or the end of a tethered one's input.
 
     Args:
-        arguments: Arguments without the program's name; by default those of this process.
+        arguments: Arguments without the program's name; by default, those of `sys.argv`.
     """
     program = "python -m i2t.emulators.ur_controller"
     options = read_options(ControllerArgs, arguments, program=program, description=__doc__)

@@ -227,7 +227,7 @@ class PolledArm(DeviceBase):
 
     @property
     def features(self) -> ArmFeatures:
-        """Features of the arm, available before `connect`."""
+        """Name, source, rate and limits of the arm, available before `connect`."""
         limits = self.limits
         return ArmFeatures(self.name, self.source, self.rate, limits.box, limits.speed, limits.acceleration)
 
