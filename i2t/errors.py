@@ -28,7 +28,7 @@ def printable(text: object) -> str:
 
 
 class I2TError(Exception):
-    """An error that the user can correct. All exceptions of i2t derive from it."""
+    """Base of all exceptions of i2t: an error that the user can correct."""
 
 
 class DataError(I2TError, ValueError):
@@ -47,7 +47,7 @@ class SerializationError(I2TError, ValueError):
 
 
 class FullDiskError(DataError, SerializationError):
-    """A file could not be written because the disk is full or failed."""
+    """A file could not be written because the disk is full or has failed."""
 
 
 class MissingExtraError(I2TError, ModuleNotFoundError, ValueError):
@@ -55,11 +55,11 @@ class MissingExtraError(I2TError, ModuleNotFoundError, ValueError):
 
 
 class CheckpointError(I2TError, ValueError):
-    """A checkpoint cannot be read."""
+    """A checkpoint (the folder of a trained model) cannot be read."""
 
 
 class DeviceError(I2TError, RuntimeError):
-    """A device failed."""
+    """An arm, skin or camera failed."""
 
 
 class NotConnectedError(DeviceError):
@@ -71,11 +71,11 @@ class DeviceTimeoutError(DeviceError):
 
 
 class MotionStoppedError(DeviceError):
-    """A motion ended because `stop` was called."""
+    """A motion of an arm ended because `stop` was called."""
 
 
 class Extra(NamedTuple):
-    """The name of a package, and the extra of i2t that installs it."""
+    """An optional package: its name, and the extra of i2t that installs it."""
 
     package: str
     extra: str

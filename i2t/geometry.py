@@ -52,10 +52,10 @@ def full_precision(function: Function) -> Function:
 
 
 def transform(rotation: Float[Array, "3 3"], translation: Float[Array, "3"]) -> Float[Array, "4 4"]:
-    """Build a rigid motion T_a_b from its parts.
+    """Build a rigid motion T_a_b from rotation and translation.
 
     Args:
-        rotation: The rotation matrix R_a_b.
+        rotation: The rotation matrix R_a_b, which maps directions in b to a.
         translation: The position (m) of b's origin in a.
 
     Returns:
@@ -87,7 +87,7 @@ def inverse(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 4 4"]:
 
 @full_precision
 def compose(T_a_b: Float[Array, "*#n 4 4"], T_b_c: Float[Array, "*#n 4 4"]) -> Float[Array, "*n 4 4"]:
-    """Compose rigid motions.
+    """Compose rigid motions: T_a_c = T_a_b T_b_c.
 
     Args:
         T_a_b: Rigid motions that map points in b to a.
@@ -198,10 +198,11 @@ def so3_log(rotation: Float[Array, "*n 3 3"]) -> Float[Array, "*n 3"]:
 
 @full_precision
 def exp(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
-    """Compute the exponential of SE(3), the motion at constant velocity over one unit of time; the inverse of `log`.
+    """Compute the SE(3) exponential: the rigid motion at a constant velocity over one unit of time.
 
     Args:
-        twist: Velocity (m) of the moving frame along its own axes, followed by its rotation vector (rad).
+        twist: Velocity (m per unit of time) of the moving frame along its own axes, followed by its angular velocity
+            (rad per unit of time).
 
     Returns:
         `(*n, 4, 4)` rigid motions.
@@ -213,7 +214,7 @@ def exp(twist: Float[Array, "*n 6"]) -> Float[Array, "*n 4 4"]:
 
 @full_precision
 def log(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
-    """Compute the logarithm of SE(3), the inverse of `exp` for angles below pi.
+    """Compute the SE(3) logarithm of rigid motions, the inverse of `exp` for angles below pi.
 
     The logarithm of a motion that maps a plane, ball or cylinder onto itself has no component in the directions in
     which that shape constrains a pose.
@@ -222,7 +223,7 @@ def log(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
         T_a_b: Rigid motions.
 
     Returns:
-        `(*n, 6)` velocities (m), followed by rotation vectors (rad).
+        `(*n, 6)` velocities (m per unit of time), followed by angular velocities (rad per unit of time), as for `exp`.
     """
     xp = _namespace(T_a_b)
     rotvec = so3_log(T_a_b[..., :3, :3])
@@ -261,14 +262,14 @@ def to_twist(T_a_b: Float[Array, "*n 4 4"]) -> Float[Array, "*n 6"]:
 def contact_frame(
     point: Float[Array, "3"], normal: Float[Array, "3"], roll: Float[Array, ""] | float = 0.0
 ) -> Float[Array, "4 4"]:
-    """Compute the pose of a skin that lies flat on a surface.
+    """Compute the tool pose at which a skin is flat on a surface point.
 
     With roll 0, the pose is that of a tool which points straight down with its x along the world's x, turned onto the
     normal by the smallest rotation (the paper's alignment). For a tool that points straight up, where that rotation is
     not unique, it is a rotation about the world's x.
 
     Args:
-        point: The tool's origin (m) in the world frame.
+        point: The surface point (m) in the world frame, which becomes the tool's origin.
         normal: The surface's outward unit normal, opposite to tool z.
         roll: Additional rotation (rad) about tool z.
 
@@ -294,7 +295,7 @@ def contact_frame(
 def random_motion(
     key: Key[Array, ""], distance: float | Float[Array, ""], angle: float | Float[Array, ""]
 ) -> Float[Array, "4 4"]:
-    """Draw a small rigid motion.
+    """Draw a random small rigid motion from normal distributions.
 
     Args:
         key: The JAX key to draw with.

@@ -34,7 +34,7 @@ Resampled = Callable[[Float[np.ndarray, "draws groups"], Int[np.ndarray, " n"]],
 
 
 class Estimate(NamedTuple):
-    """Means with their 95 % intervals, as floats or arrays of one shape."""
+    """Means (or other statistics) with lower and upper 95 % limits, as floats or arrays of one shape."""
 
     mean: Any
     low: Any
@@ -81,7 +81,7 @@ def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
     differ. If all values are equal, n_e is n within that bound.
 
     Args:
-        values: `(n, ...)` values in [0, 1]. Fractions come from shared ties, or from means over touches.
+        values: `(n, ...)` values in [0, 1] of n episodes. Fractions come from shared ties, or from means over touches.
         clusters: Factors that episodes share, as for `cluster_interval`; none if episodes are independent.
 
     Returns:
@@ -134,7 +134,7 @@ def _independent(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
 
 
 def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
-    """Compute a mean with `cluster_interval`, or with `student_interval` if there are no clusters.
+    """Compute a mean with a 95 % interval over clusters, or Student's interval if there are no clusters.
 
     Args:
         values: `(n, ...)` values of n episodes.
@@ -147,7 +147,7 @@ def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Es
 
 
 def rows_of(clusters: Clusters, rows: Shaped[Array, "..."]) -> Sequence[Shaped[Array, " kept"]]:
-    """Select the cluster labels of some episodes.
+    """Select the cluster labels of some episodes from those of all.
 
     Args:
         clusters: Labels of all episodes, one array for each factor.
@@ -162,7 +162,7 @@ def rows_of(clusters: Clusters, rows: Shaped[Array, "..."]) -> Sequence[Shaped[A
 def cluster_interval(
     values: Shaped[Array, "n ..."], clusters: Clusters, *, draws: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
-    """Compute the mean of the values of clustered episodes, with an interval over clusters.
+    """Compute the mean of values of clustered episodes, with a 95 % interval over clusters.
 
     The variance is at least that of independent episodes, because a few clusters may agree by chance.
 
@@ -205,7 +205,7 @@ def _t(freedom: Shaped[Array, "..."]) -> np.ndarray:
 def bootstrap_clusters(
     statistic: Statistic, clusters: Clusters, count: int, *, draws: int = RESAMPLES, seed: int = 0
 ) -> Estimate:
-    """Compute any statistic of weighted episodes, with an interval over clusters.
+    """Compute any statistic of weighted episodes, with a 95 % bootstrap interval over clusters.
 
     Args:
         statistic: Function that maps weights `(n,)` of the episodes, 1 each for the data as observed, to an array.
@@ -233,7 +233,7 @@ def bootstrap_clusters(
 def grouped_interval(
     statistic: Callable[[np.ndarray], float], groups: Shaped[Array, " n"], seed: int = 0, *, most: float = np.inf
 ) -> tuple[float, float]:
-    """Compute the interval of a statistic of rows, such as a median or R2, over the clusters of one factor.
+    """Compute the 95 % interval of a statistic of rows, such as a median or R2, over the clusters of one factor.
 
     Args:
         statistic: Function of row numbers. The rows of a cluster that was drawn twice appear twice. Draws for which the

@@ -27,14 +27,14 @@ UNINFORMED_VARIANCE = 1e6  # variance predicted where rounding left a matrix tha
 
 
 class LeftOutRows(NamedTuple):
-    """Predictions of each row from all other rows."""
+    """Leave-one-out errors and variances: each row of a Gaussian model predicted from all other rows."""
 
     error: Float[Array, "... n c"]  # value of each row minus its predicted mean
     variance: Float[Array, "... n #c"]
 
 
 class LeftOutBlocks(NamedTuple):
-    """Predictions of each block of m rows from all other rows."""
+    """Leave-block-out errors and log densities: each block of m rows predicted from all other rows."""
 
     error: Float[Array, "... m c"]  # value of each row minus its predicted mean
     log_density: Float[Array, "... c"]  # predicted log density of the block's values
@@ -43,11 +43,11 @@ class LeftOutBlocks(NamedTuple):
 def leave_out_rows(
     precision: Float[Array, "... n"], weights: Float[Array, "... n c"], scale: Float[Array, "... 1 c"] | float = 1.0
 ) -> LeftOutRows:
-    """Predict each row from all others.
+    """Compute the leave-one-out error and variance of each row of a Gaussian model from its precision matrix.
 
     Args:
-        precision: Diagonal of the precision matrix P of n rows.
-        weights: The product P y for c independent columns of y.
+        precision: Diagonal of the precision matrix P (inverse covariance) of n rows.
+        weights: The product P y for c independent columns of targets y.
         scale: Factor s of the standard deviations of each column, or of all columns.
 
     Returns:
@@ -59,11 +59,11 @@ def leave_out_rows(
 
 
 def leave_out_blocks(precision: Float[Array, "... m m"], weights: Float[Array, "... m c"]) -> LeftOutBlocks:
-    """Predict each block of m rows from all other rows.
+    """Compute the leave-block-out error and log density of blocks of m rows of a Gaussian model.
 
     Args:
         precision: Diagonal blocks P_bb of the precision matrix, positive definite.
-        weights: Rows (P y)_b of each block for c independent columns of y.
+        weights: Rows (P y)_b of each block for c independent columns of targets y.
 
     Returns:
         Errors (value minus mean) in the unit of y, and the log density of each column of each block.
@@ -92,11 +92,11 @@ def leave_out_parts(
     part: Int[np.ndarray, " n"],
     scale: Float[np.ndarray, "groups 1 c"] | float = 1.0,
 ) -> LeftOutRows:
-    """Predict the rows of each part from the rows of all other parts, for several precision matrices at once.
+    """Compute errors and variances of rows predicted from the rows of all other parts, for several Gaussian models.
 
     Args:
-        precision: Precision matrices P of n rows.
-        weights: The products P y for c independent columns of y.
+        precision: Precision matrices P (inverse covariances) of n rows, one for each group.
+        weights: The products P y for c independent columns of targets y.
         part: Number of the part to which each row belongs.
         scale: Factor of the standard deviations, as for `leave_out_rows`.
 

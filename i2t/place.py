@@ -61,13 +61,13 @@ class PlaceArgs:
 
 
 def place(args: PlaceArgs) -> str:
-    """Find the object's pose.
+    """Find the pose of an object from a depth view of it, and write it to the rig if requested.
 
     Args:
         args: Options of the command line.
 
     Returns:
-        The result, as sentences.
+        Sentences on the estimated pose and its uncertainty.
 
     Raises:
         ValueError: A file cannot be understood, or the view does not determine the pose.

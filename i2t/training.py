@@ -34,7 +34,7 @@ Tree = TypeVar("Tree")
 
 
 class Losses(NamedTuple):
-    """Parts of the loss, means over a batch or for each of its examples, all dimensionless."""
+    """Dimensionless losses of a predictor of readings, for each example of a batch or as means over it."""
 
     total: Float[Array, "..."]  # total loss, which training minimises
     reading: Float[Array, "..."]  # loss of the reading, which determines the best epoch on validation examples
@@ -55,14 +55,14 @@ class Losses(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Training examples, on axis 0."""
+    """Inputs and target readings of n training examples, along axis 0."""
 
     inputs: PyTree
     target: Float[Array, "n c"]
 
 
 class Learner(NamedTuple):
-    """A training task. It is hashable, so that equal tasks are compiled once."""
+    """A training task: functions that initialise a network and compute its losses. Equal tasks are compiled once."""
 
     cfg: Hashable  # sizes and weights, without arrays
     init: Callable[[Key[Array, ""], Any], PyTree]  # function (key, cfg) -> parameters of one member
@@ -80,7 +80,7 @@ class Standard(NamedTuple):
 
 
 class TrainState(NamedTuple):
-    """State of a training between epochs; axis 0 of every array is that of the members."""
+    """Parameters, optimizer state and best epoch of an ensemble in training, between epochs; members on axis 0."""
 
     params: PyTree
     opt_state: PyTree
@@ -92,7 +92,7 @@ class TrainState(NamedTuple):
 
 
 class EpochInfo(NamedTuple):
-    """Losses of an epoch."""
+    """Training and validation losses of one epoch."""
 
     train: Losses  # losses as means over the epoch's minibatches, evaluated before each step
     validation: Losses  # losses after the epoch; NaN without validation touches
@@ -100,7 +100,7 @@ class EpochInfo(NamedTuple):
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Training options.
+    """Options of the training of networks: epochs, batch size, learning rate and patience.
 
     Example:
         training = i2t.TrainConfig(epochs=60, batch_size=32)
@@ -136,7 +136,7 @@ class TrainConfig:
 
 
 def standard(values: Float[Array, "n k"]) -> Standard:
-    """Compute mean and standard deviation over a training set. The standard deviation of a constant value is set to 1.
+    """Compute mean and standard deviation of each value over a training set; a constant value gets deviation 1.
 
     Args:
         values: `(n, k)` values in physical units.
@@ -150,7 +150,7 @@ def standard(values: Float[Array, "n k"]) -> Standard:
 
 
 def standardise(scale: Standard, values: Float[Array, " k"]) -> Float[Array, " k"]:
-    """Convert physical values to standard deviations from their mean.
+    """Standardise physical values: subtract the mean of a training set and divide by its standard deviation.
 
     Args:
         scale: Mean and standard deviation of each value over the training set.
@@ -163,7 +163,7 @@ def standardise(scale: Standard, values: Float[Array, " k"]) -> Float[Array, " k
 
 
 def init(key: Key[Array, ""], learner: Learner, cfg: TrainConfig, touches: int) -> TrainState:
-    """Make the state before the first epoch. Member i depends on `fold_in(key, i)` only.
+    """Make the training state before the first epoch. Member i of the ensemble depends on `fold_in(key, i)` only.
 
     Args:
         key: Random key.
@@ -195,7 +195,7 @@ def init(key: Key[Array, ""], learner: Learner, cfg: TrainConfig, touches: int) 
 def minibatches(
     key: Key[Array, ""], epoch: Int[Array, ""], touches: int, size: int
 ) -> tuple[Int[Array, "steps size"], Float[Array, "steps size"]]:
-    """Draw the minibatches of a member for an epoch.
+    """Draw the minibatches of one ensemble member for one epoch.
 
     Args:
         key: Key of the member.
@@ -204,8 +204,8 @@ def minibatches(
         size: Number of touches in a minibatch.
 
     Returns:
-        `(steps, size)` rows of a permutation that is new in each epoch, and their weights: 1, or 0 for the rows that
-        fill up the last minibatch.
+        `(steps, size)` row numbers from a permutation that is new in each epoch, and their weights: 1, or 0 for the
+        rows that fill up the last minibatch.
     """
     steps = -(-touches // size)
     permutation = jax.random.permutation(jax.random.fold_in(key, epoch), touches)
@@ -217,7 +217,7 @@ def minibatches(
 def compiled(
     learner: Learner, cfg: TrainConfig
 ) -> Callable[[TrainState, Batch, Batch | None], tuple[TrainState, EpochInfo]]:
-    """Compile an epoch of all members.
+    """Compile the training of all ensemble members for one epoch.
 
     On a CPU the members are trained in turn, because a few cores do not benefit from several products in parallel. On
     several devices, each trains some of the members.
@@ -250,7 +250,7 @@ def _spread(program: Callable, state: TrainState, *shared: Batch | None) -> tupl
 def epoch(
     learner: Learner, cfg: TrainConfig, state: TrainState, train: Batch, validation: Batch | None
 ) -> tuple[TrainState, EpochInfo]:
-    """Train a member for an epoch.
+    """Train one ensemble member for one epoch.
 
     Args:
         learner: The training task.
@@ -287,10 +287,10 @@ def epoch(
 
 
 def finished(state: TrainState, cfg: TrainConfig) -> bool:
-    """Test whether each member of a training has finished its epochs or has not improved for `patience` epochs.
+    """Test whether each ensemble member has finished its epochs or has not improved for `patience` epochs.
 
     Args:
-        state: State between epochs.
+        state: Training state between epochs.
         cfg: Training options.
 
     Returns:
@@ -301,10 +301,10 @@ def finished(state: TrainState, cfg: TrainConfig) -> bool:
 
 
 def evaluate(params: PyTree, learner: Learner, batch: Batch) -> Losses:
-    """Compute the mean losses of a member over prepared examples.
+    """Compute the mean losses of one ensemble member over prepared examples.
 
     Args:
-        params: Parameters of the member.
+        params: Network parameters of the member.
         learner: The training task.
         batch: Prepared examples.
 
@@ -320,7 +320,7 @@ def descend(
     optimizer: optax.GradientTransformation,
     keys: Key[Array, " steps"],
 ) -> tuple[Tree, Float[Array, " steps"]]:
-    """Minimise a loss, with a step for each key. The function is pure; the caller compiles it.
+    """Minimise a loss by gradient steps, one for each key. The function is pure; the caller compiles it.
 
     Args:
         params: Initial parameters, any tree of arrays that the loss takes.

@@ -80,8 +80,8 @@ class Surface(NamedTuple):
 
 @in_one_line
 class Patch(NamedTuple):
-    """Depth image in front of the skin, seen along tool z. Rows run along tool y and columns along tool x, with pixel
-    centres at ((k + 0.5)/n - 0.5) times the window's edge.
+    """Depth patch: a depth image in front of the skin, seen along tool z. Rows run along tool y and columns along tool
+    x, with pixel centres at ((k + 0.5)/n - 0.5) times the window's edge.
 
     Example:
         patch = i2t.render_patch(surface, T_o_t)
@@ -164,7 +164,7 @@ class Pad(NamedTuple):
 
 @in_one_line
 class Truth(NamedTuple):
-    """Error-free values of a simulated touch; a real lab cannot measure them.
+    """Error-free values of n simulated touches, which a real lab cannot measure: view, force, indentation, reading.
 
     Example:
         touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 100)
@@ -181,10 +181,10 @@ class Truth(NamedTuple):
 
 @in_one_line
 class Touches(NamedTuple):
-    """Touches, one on each row of every array: views, readings, and measurements of the arm.
+    """Touches, one in each row of every array: depth views, readings (uT), force, travel, poses and labels.
 
-    NaN marks what was not measured. `nearest` is measured at the end of the press, so it is negative by the travel of
-    the press where camera and arm agree.
+    NaN marks what was not measured. `nearest` (m) is the position of the nearest surface point along tool z at the end
+    of the press. It is minus the travel of the press where camera and arm agree.
 
     Example:
         touches = i2t.load_dataset("data/stamps").touches
@@ -211,7 +211,7 @@ class Touches(NamedTuple):
 
 
 class ReturnCode(IntEnum):
-    """End of a press (the paper's codes).
+    """Code of how a press ended: by the skin's limit, the wrench's limit, or in the air (the paper's codes).
 
     Example:
         in_contact = touches.code != i2t.ReturnCode.AIR

@@ -66,7 +66,7 @@ def _without_mask(name: str, value: Any, hint: str) -> Any:
 
 
 def pose(name: str, value: Any, *, farthest: float = MAX_POSE_M) -> np.ndarray:
-    """Check a rigid motion that a user passes. All functions that take poses use this check.
+    """Check that a pose that a user passes is a rigid motion. All functions that take poses use this check.
 
     Args:
         name: Name of the argument, for the message.
@@ -167,7 +167,7 @@ def forces(name: str, value: Any, *, measured: bool = False) -> np.ndarray:
 
 
 def count(name: str, value: Any, *, minimum: int = 1) -> int:
-    """Check a whole number.
+    """Check that a user's argument is a whole number that is not too small.
 
     Args:
         name: Name of the argument, for the message.

@@ -56,7 +56,7 @@ FIRST = (  # most common commands, listed first and in this order
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """List the commands.
+    """Run `python -m i2t`, which lists the commands of i2t.
 
     Args:
         argv: The words after the program's name; only --all, --versions and --help are allowed.
@@ -87,7 +87,7 @@ def versions() -> str:
     """List the versions of i2t, Python and the installed packages that i2t uses.
 
     Returns:
-        One line for each.
+        One line for each, with name and version.
     """
     lines = [f"i2t {__version__}", f"Python {platform.python_version()}", platform.platform()]
     distribution = "imagine2touch"

@@ -77,7 +77,7 @@ def command(
     description: str | None = "",
     interrupted: str = "interrupted",
 ) -> Callable[..., int]:
-    """Make the `main` of a command that reads options, checks their numbers and does its work.
+    """Make the `main` function of a command, which reads options, checks their numbers and does the work.
 
     Args:
         kind: A dataclass of options, or a union of those of the sub-commands.
@@ -87,7 +87,7 @@ def command(
         interrupted: The sentence to print after Ctrl-C.
 
     Returns:
-        A function that takes the words after the program's name, by default those of this process, and returns the exit
+        A function that takes the words after the program's name, by default those of `sys.argv`, and returns the exit
         code.
     """
 

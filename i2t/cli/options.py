@@ -24,14 +24,14 @@ Options = TypeVar("Options")
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of the numbers that an option allows, as a part of its type."""
+    """Smallest and largest number that a command-line option allows, as an annotation of its type."""
 
     minimum: int | float = -math.inf
     maximum: int | float = math.inf
     above: bool = False  # whether `minimum` itself is excluded
 
     def allow(self, value: int | float) -> bool:
-        """Test a number against the limits.
+        """Test whether a number is allowed.
 
         Args:
             value: Any number.
@@ -69,7 +69,7 @@ def read_options(
 
     Args:
         kind: The dataclass of options, or a union of those of the sub-commands.
-        words: The words after the program's name; None takes those of this process.
+        words: The words after the program's name; None takes those of `sys.argv`.
         program: The command as a user types it.
         description: Text of the help; if it is empty, the docstring of the dataclass.
         config: Configuration of tyro. By default, flags that are off have no counterpart that turns them off.
@@ -96,7 +96,7 @@ def read_options(
 
 
 def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -> None:
-    """Refuse numbers outside their limits, and lists that were given without values.
+    """Refuse option values that are outside their `Limits`, and list options that were given without values.
 
     Args:
         options: A dataclass that was read from a command line; groups of options are dataclasses within it.
@@ -155,8 +155,8 @@ def require_with(flag: str, given: bool, needed: str, holds: bool) -> None:
     """Refuse an option that has no effect without another.
 
     Args:
-        flag: The option.
-        given: Whether it was given.
+        flag: The option that may have no effect.
+        given: Whether that option was given.
         needed: The option without which the first one has no effect, as a user types it.
         holds: Whether the needed option was given.
 

@@ -8,7 +8,7 @@ from typing import Any
 
 
 class ExitCode(IntEnum):
-    """Exit codes of commands that did not do what was asked."""
+    """Exit codes of commands that failed, were used wrongly, were interrupted, or lost the reader of their output."""
 
     FAILED = 1
     WRONG_USE = 2
@@ -17,9 +17,9 @@ class ExitCode(IntEnum):
 
 
 def output_is_closed() -> bool:
-    """Test for an output pipe without a reader, and discard further output to it.
+    """Test whether the reader of stdout or stderr has ended; if so, further output to it is discarded.
 
-    The connection to a device breaks with the same error, which must be reported.
+    It distinguishes this case from a broken connection to a device, which raises the same error and must be reported.
 
     Returns:
         Whether stdout or stderr has lost its reader.

@@ -20,7 +20,7 @@ from i2t.simulation.site_limits import SiteLimits
 
 @dataclass(frozen=True)
 class ArmArgs:
-    """The arm."""
+    """Options of the arm that carries the skin."""
 
     FLAT: ClassVar[bool] = True  # flags are --host, not --arm.host
 
@@ -43,14 +43,14 @@ class ArmArgs:
 
     @property
     def watch(self) -> dict[str, float]:
-        """Return those timeouts of the arm's watch that were given."""
+        """Return the given ones of `state_timeout` (s) and `watchdog_rate` (Hz), by name."""
         given = {"state_timeout": self.state_timeout, "watchdog_rate": self.watchdog_rate}
         return {name: value for name, value in given.items() if value is not None}
 
 
 @dataclass(frozen=True)
 class SkinArgs:
-    """The skin that presses. Further skins on the tool are tables of the rig."""
+    """Options of the skin that presses. Further skins on the tool are tables of the rig."""
 
     FLAT: ClassVar[bool] = True
 
@@ -78,7 +78,7 @@ class SkinArgs:
 
 @dataclass(frozen=True)
 class CameraArgs:
-    """The depth camera."""
+    """Options of the depth camera on the arm."""
 
     FLAT: ClassVar[bool] = True
 
@@ -96,7 +96,7 @@ class CameraArgs:
 
 @dataclass(frozen=True)
 class LabArgs:
-    """The lab: poses of arm, camera and object."""
+    """Options of the lab: the poses of arm, camera and object."""
 
     FLAT: ClassVar[bool] = True
 
@@ -121,7 +121,7 @@ class LabArgs:
 
 @dataclass(frozen=True)
 class CollectArgs:
-    """Collect touches of an object."""
+    """Collect touches of an object with a real or simulated arm, skin and camera."""
 
     # folder in which the touches are written; a collection that was begun there is resumed
     out: Path = Path("runs/collect")

@@ -30,10 +30,10 @@ def matching_shifts(
     max_steps: int = 16,
     fit_margin: float = 0.1e-3,
 ) -> Float[np.ndarray, "n 3"]:
-    """Find the shifts of an expected view that explain a measured one about as well as the best shift.
+    """Find the shifts of an expected depth image that explain a measured one about as well as the best shift.
 
     Args:
-        depth: Measured depth (m); NaN where nothing was measured.
+        depth: Measured depth (m) along the camera's axis; NaN where nothing was measured.
         expected: Depth (m) of object and table at their poses in the rig.
         on_object: Mask of the pixels that show the object. The pixels around them count too.
         pixel: Width and height (m) of a pixel at the object's distance.
@@ -45,8 +45,8 @@ def matching_shifts(
             errors of lens and pose distort views as well.
 
     Returns:
-        `(n, 3)` shifts (m) in the camera's axes, the best first. Their z is the one that fits best. All tried shifts
-        are returned if nothing was measured.
+        `(n, 3)` shifts (m) of the expected view in the camera's axes, the best first. The z of each is the depth shift
+        that fits best with its x and y. All tried shifts are returned if nothing was measured.
     """
     reach = max(1, round(2 * tolerance / min(pixel)))
     counted = maximum_filter(on_object, 2 * reach + 1)
@@ -75,17 +75,17 @@ def lateral_offset(
     *,
     directions: int = 36,
 ) -> tuple[Float[np.ndarray, "d 2"], Float[np.ndarray, " d"], Float[np.ndarray, " d"]]:
-    """Estimate the offset of the camera across the tool's axis from its pose in the rig.
+    """Estimate how far the camera is from its pose in the rig, across the tool's z axis, from two looks at one site.
 
     Args:
-        first: Shifts (m, in W) that explain the first look.
-        second: Shifts (m, in W) that explain the second look.
+        first: Shifts (m, in the world frame W) that explain the first look, from `matching_shifts`.
+        second: Shifts (m, in W) that explain the second look, with the tool turned about its z axis.
         rotations: Rotations of the tool in W at the two looks, which differ by a turn about its z.
         directions: Number of directions within half a turn along which the offset is estimated.
 
     Returns:
-        Directions in the tool's x and y, the offset (m) along each, and its uncertainty (m): the largest deviation of
-        any pair of shifts from it.
+        `(d, 2)` unit vectors in the tool's x and y, the offset (m) along each of the d directions, and its uncertainty
+        (m): the largest deviation of any pair of shifts from the offset.
     """
     turn = (rotations[0].T @ rotations[1])[:2, :2]
     across = rotations[0][:, :2] @ np.linalg.inv(turn - np.eye(2)).T

@@ -23,7 +23,7 @@ Check: TypeAlias = Callable[[Procedure], list[str]]
 
 
 def motionless_checks(*, strict: bool) -> dict[str, Check]:
-    """List the checks without motion that every session requires.
+    """List the checks of camera and skins that every collection requires before anything moves.
 
     Args:
         strict: Whether a defect that only degrades readings, such as noise, fails the check; otherwise it is printed.
@@ -38,7 +38,7 @@ def dry_run_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
     """List the checks of a dry run, during which nothing moves.
 
     Args:
-        sampler: Source of the sites.
+        sampler: Source of the sites to touch.
         count: Number of sites to be touched.
 
     Returns:
@@ -52,7 +52,7 @@ def dry_run_checks(sampler: SiteSampler, count: int) -> dict[str, Check]:
 
 
 def touch_checks(sampler: SiteSampler) -> dict[str, Check]:
-    """List the checks that look and touch slowly.
+    """List the checks before a collection in which the camera looks at the object and the skin touches it slowly.
 
     Args:
         sampler: Source of the sites.
@@ -64,14 +64,14 @@ def touch_checks(sampler: SiteSampler) -> dict[str, Check]:
 
 
 def run_checks(checks: Mapping[str, Check], procedure: Procedure) -> list[str]:
-    """Run all checks and print their results.
+    """Run all checks of a collection and print their results.
 
     Args:
         checks: The checks by their names.
         procedure: The procedure, with connected devices.
 
     Returns:
-        Sentences on all defects, with the names of the checks.
+        Sentences on all defects, with the names of the checks; empty if there is no defect.
     """
     wrong = []
     for name, check in checks.items():
@@ -82,7 +82,7 @@ def run_checks(checks: Mapping[str, Check], procedure: Procedure) -> list[str]:
 
 
 def require_checks(checks: Mapping[str, Check], procedure: Procedure) -> None:
-    """Run checks until one finds a defect.
+    """Run the checks of a collection, and raise an error at the first defect.
 
     Args:
         checks: The checks by their names.

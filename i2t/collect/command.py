@@ -22,13 +22,13 @@ from i2t.collect.arguments import CollectArgs
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line.
+    """Run the command `python -m i2t.collect`.
 
     Args:
-        argv: Arguments without the program's name; by default those of this process.
+        argv: Arguments without the program's name; by default, those of `sys.argv`.
 
     Returns:
-        The exit code of the process.
+        The exit code of the process, as in `i2t.cli.exit_codes`.
     """
     args = read_options(CollectArgs, argv, program="python -m i2t.collect", description=__doc__)
 
@@ -48,7 +48,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def exiting_on_signals() -> Iterator[None]:
-    """Within the block, make signals that end a program leave it through every `finally`."""
+    """Within the block, make signals that end a program (SIGTERM, SIGHUP) run every `finally` before it ends."""
     # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
     signals = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
     before = {number: signal.signal(number, exit_on_signal) for number in signals}
@@ -60,7 +60,7 @@ def exiting_on_signals() -> Iterator[None]:
 
 
 def exit_on_signal(number: int, *_: Any) -> None:
-    """End the program with the signal's exit code, but through every `finally`.
+    """Handle a signal: end the program with the signal's exit code, but run every `finally` before.
 
     Args:
         number: Number of the signal.

@@ -18,7 +18,7 @@ from i2t.types import Board
 
 
 class Devices(NamedTuple):
-    """Devices that have not been connected, and their common clock."""
+    """The arm, skins and camera of a collection, not connected yet, and their common clock."""
 
     arm: GuardedArm
     skins: tuple[SkinOnTool, ...]  # skins on the tool; the first is the pressing skin
@@ -35,7 +35,7 @@ class Devices(NamedTuple):
 
 
 def configured_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
-    """List the skins of a collection.
+    """List the skins on the tool in a collection.
 
     Args:
         args: Arguments as on the command line, which name the pressing skin.
@@ -59,7 +59,7 @@ def configured_skins(args: CollectArgs, rig: Rig) -> list[CarriedSkin]:
 
 
 def require_compatible(args: CollectArgs, rig: Rig) -> None:
-    """Refuse unknown skins, and skins that feel nothing on this arm, before any device is made.
+    """Refuse unknown skins, and skins that do not work with the chosen arm, before any device is made.
 
     Args:
         args: Arguments as on the command line.
@@ -83,7 +83,7 @@ def require_compatible(args: CollectArgs, rig: Rig) -> None:
 
 
 def make_devices(args: CollectArgs, rig: Rig, stack: ExitStack, *, begin: float = 0.0) -> Devices:
-    """Build the devices of a collection.
+    """Build the arm, skins, camera and clock of a collection.
 
     Args:
         args: Arguments whose options were checked (`CollectArgs.check`).

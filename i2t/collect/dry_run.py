@@ -17,15 +17,15 @@ from i2t.hardware.rig import summary
 
 
 def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> int:
-    """Check sites, settings and devices of a collection, and print a description of it.
+    """Check sites, settings and devices of a collection without moving, and print a description of it.
 
     Args:
         procedure: The procedure, with connected devices.
-        sampler: Source of the sites.
-        args: Arguments of the collection. The picture of the rig is drawn next to its folder.
+        sampler: Source of the sites to touch.
+        args: Arguments of the collection. A picture of the rig is drawn next to the folder of the touches.
 
     Returns:
-        The exit code: 0 if no check found a defect.
+        The exit code: 0 if no check found a defect, otherwise 1.
 
     Raises:
         ValueError: If the settings exceed the arm's limits.
@@ -44,7 +44,7 @@ def dry_run(procedure: Procedure, sampler: SiteSampler, args: CollectArgs) -> in
 
 
 def energy_lines(path: TouchPath, stall_s: float | None) -> list[str]:
-    """Describe the forces of a collision and of a press by the formula of `i2t.hardware.collision`.
+    """Describe the highest forces of a collision and of a press, as `i2t.hardware.collision` computes them.
 
     Args:
         path: Path of the touches.

@@ -53,7 +53,7 @@ CHECK_CAMERA_ADVICE = (
 
 @dataclass(frozen=True)
 class FirstTouchConfig:
-    """Choice and tolerances of the first looks and slow touches."""
+    """Number, choice and tolerances of the looks and slow touches that check a rig before the first press."""
 
     num_candidates: int = 32  # number of candidate sites for the first looks and touches
     num_looks: int = 3
@@ -99,11 +99,11 @@ _CONFIG = FirstTouchConfig()
 
 
 class RigContradictedError(DeviceError):
-    """The camera, arm or skin contradicts the rig."""
+    """What the camera, arm or skin measured contradicts the poses in the rig."""
 
 
 class SlowTouch(NamedTuple):
-    """A slow touch of a site."""
+    """A planned slow touch of a site, which checks the rig."""
 
     name: str
     site: Site
@@ -112,8 +112,8 @@ class SlowTouch(NamedTuple):
 
 
 class FirstTouchPlan(NamedTuple):
-    """Sites to look at, and slow touches: of the site that points up most, then of up to two sides. One site is looked
-    at again with the tool turned, if that pose can be reached.
+    """Sites to look at and touch slowly to check a rig. The site that points up most is touched first, then up to two
+    sides. One site is looked at again with the tool turned about its axis, if that pose can be reached.
     """
 
     looks: tuple[Site, ...]
@@ -122,7 +122,7 @@ class FirstTouchPlan(NamedTuple):
 
 
 class Look(NamedTuple):
-    """Result of a look."""
+    """Comparison of one depth view of an object with the view that the rig predicts."""
 
     wrong: float  # fraction of the object's pixels that contradict the rig
     missed: float  # fraction of the object's pixels that would contradict the rig if there were no object
@@ -131,14 +131,14 @@ class Look(NamedTuple):
 
 
 def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPlan:
-    """Choose a site that points up, others far from it, and two sides, without any motion.
+    """Choose the sites to look at and touch slowly: one that points up, others far from it, and two sides.
 
-    A touch goes as far past its site as the object's position is uncertain, if box and arm allow that. The touch of the
-    site that points up ends like a press of the collection if they do not allow it for any site.
+    A touch goes as far past its site as the object's position is uncertain, if the arm's box and reach allow that. If
+    they do not for any site that points up, that touch ends where a press of the collection would.
 
     Args:
-        procedure: The procedure, whose path determines which sites can be reached.
-        sampler: Source of the sites.
+        procedure: The touch procedure, whose path determines which sites can be reached.
+        sampler: Source of the sites to touch.
 
     Returns:
         The looks and slow touches, in their order.
@@ -185,7 +185,7 @@ def _turned_pair(procedure: Procedure, looks: tuple[Site, ...]) -> tuple[Site, .
 
 
 def touch_tolerance(rig: Rig, site: Site) -> float:
-    """Compute the distance from its site within which a slow touch must meet the object.
+    """Compute the distance from a site within which a slow touch of it must meet the object.
 
     Args:
         rig: The rig, with the covariance of the object's pose.
@@ -285,11 +285,11 @@ def _plan_slow_touch(procedure: Procedure, name: str, site: Site, past: float | 
 
 
 def check_rig_by_touch(procedure: Procedure, sampler: SiteSampler, report: Callable[[str], None] = print) -> None:
-    """Look at some sites and touch one slowly. Afterwards, the tool is above everything.
+    """Check the rig by looking at some sites and touching up to three slowly; the tool ends above everything.
 
     Args:
-        procedure: The procedure, with connected devices.
-        sampler: Source of the sites.
+        procedure: The touch procedure, with connected devices.
+        sampler: Source of the sites to touch.
         report: Function that receives each result as a sentence.
 
     Raises:
@@ -330,13 +330,13 @@ def check_rig_by_touch(procedure: Procedure, sampler: SiteSampler, report: Calla
 def depth_contradiction(
     depth: Array, expected: Array, on_object: Array, tolerance: float, radius: int
 ) -> tuple[float, float]:
-    """Compute which fraction of an object is not seen where it should be.
+    """Compute the fraction of an object that a depth image does not show where it should be.
 
     Args:
         depth: `(h, w)` measured depth (m); NaN where nothing was measured.
         expected: `(h, w)` depth (m) of the mesh at its pose in the rig.
         on_object: `(h, w)` mask of the pixels that show the object.
-        tolerance: Tolerance (m) of depth.
+        tolerance: Largest difference (m) of depth that is no contradiction.
         radius: Number of pixels by which a surface may be displaced in the image.
 
     Returns:
@@ -366,7 +366,7 @@ def expected_view(
     Args:
         triangles: `(n, 3 corners, 3)` triangles (m) of the object in W.
         site: `(3,)` position (m) of the site in W.
-        T_w_c: `(4, 4)` pose of the camera.
+        T_w_c: `(4, 4)` pose of the camera in W.
         camera: Image size and lens of the camera; its distortion is ignored.
 
     Returns:
@@ -445,7 +445,7 @@ def _compare_looks(first: Look, second: Look) -> str:
 
 
 def look_tolerance(rig: Rig, point: Array) -> float:
-    """Compute the distance from its expected position within which a look may see a point of the object.
+    """Compute how far from its expected position the camera may see a point of the object.
 
     Args:
         rig: The rig, with the covariance of the object's pose.

@@ -30,14 +30,14 @@ _SITE_LIMITS_BEFORE = {"half": "half_edge"}  # names in notes of earlier version
 
 
 def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
-    """Write the notes of a collection, completely or not at all.
+    """Write the notes of a collection (its settings and devices) to its folder, completely or not at all.
 
     Args:
         folder: Folder of the touches.
-        notes: Notes that can be written as JSON.
+        notes: Names and values that can be written as JSON.
 
     Raises:
-        DataError: If they cannot be written.
+        DataError: If the notes cannot be written.
     """
     with replacing(folder / NOTES_FILE) as temporary:
         temporary.write_text(json.dumps(notes, indent=1))
@@ -45,16 +45,16 @@ def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
 
 
 def read_notes(folder: Path) -> dict[str, Any] | None:
-    """Read the notes that `write_notes` wrote.
+    """Read the notes of a collection that `write_notes` wrote.
 
     Args:
         folder: Folder of the touches.
 
     Returns:
-        The notes, or None if there are none.
+        The notes by name, or None if the folder holds none.
 
     Raises:
-        DataError: If they are damaged.
+        DataError: If the notes are damaged.
     """
     path = folder / NOTES_FILE
     try:
@@ -79,10 +79,10 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
         mesh: Mesh of the object.
 
     Returns:
-        Unix time (s) of each touch by the number of its site, and the notes of the collection.
+        Unix time (s) of each touch that the folder holds, by the number of its site, and the notes of the collection.
 
     Raises:
-        DataError: If another collection was begun there, or its notes are damaged.
+        DataError: If a collection with other values was begun in the folder `args.out`, or its notes are damaged.
     """
     files = list_touches(args.out) if args.out.is_dir() else []
     notes = read_notes(args.out)
@@ -111,12 +111,12 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
 
 
 def require_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> None:
-    """Note values that all touches of a folder must have in common.
+    """Refuse values that differ from those a folder was begun with, and add new ones to its notes.
 
     Args:
         notes: Notes of the folder, to which missing values are added.
-        same: Present values; "" if unknown.
-        out: The folder.
+        same: Values of this run that all touches of the folder must share, by name; "" if unknown.
+        out: Folder of the touches, for messages.
 
     Raises:
         DataError: If the folder was begun with other values.
@@ -132,27 +132,27 @@ def require_same(notes: dict[str, Any], same: Mapping[str, Any], out: Path) -> N
 
 
 def device_notes(kind: str, device: object, name: str = "") -> dict[str, str]:
-    """Make the note on the serial number of a device.
+    """Make the note of a device's serial number, by which a resumed collection recognises the device.
 
     Args:
         kind: Kind of device: arm, camera or skin.
         device: The connected device.
-        name: Name of a further skin.
+        name: Name of a further skin; empty for any other device.
 
     Returns:
-        The note, for `require_same`.
+        The note's name and the serial number, for `require_same`.
     """
     return {f"{kind}_serial {name}".strip(): serial_number(device)}
 
 
 def board_notes(skin: SkinOnTool) -> dict[str, str]:
-    """Make the note on the positions and rotations of a board's chips, which the touches of a set share.
+    """Make the note of the positions and rotations of a board's chips, which all touches of a folder must share.
 
     Args:
         skin: The skin, with its board.
 
     Returns:
-        The note, for `require_same`.
+        The note's name and a hash, for `require_same`.
     """
     board = np.concatenate([np.ravel(part) for part in skin.board]).astype(np.float32).round(5)
     return {f"chips {skin.name}": _hash(board.tobytes())}
@@ -172,7 +172,7 @@ def serial_number(device: object) -> str:
 
 
 def rig_hash(rig: Rig) -> str:
-    """Hash a rig, including the object's pose.
+    """Hash a rig, including the object's pose, so that a resumed collection detects a changed rig.
 
     Args:
         rig: Calibration of the lab.

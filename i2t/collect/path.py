@@ -20,13 +20,13 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class TouchPath:
-    """Goals of touches and the path between them.
+    """Poses that the tool moves to in each touch, the path between them, and checks that the arm can follow it.
 
     Args:
         rig: The rig, with the arm's limits.
-        settings: Settings of a touch.
+        settings: Distances, speeds and limits of a touch.
         top: Height (m) of the object's highest point in W.
-        why_unreachable: The arm's own check of goals (`i2t.hardware.protocols.PlanningArm`), if it has one.
+        why_unreachable: The arm's own check of poses (`i2t.hardware.protocols.PlanningArm`), if it has one.
     """
 
     rig: Rig
@@ -41,7 +41,7 @@ class TouchPath:
             site: The site to touch.
 
         Returns:
-            Four `(4, 4)` poses T_b_t (m).
+            Four `(4, 4)` poses T_b_t (m) of the tool in the robot's base, in that order.
         """
         T_w_look = np.array(site.T_w_t)
         T_t_c = self.rig.T_tool_camera
@@ -59,7 +59,8 @@ class TouchPath:
             site: The site to touch.
 
         Raises:
-            UnreachableError: If a goal of its touch, or the path to it, is outside the box.
+            UnreachableError: If a pose of its touch, or the path to it, is outside the arm's box, or the arm cannot
+                reach it.
         """
         if why := self.explain_unreachable(site):
             raise UnreachableError(why)
@@ -134,14 +135,14 @@ class TouchPath:
 
     @property
     def retreat_speed(self) -> float:
-        """Speed (m/s) of retreats, with the same bound."""
+        """Speed (m/s) of retreats: as requested, but no faster than what can be stopped within the force limit."""
         return min(self.settings.retreat, self.rig.limits.free_speed)
 
     def transfer_height(self) -> float:
         """Compute the height at which the tool moves between sites: `clearance` above the object's highest point.
 
         Returns:
-            Height (m) of the tool in the base.
+            Height (m) of the tool's origin in the robot's base.
 
         Raises:
             UnreachableError: If the box ends below that height.

@@ -91,16 +91,17 @@ class HeldPress(NamedTuple):
 
 @dataclass
 class Procedure:
-    """Touches with these devices.
+    """Touch procedure: looks at sites of an object, presses the skin onto them and records the readings.
 
     Args:
         arm: The arm; it is connected, like skins and camera.
         skins: Skins on the tool, the pressing one first.
         camera: Camera that the arm carries.
         rig: Calibration of the lab.
-        extract_patch: Function that extracts a patch from a view, the camera, T_w_c and T_w_t.
+        extract_patch: Function that extracts a depth patch from a view, given also the camera, its pose T_w_c and the
+            tool's pose T_w_t.
         top: Height (m) of the object's highest point in W.
-        settings: Settings of a touch.
+        settings: Distances, speeds and limits of a touch.
         clock: Common clock of the devices.
     """
 
@@ -117,7 +118,7 @@ class Procedure:
         """Touch the chosen sites until none is chosen.
 
         Args:
-            choose: Function that chooses the next site from the outcomes of the others; it returns None at the end.
+            choose: Function that chooses the next site from the outcomes of earlier ones, or returns None to end.
             recorder: Recorder of the touches.
 
         Yields:
@@ -125,7 +126,7 @@ class Procedure:
 
         Raises:
             ValueError: If the settings exceed the arm's limits; nothing has moved then.
-            DeviceError: If a person is needed.
+            DeviceError: If a person is needed to go on, as in `attempt`.
         """
         self.path.check_settings()
         history: list[SiteOutcome] = []
@@ -149,7 +150,7 @@ class Procedure:
             recorder: Recorder of the touch.
 
         Returns:
-            The touch, or the reason why there is none.
+            The touch and its return code, or the reason why there is no touch.
 
         Raises:
             DeviceError: If a person is needed: the arm was stopped, a device does not respond again, the disk is full,
@@ -184,12 +185,12 @@ class Procedure:
     # One touch
 
     def touch(self, site: Site, log: EventLog, attempt: int = 0) -> TouchResult:
-        """Make one touch.
+        """Make one touch of a site: look, approach, press, read the skins and retreat.
 
         Args:
             site: The site to touch.
             log: Log of all events.
-            attempt: Number of earlier attempts.
+            attempt: Number of earlier attempts at this site, 0 for the first.
 
         Returns:
             The touch, after the retreat of the tool.
@@ -224,10 +225,10 @@ class Procedure:
         return view, T_w_c
 
     def prepare(self, prepare: Array, log: EventLog) -> None:
-        """Zero the wrench before a site, and approach it.
+        """Move to a pose before a site, zero the force sensor there, and approach the site fast.
 
         Args:
-            prepare: `(4, 4)` pose T_b_t (m) before the site.
+            prepare: `(4, 4)` pose T_b_t (m) of the tool before the site.
             log: Log of all events.
 
         Raises:
@@ -248,7 +249,7 @@ class Procedure:
             )
 
     def press(self, log: EventLog) -> HeldPress:
-        """Measure the ambient field, press until a limit is reached, and read the skins in contact.
+        """Measure the ambient field, press until a limit of skin, force, torque or distance, and read the skins.
 
         Args:
             log: Log of all events.
@@ -368,15 +369,15 @@ class Procedure:
 
     @property
     def path(self) -> TouchPath:
-        """Path of the tool, and its checks."""
+        """Poses and path of the tool in each touch, with their checks."""
         planned = self.arm.why_unreachable if isinstance(self.arm, PlanningArm) else None
         return TouchPath(self.rig, self.settings, self.top, planned)
 
     def move_above(self, goal: Array) -> None:
-        """Move up, across and down to a pose, unless the tool is there.
+        """Move the tool up, across above the object and down to a pose, unless the tool is there already.
 
         Args:
-            goal: `(4, 4)` pose T_b_t (m).
+            goal: `(4, 4)` pose T_b_t (m) of the tool in the base.
         """
         state = self.arm.state()
         if is_at(state, goal):
@@ -389,7 +390,7 @@ class Procedure:
                 state = self.arm.go(T_b_t, self.path.free_speed, self.settings.acceleration)
 
     def retreat(self) -> None:
-        """Retreat from a possible contact: back along the tool's axis, as far as the box allows, then up.
+        """Move the tool out of a possible contact: back along its axis, as far as the box allows, then up.
 
         At the edge of the box, there may be no room to move back along the axis. A skin that faces down is then lifted
         straight up, away from what it pressed; contact along its side is stopped by the force limit of free motions.
@@ -419,10 +420,10 @@ class Procedure:
         self.arm.go(back, self.path.free_speed, self.settings.acceleration)
 
     def recover(self) -> None:
-        """Recover from a failure: stop, retreat, and reconnect skins and camera that fail.
+        """Recover from a failed touch: stop the arm, retreat, and reconnect skins and camera that fail.
 
         Raises:
-            DeviceError: If the arm, or after `patience` another device, needs a person.
+            DeviceError: If the arm fails, or another device still fails after `settings.patience`.
         """
         self.arm.stop()
         self.arm.state()
@@ -463,7 +464,7 @@ def is_at(state: ArmState, goal: Array) -> bool:
 
     Args:
         state: State of the arm.
-        goal: `(4, 4)` pose T_b_t (m).
+        goal: `(4, 4)` pose T_b_t (m) to compare with.
 
     Returns:
         True if they agree within a millimetre and about half a degree.

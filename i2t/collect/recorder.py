@@ -51,7 +51,7 @@ WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for 
 
 @dataclass(frozen=True)
 class SkinInfo:
-    """Metadata of one skin that the touches of a session share."""
+    """One skin on the tool as all touches of a session describe it: its name, its board and notes."""
 
     pad: str
     board: Board
@@ -60,7 +60,7 @@ class SkinInfo:
 
 @dataclass(frozen=True)
 class SessionInfo:
-    """Metadata that the touches of a session share."""
+    """What all touches of a session share: object, poses, camera, skins and notes."""
 
     object: str
     session: str
@@ -81,10 +81,10 @@ def _not_kept(path: Path, error: OSError) -> StorageError:
 
 
 class EventLog:
-    """The log of a touch, in memory and in a file.
+    """Log of one touch: samples of the skins, states of the arm and events, in memory and in a raw file.
 
     Args:
-        file: File, open for unbuffered writing.
+        file: Raw file, open for unbuffered writing.
         clock: Clock that dates events.
 
     Raises:
@@ -100,40 +100,40 @@ class EventLog:
         self._put(RAW_FILE_HEADER)
 
     def samples(self, samples: Samples, skin: str = "") -> None:
-        """Keep and write samples of a skin; the same sample may come twice.
+        """Add samples of a skin to the log and its file; the log keeps a sample that comes twice only once.
 
         Args:
             samples: Samples as the skin returned them.
             skin: Name of a further skin; empty for the pressing one, the only one in most labs.
 
         Raises:
-            StorageError: If they cannot be written.
+            StorageError: If the samples cannot be written to the file.
         """
         rows = np.column_stack([samples.number, samples.time, samples.reading, samples.temperature])
         self.readings[skin] |= {int(row[0]): row[1:] for row in rows}
         self._write([f"skin {skin}".strip(), rows.tolist()])
 
     def state(self, state: ArmState) -> None:
-        """Keep and write a state of the arm.
+        """Add a state of the arm to the log and its file.
 
         Args:
             state: State as the arm returned it.
 
         Raises:
-            StorageError: If it cannot be written.
+            StorageError: If the state cannot be written to the file.
         """
         self.states.append(state)
         row = np.concatenate([[state.time], state.T_b_t.ravel(), state.joints, state.velocity, state.wrench])
         self._write(["arm", row.tolist()])
 
     def event(self, text: str) -> None:
-        """Keep and write an event, with the present time.
+        """Add an event to the log and its file, with the present time.
 
         Args:
-            text: Description of a few words.
+            text: Description of the event in a few words.
 
         Raises:
-            StorageError: If it cannot be written.
+            StorageError: If the event cannot be written to the file.
         """
         now = self._clock.now()
         self.events.append((now, text))
@@ -150,15 +150,15 @@ class EventLog:
 
 
 def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
-    """Read the entries of a raw file, up to the last complete one.
+    """Read the entries of the raw file of an unsaved touch (`EventLog`), up to the last complete one.
 
     Args:
-        path: Path of the file, such as one of `.interrupted`.
+        path: Path of the raw file, usually in the folder `.interrupted`.
 
     Yields:
-        ("event", [s, text]), ("skin", (n, 2 + 4 chips): number, s, readings in uT, temperatures in degrees Celsius),
-        ("skin NAME", the same of a further skin) and ("arm", (29 + joints,): s, 16 of T_b_t, the joints, 6 of the
-        velocity, 6 of the wrench).
+        ("event", [time in s, text]), ("skin", (n, 2 + 4 chips): number, time in s, readings in uT, temperatures in C),
+        ("skin NAME", the same of a further skin) and ("arm", (29 + joints,): time in s, 16 of T_b_t (m), the joints
+        (rad), 6 of the velocity (m/s, rad/s), 6 of the wrench (N, Nm)).
 
     Raises:
         DataError: If the file is of another kind, or damaged.
@@ -178,7 +178,7 @@ def read_raw(path: str | Path) -> Iterator[tuple[str, Any]]:
 
 
 class Recorder:
-    """Recorder of the touches of one session, which locks its folder.
+    """Writer of the touches of one session to a folder, which it locks against other collections.
 
     Args:
         folder: Folder of the touches; it is created if necessary.
@@ -218,7 +218,7 @@ class Recorder:
         self._newest = touch_time(saved[-1]) if saved else 0.0
 
     def close(self) -> None:
-        """Release the folder, without raising an error."""
+        """Release the lock on the folder; readings of an unsaved touch are kept. Raises no error."""
         self._end_raw(keep=True)
         self._lock.close()
 
@@ -229,7 +229,7 @@ class Recorder:
         self.close()
 
     def check(self) -> None:
-        """Raise StorageError if a touch could not be saved now."""
+        """Raise StorageError if the folder is not writable or nearly full, or the clock is behind the newest touch."""
         try:
             free = shutil.disk_usage(self.folder).free
             probe = self.folder / ".probe"
@@ -249,17 +249,17 @@ class Recorder:
             )
 
     def begin(self, site: Site, attempt: int) -> EventLog:
-        """Begin a touch.
+        """Begin the record of a touch, after checking that it can be saved.
 
         Args:
             site: Site of the touch.
-            attempt: Number of earlier attempts.
+            attempt: Number of earlier attempts at this site, 0 for the first.
 
         Returns:
             A new log for the touch.
 
         Raises:
-            StorageError: If the touch could not be saved.
+            StorageError: If `check` fails, or the raw file of the log cannot be created.
         """
         self._end_raw(keep=True)
         self.check()
@@ -274,13 +274,14 @@ class Recorder:
         return self._log
 
     def save(self, touch: TouchResult) -> None:
-        """Write the touch. Once this returns, it survives a kill or a power cut.
+        """Write a finished touch to a file. Once this returns, the file survives a killed process or a power cut.
 
         Args:
             touch: The touch, with its view.
 
         Raises:
-            StorageError: If it cannot be written; or, with the touch saved, if the clock was set meanwhile.
+            StorageError: If the file cannot be written; or, after it was written, if the computer's clock was set
+                during the touch.
         """
         assert self._log is not None
         jump = self._clock.wall() - self._clock.now() - self._offset
@@ -303,10 +304,10 @@ class Recorder:
             )
 
     def abandon(self, reason: str) -> None:
-        """Abandon a touch; its readings are kept in `.interrupted/`.
+        """End the record of a touch that failed; its raw file is kept in the folder `.interrupted`.
 
         Args:
-            reason: Sentence for the log.
+            reason: Why the touch failed, as a sentence for the log.
         """
         if self._log is not None:
             with contextlib.suppress(StorageError):
@@ -445,28 +446,28 @@ def _one_row(touch: SkinTouch, info: SessionInfo, about: SkinInfo, *, samples: S
 
 
 def list_touches(folder: Path) -> list[Path]:
-    """List the touches recorded in a folder, in the order of time.
+    """List the files of the touches recorded in a folder, in the order of time.
 
     Args:
         folder: Folder that may hold touches.
 
     Returns:
-        Paths of their files; the list may be empty.
+        Paths of the files; the list may be empty.
     """
     return sorted(folder.glob("touch-*.h5"))
 
 
 def touch_time(path: Path) -> float:
-    """Read the time in a touch's name.
+    """Read the time at which a touch was saved from the name of its file.
 
     Args:
-        path: Path of a recorded touch.
+        path: Path of the file of a recorded touch.
 
     Returns:
         Unix time (s) at which the touch was saved.
 
     Raises:
-        DataError: If the file has another kind of name.
+        DataError: If the name is not that of a recorded touch.
     """
     try:
         return datetime.strptime(path.name[6:28] + "+0000", "%Y%m%dT%H%M%S.%f%z").timestamp()

@@ -19,7 +19,7 @@ from i2t.rendering.render import prepare_surface
 
 
 class Offset(NamedTuple):
-    """Distance and angle of something from its assumed pose."""
+    """Distance and angle between the estimated and the assumed pose of the object or camera."""
 
     distance: float  # m, distance from the assumed pose
     distance_std: float  # m, standard deviation of `distance`
@@ -28,7 +28,7 @@ class Offset(NamedTuple):
 
     @property
     def significant(self) -> bool:
-        """Whether the offset is significant, beyond three standard deviations."""
+        """Whether the distance or the angle exceeds three of its standard deviations."""
         return self.distance > 3 * self.distance_std or self.angle > 3 * self.angle_std
 
     def __str__(self) -> str:
@@ -45,12 +45,12 @@ def describe_offsets(
     min_touches: int = 12,
     max_view_residual: float = 3.0,
 ) -> str:
-    """Describe where the object and the camera were in a session.
+    """Describe how far object and camera were from their poses in the rig, as the touches of a session show it.
 
     Args:
         dataset: The touches that were collected.
         mesh: Mesh of the object.
-        session: Number of the session.
+        session: Index of the session in the data set.
         rig: The rig, with the assumed poses.
         min_touches: Minimum number of touches of one session that met the object; fewer hardly separate the camera from
             the object.
@@ -78,11 +78,11 @@ def describe_offsets(
 
 
 def offsets(estimate: SessionEstimate, T_w_o: np.ndarray) -> tuple[Offset, Offset]:
-    """Compute the offsets of the object and the camera from their assumed poses.
+    """Compute how far the estimated poses of object and camera are from the assumed ones.
 
     Args:
-        estimate: Estimate of a session.
-        T_w_o: Assumed pose of the object.
+        estimate: Poses estimated from the touches of a session.
+        T_w_o: `(4, 4)` assumed pose of the object in W.
 
     Returns:
         The offset of the object and that of the camera.

@@ -53,7 +53,8 @@ def collect(
 
     Args:
         begun: The collection, as `i2t.collect.start.begin` returned it.
-        choose: Function that chooses the next site; by default the next of a random list.
+        choose: Function that chooses the next site from the outcomes of earlier ones; by default, the next random
+            site.
         on_outcome: Function that is called with each touch once it is saved.
 
     Returns:
@@ -61,7 +62,7 @@ def collect(
 
     Raises:
         ValueError: If options contradict each other, or a file cannot be read.
-        DeviceError: If a person is needed.
+        DeviceError: If a device fails in a way that a person must remedy.
     """
     args, rig, name, target, done, notes = begun
     if not args.dry_run and len(done) >= args.touches:

@@ -9,11 +9,11 @@ from i2t.patches.dimensions import MAX_SKIN_FORCE_N
 
 @dataclass(frozen=True)
 class TouchSettings:
-    """Settings of a touch. Raises ValueError for implausible numbers.
+    """Distances, speeds, limits and retries of a touch. Raises ValueError for implausible numbers.
 
-    The speed of a press limits its overrun: at k N/m, after a delay of t seconds and braking with a, a press runs k (v
-    t + v^2 / 2a) past its limits; 10 N/mm, 60 ms and 2 mm/s give 1.2 N. The paper presses in steps; here a press is one
-    motion, watched all the time.
+    The speed v of a press limits its overrun: with stiffness k (N/m), a delay of t seconds and deceleration a, the
+    force runs k (v t + v^2 / 2a) past its limit; 10 N/mm, 60 ms and 2 mm/s give 1.2 N. The paper presses in steps; here
+    a press is one motion, watched all the time.
     """
 
     # distance (m) before the site from which the tool approaches it

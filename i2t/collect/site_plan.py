@@ -26,15 +26,15 @@ from i2t.types import Array
 
 
 class SiteSampler:
-    """Safe sites of an object, in the order in which they are to be touched.
+    """Sequence of random sites of an object that are safe to touch, numbered in the order of touching.
 
     Args:
-        target: The object.
-        T_w_o: `(4, 4)` pose of the object.
+        target: The object to touch.
+        T_w_o: `(4, 4)` pose of the object in the world frame W.
         limits: Conditions of a safe site.
         seed: Seed of the random sites.
-        name: Name of the object, for errors.
-        batch: Number of sites that are drawn at once. Other numbers give other sites.
+        name: Name of the object, for messages.
+        batch: Number of sites that are drawn at once. Another number gives other sites for the same seed.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class SiteSampler:
         self._sites: list[Site] = []
 
     def site(self, number: int) -> Site:
-        """Return a site by its number.
+        """Return the safe site with a number; the same number always gives the same site.
 
         Args:
             number: Number of the site, from 0.
@@ -71,10 +71,10 @@ class SiteSampler:
         return collect_sites(key, self._surface, self._batch, self.limits, self._name, obstacles=self._obstacles)
 
     def next(self, done: Collection[int]) -> Site:
-        """Return the first site that was not done.
+        """Return the safe site of the lowest number that was not done yet.
 
         Args:
-            done: Numbers of the sites that were done.
+            done: Numbers of the sites that were tried already.
 
         Returns:
             The site with its pose (m) in W.

@@ -27,7 +27,7 @@ MISSING_RIG_MESSAGE = (
 
 
 class PreparedCollection(NamedTuple):
-    """A collection before its devices are made."""
+    """A collection whose folder, rig and object were read, before its devices are made."""
 
     args: CollectArgs
     rig: Rig
@@ -38,7 +38,7 @@ class PreparedCollection(NamedTuple):
 
 
 def begin(args: CollectArgs) -> PreparedCollection:
-    """Begin a collection, or resume the one that was begun in its folder.
+    """Begin a collection, or resume the one in its folder: check the options, and read rig, object and notes.
 
     Args:
         args: Arguments as on the command line.
@@ -63,7 +63,7 @@ def begin(args: CollectArgs) -> PreparedCollection:
 
 
 def read_rig(args: LabArgs, *, real: bool) -> Rig:
-    """Read the calibration of the lab, with the pose of the object from the command line if given there.
+    """Read the rig (the lab's calibration); a pose of the object on the command line replaces the rig's.
 
     Args:
         args: Arguments as on the command line.

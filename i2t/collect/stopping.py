@@ -23,14 +23,15 @@ from i2t.types import Array, Board
 
 
 class StopCondition:
-    """Condition that stops an approach as soon as one of the skins on the tool does. The arm calls it with every state.
+    """Condition that stops an approach as soon as one skin's reading has changed enough, or force or torque exceeds its
+    limit. The arm calls it with every state.
 
     Args:
         skins: Connected skins.
         settings: Settings with the change that stops an approach.
         ambient: `(3 chips,)` reading (uT) of each skin before contact, by its name.
         log: Log that receives every sample and state.
-        watch: Watch that checks the arm's states.
+        watch: Check of the arm's states against the limits of the motion.
     """
 
     def __init__(
@@ -72,16 +73,17 @@ class StopCondition:
         return answers[self.stopped_by[0]] if self.stopped_by else None
 
     def corrected(self, result: ApproachResult) -> ApproachResult:
-        """Correct the outcome of the approach by the arm's states.
+        """Correct the reason for an approach's end: force or torque if a state of the arm exceeded that limit.
 
         Args:
             result: Outcome that the arm reports.
 
         Returns:
-            The outcome, with force or torque as its reason if the arm itself did not stop at them.
+            The outcome, whose reason is "force" or "torque" if a state exceeded that limit.
 
         Raises:
-            DeviceError: If the arm did not call the condition as it moved, still moves, or is in a wrong place.
+            DeviceError: If the arm did not call the condition as it moved, still moves, or is not where the approach
+                should have ended.
         """
         above = self._watch(result.state)
         if result.state.moving:
@@ -131,16 +133,17 @@ class StopCondition:
 def press_samples(
     log: EventLog, on_tool: SkinOnTool, period: tuple[float, float], T_b_s: Float[Array, "4 4"]
 ) -> tuple[Float[Array, "n c"], Float[Array, " n"]]:
-    """Collect the samples of a press, and the positions of the skin when they were taken.
+    """Collect the samples of a press from its log, and the distance of the skin from its final position at each.
 
     Args:
         log: Log of the touch.
-        on_tool: The skin.
-        period: Times (s) at which the press began and ended.
+        on_tool: The skin whose samples are collected.
+        period: Monotonic times (s) at which the press began and ended.
         T_b_s: `(4, 4)` final pose (m) of the skin in the base.
 
     Returns:
-        `(n, 3 chips)` readings (uT), and `(n,)` distances (m) of the skin from its final position, along its z.
+        `(n, 3 chips)` readings (uT), and `(n,)` distances (m) that the skin still had to go along its z, positive
+        before the end.
     """
     begun, ended = period
     rows = [row for _, row in sorted(log.readings[on_tool.name].items()) if begun <= row[0] <= ended]
@@ -158,7 +161,7 @@ def is_felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -
     """Test whether a skin has felt a press.
 
     Args:
-        change: `(3 chips,)` change (uT) of its reading.
+        change: `(3 chips,)` change (uT) of the reading since before the press.
         board: Board of the skin.
         settings: Settings with the change that stops a press.
 
@@ -171,7 +174,7 @@ def is_felt(change: Float[Array, " c"], board: Board, settings: TouchSettings) -
 
 
 def nonuniform_field(change: Float[Array, " c"], board: Board) -> Float[Array, "chips 3"]:
-    """Compute the part of a change that differs between chips.
+    """Compute the part of a reading's change that differs between chips: the change minus its mean over the chips.
 
     Args:
         change: `(3 chips,)` change (uT) of a reading; NaN for a missing chip.
@@ -193,7 +196,7 @@ def onset_distance(
     fit_range: tuple[float, float] = (0.15, 0.7),
     min_samples: int = 3,
 ) -> float:
-    """Estimate the distance of a press past first contact.
+    """Estimate how far a press went past first contact from the readings during it.
 
     A line is fitted to the samples whose change, along the final change, is within a range of it, and extrapolated to
     zero change. Missing chips are left out. The line is right for a flat face; if the force grows as the indentation to
@@ -201,7 +204,7 @@ def onset_distance(
 
     Args:
         readings: `(n, c)` readings (uT) of the press.
-        before: `(n,)` distances (m) of the tool from its final position at these readings.
+        before: `(n,)` distances (m) that the tool still had to go to its final position at these readings.
         ambient: `(c,)` reading (uT) before contact.
         change: `(c,)` final change (uT).
         fit_range: Fractions of the final change between which samples are fitted.

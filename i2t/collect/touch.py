@@ -20,7 +20,7 @@ TOOL = ""  # name of the pressing skin in a touch
 
 @dataclass
 class SkinOnTool:
-    """A skin on the tool: the pressing one, or a further one."""
+    """A skin that the tool carries, with its board and pose: the pressing skin, or a further one."""
 
     name: str  # name of the skin in a touch and in files; TOOL for the pressing skin
     skin: Skin
@@ -31,14 +31,14 @@ class SkinOnTool:
 
 
 class Site(NamedTuple):
-    """Site to touch: the skin's pose where it would just lie on the surface."""
+    """Site to touch: its number, and the skin's pose in the world frame where it would just lie on the surface."""
 
     number: int
     T_w_t: Float[Array, "4 4"]
 
 
 class SeenPatch(NamedTuple):
-    """Patch in front of a skin, as seen by the camera."""
+    """Depth patch in front of a skin, as seen by the camera before the touch."""
 
     patch: Float[Array, "48 48"]  # m
     view: Float[Array, "72 72"]  # m, the patch with its surroundings
@@ -47,7 +47,7 @@ class SeenPatch(NamedTuple):
 
 
 class SkinTouch(NamedTuple):
-    """Measurements of one skin on the tool in a touch."""
+    """Measurements of one skin in a touch: pose, readings, force and travel."""
 
     T_w_s: Float[Array, "4 4"]  # pose of the skin at the end of the press
     code: ReturnCode  # code of how the press ended if this skin detected it, else AIR
@@ -60,7 +60,7 @@ class SkinTouch(NamedTuple):
 
 
 class TouchResult(NamedTuple):
-    """Result of a touch. Its properties are those of the pressing skin."""
+    """Measurements of all skins in one touch. The properties are those of the pressing skin."""
 
     site: Site
     attempt: int
@@ -71,32 +71,32 @@ class TouchResult(NamedTuple):
 
     @property
     def code(self) -> ReturnCode:
-        """Reason for which the press ended, as a return code."""
+        """How the press ended, as a return code; AIR if it met nothing or only a further skin detected it."""
         return self.skins[TOOL].code
 
     @property
     def T_w_t(self) -> Float[Array, "4 4"]:
-        """Pose of the tool at the end of the press."""
+        """Pose (m) of the tool in the world frame at the end of the press."""
         return self.skins[TOOL].T_w_s
 
     @property
     def reading(self) -> Float[Array, " c"]:
-        """Change (uT) of the reading in contact."""
+        """Mean reading (uT) in contact minus the ambient reading before it, three values for each chip."""
         return self.skins[TOOL].reading
 
     @property
     def force(self) -> float:
-        """Force (N) along tool z; NaN if a further skin felt the press too."""
+        """Force (N) along tool z, positive in compression; NaN unless the pressing skin alone detected the press."""
         return self.skins[TOOL].force
 
     @property
     def travel(self) -> float:
-        """Travel (m) past first contact."""
+        """Travel (m) of the tool past first contact; NaN if the skin felt nothing or it cannot be estimated."""
         return self.skins[TOOL].travel
 
 
 class SiteOutcome(NamedTuple):
-    """Outcome of a site, for the choice of the next."""
+    """Outcome of the attempts to touch one site, from which the next site may be chosen."""
 
     site: Site
     code: ReturnCode
@@ -110,11 +110,11 @@ class TouchFailedError(DeviceError):
 
 
 class UnreachableError(TouchFailedError):
-    """The arm may not go there, so that another attempt would not help."""
+    """The arm cannot or may not move to a site, so that another attempt would not help."""
 
 
 class MissedContactError(TouchFailedError):
-    """A press met nothing where the camera sees a surface."""
+    """A press met nothing at a site where the camera sees a surface."""
 
 
 ChooseSite: TypeAlias = Callable[[Sequence[SiteOutcome]], Site | None]

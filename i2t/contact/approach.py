@@ -36,7 +36,7 @@ MIN_EDGE_EXTENT_M = 1e-12  # extent along x or y below which an edge counts as p
 
 
 class FirstContact(NamedTuple):
-    """End of a motion along tool z, at first contact or at the end of the allowed distance."""
+    """Tool pose at the end of a motion along tool z: at first contact with a surface, or after the allowed distance."""
 
     T_w_t: Float[Array, "4 4"]  # (4, 4) tool pose in W at first contact
     distance: Float[Array, ""]  # m, travel from the site along tool z to first contact; negative before the site
@@ -52,14 +52,14 @@ def meet(
     beyond: float | Float[Array, ""] = STANDOFF,
     grid: Grid = GRID,
 ) -> tuple[FirstContact, Patch]:
-    """Move the skin along tool z to first contact with the faces of a mesh, and view the surface from there.
+    """Compute where the skin, moved along tool z, first touches a mesh, and the depth of the surface seen from there.
 
     Args:
         surface: Surface in the world frame.
         T_w_site: Tool pose at the site.
         before: Distance (m) before the site at which the motion starts. Faces further back are ignored.
         beyond: Distance (m) beyond the site at which the motion ends without contact.
-        grid: Cells of the skin.
+        grid: Square cells of the skin, whose centres see the surface.
 
     Returns:
         The contact, whose `hit` requires that a cell sees the surface too, and the `facing_surface` from its pose.
@@ -77,7 +77,7 @@ def first_contact(
     before: float | Float[Array, ""] = STANDOFF,
     beyond: float | Float[Array, ""] = STANDOFF,
 ) -> FirstContact:
-    """Move the skin's flat square face along tool z to first contact with the faces of a mesh.
+    """Compute where the skin's flat square face, moved along tool z, first touches a mesh.
 
     Args:
         surface: Surface in the world frame.
@@ -103,7 +103,8 @@ def facing_surface(surface: Surface, T_w_t: Float[Array, "4 4"], grid: Grid = GR
         grid: Cells of the skin.
 
     Returns:
-        `(g, g)` patch of depths (m) behind the nearest point without an upper limit, infinite without a surface.
+        `(g, g)` patch over the g x g cells: depths (m) behind the nearest point along tool z, without an upper limit;
+        infinite where a ray meets nothing.
     """
     return render_patch(surface, T_w_t, window=grid.window, pixels=grid.cells, reach=math.inf)
 
@@ -116,7 +117,7 @@ def move_to_contact(
     half: float | Float[Array, ""] = PAD_WINDOW / 2,
     max_distance: float | Float[Array, ""] = 2 * STANDOFF,
 ) -> tuple[Float[Array, "4 4"], Bool[Array, ""]]:
-    """Move the skin's flat square face along a line to first contact.
+    """Compute where the skin's flat square face, moved along any line, first touches a mesh.
 
     Args:
         surface: Surface in the world frame.
@@ -150,9 +151,9 @@ def nearest_in_square(
 
     Args:
         surface: Surface in the world frame.
-        A_t_w: Affine map from the world frame.
+        A_t_w: `(4, 4)` affine map from the world frame to the frame of the square.
         half: Half the edge (m) of the square.
-        behind: Distance (m) behind the origin up to which the surface counts; may be infinite.
+        behind: The surface counts from z = -behind (m) on; may be infinite.
 
     Returns:
         The smallest z (m), +inf if the square holds no surface.
@@ -173,9 +174,9 @@ def lowest_in_square(
         corners: Coordinates x, y and z (m) of the three corners of each triangle in the world frame; faces are the last
             axis for speed. Every triangle must have an area, because rounding may make a degenerate one cover the
             square.
-        A_t_w: Affine map from the world frame.
+        A_t_w: `(4, 4)` affine map from the world frame to the frame of the square.
         half: Half the edge (m) of the square.
-        behind: Distance (m) behind the origin up to which a triangle counts; may be infinite.
+        behind: A triangle counts from z = -behind (m) on; may be infinite.
 
     Returns:
         `(faces,)` smallest z (m), +inf for triangles outside the square.
@@ -315,10 +316,10 @@ def _vertices(
 
 
 def double_areas(triangles: Float[Array, "faces 3 3"]) -> Float[Array, " faces"]:
-    """Compute twice the area of each face.
+    """Compute twice the area of each triangle.
 
     Args:
-        triangles: Corners (m) of each face.
+        triangles: x, y and z (m) of the three corners of each triangle.
 
     Returns:
         `(faces,)` doubled areas (m^2).

@@ -42,7 +42,7 @@ FINE_SHEETS = 2  # number of upper dipole sheets that are as fine as a fine fina
 
 @dataclass(frozen=True)
 class StopSearch:
-    """Accuracy of the search for the end of a press, for limits that are met within 0.05 %."""
+    """Steps and tolerances of the search for the indentation at which a simulated press reaches its limit."""
 
     start_fraction: float = 0.005  # indentation at which the scan begins, as a fraction of the largest allowed one
     bracket_excess: float = 0.05  # excess by the linear model at which regula falsi ends
@@ -65,7 +65,7 @@ _SEARCH = StopSearch()
 @traced_floats
 @dataclass(frozen=True)
 class PressLimits:
-    """Limits at which a press ends, with the paper's values as defaults.
+    """Limits of reading, force and indentation at which a simulated press ends; the defaults are the paper's.
 
     Example:
         limits = i2t.PressLimits(force=5.0, stiffness=20e3)  # a stiffer arm, which presses less
@@ -85,7 +85,7 @@ class PressLimits:
 
 
 class PressResult(NamedTuple):
-    """State of the skin at the end of a press."""
+    """Indentation, force, reading and pressure of a skin at the end of a simulated press."""
 
     indentation: Float[Array, ""]  # m
     force: Float[Array, ""]  # N
@@ -95,12 +95,12 @@ class PressResult(NamedTuple):
 
     @property
     def press(self) -> Press:
-        """The same state as a `Press`."""
+        """Reading, force, indentation and pressure at the end of the press, as a `Press`."""
         return Press(self.reading, self.force, self.indentation, self.pressure, jnp.asarray(True))
 
 
 class PadResponse(NamedTuple):
-    """Derivatives of a pad's reading, which speed up the simulation of its presses."""
+    """Derivatives of a pad's reading by the pressure on it, which speed up the simulation of presses."""
 
     linear: Float[Array, "c g g"]  # uT/Pa at rest, by the pressure on the cells of the search
     # uT/Pa, by the pressure on the cells of a finer final grid: the error of deep sheets with fewer dipoles
@@ -109,7 +109,7 @@ class PadResponse(NamedTuple):
 
 @partial(jax.jit, static_argnames="final")
 def pad_response(pad: Pad, final: Grid = GRID) -> PadResponse:
-    """Compute the derivatives of a pad's reading, which serve all of its presses.
+    """Compute the derivatives of a pad's reading by the pressure on it, once for all presses of the pad.
 
     Args:
         pad: The skin.
@@ -144,15 +144,15 @@ def press_at_stop(
     law: PressLaw = press_pad,
     response: PadResponse | None = None,
 ) -> PressResult:
-    """Solve the end of a press again on a finer grid.
+    """Solve the end of a simulated press again on a finer contact grid, at the same indentation.
 
-    The upper sheets of the skin have a dipole under each cell of that grid. The deep sheets have those of `GRID`, whose
-    error is taken to be linear in the pressure.
+    The upper sheets of the skin have a dipole under each cell of the finer grid. The deep sheets have those of `GRID`,
+    whose error is taken to be linear in the pressure.
 
     Args:
         pad: The skin.
         height: Depth (m) of the surface behind its nearest point over the cells of `final`.
-        indentation: Distance (m) by which that nearest point is pressed into the skin.
+        indentation: Distance (m) by which the nearest point is pressed into the skin.
         stop: The end of the press on `GRID`.
         final: The finer grid.
         law: Function that computes a press of the pad.
@@ -195,13 +195,13 @@ def press_to_stop(
     response: PadResponse | None = None,
     grid: Grid = GRID,
 ) -> PressResult:
-    """Press until the change of the reading or the force first reaches its limit, within 0.05 %.
+    """Simulate a press until the norm of the reading or the force first reaches its limit, within 0.05 %.
 
     A crossing within the first 0.2 % of the largest allowed indentation is not resolved; the press ends there.
 
     Args:
         pad: The skin.
-        height: Depth (m) of the surface behind its nearest point over the pad's cells.
+        height: Depth (m) of the surface behind its nearest point, over the g x g cells of `grid`.
         limits: Limits of the skin change, the force and the indentation.
         overshoot: Fraction by which both limits are raised.
         law: Function that computes a press of the pad; None for a reading that is linear in the pressure.
@@ -224,12 +224,12 @@ def stop_load(
     skin_change: float | Float[Array, ""],
     force: float | Float[Array, ""],
 ) -> Float[Array, ""]:
-    """Interpolate the load at which a press ends from its readings at a few loads, without solving a contact.
+    """Estimate the load at which a press ends by interpolating its readings at a few loads; no contact is solved.
 
     The norm of a reading grows nearly as a power of the load, so its logarithm is interpolated over that of the load.
 
     Args:
-        readings: `(l, c)` readings (uT) at the loads.
+        readings: `(l, c)` readings (uT, c values) at the l loads.
         loads: `(l,)` ascending loads (N).
         skin_change: Change of the reading (uT) at which the press ends.
         force: Force (N) at which the press ends in any case.

@@ -47,7 +47,7 @@ _WEIGHTS = np.array(
 
 @in_one_line
 class ContactPressure(NamedTuple):
-    """Pressure of a contact on the skin's surface, of one touch or of many along axis 0."""
+    """Force (N) on each 1 mm cell of the skin's surface, and its sum, of one touch or of many along axis 0."""
 
     pressure: Float[Array, "*n m m"]  # N, force on each cell of 1 mm
     load: Float[Array, "*n"]  # N, total force
@@ -56,7 +56,7 @@ class ContactPressure(NamedTuple):
 @traced_floats
 @dataclass(frozen=True)
 class PressureModelConfig:
-    """Options of the pressure model, in metres, radians and newtons."""
+    """Options of the contact model that predicts the pressure on a skin from a depth view (m, rad, N)."""
 
     pitch: float  # m, edge of a pixel of the view
     window: float = field(default=PAD_WINDOW, metadata={"static": True})  # m, edge of the square that can carry load
@@ -80,7 +80,7 @@ class PressureModelConfig:
 
     @property
     def grid(self) -> Grid:
-        """Contact grid, with a period of 1.6 windows."""
+        """Grid of cells on which the contact is solved, with a period of 1.6 windows."""
         cells = round(self.window / self.cell)
         return Grid(cells=cells, modes=int(np.ceil(1.6 * cells / 2) * 2), window=self.window)
 
@@ -93,17 +93,18 @@ def press_heights(
     *,
     max_steps: int = MAX_STEPS,
 ) -> tuple[Float[Array, "g g"], Float[Array, ""]]:
-    """Press a pad's layer onto a surface with a given load, to within `SOLVER_TOLERANCE`.
+    """Compute the pressure on a pad's elastic layer that is pressed onto a height map with a given load.
 
     Args:
         pad: Pad whose layer is pressed.
-        height: Depth (m) of the surface behind its nearest point, over the cells of the grid.
+        height: Depth (m) of the surface behind its nearest point, over the g x g cells of the grid.
         load: Load (N), above 0.
         grid: Cells of the skin.
         max_steps: Largest number of steps of the contact solver.
 
     Returns:
-        Pressure (Pa) on each cell, scaled to carry the load, and the indentation (m) past first contact.
+        Pressure (Pa) on each cell, solved to within `SOLVER_TOLERANCE` and scaled to carry the load, and the
+        indentation (m) past first contact.
     """
     contact = solve_force(pad, height, load, grid, tolerance=SOLVER_TOLERANCE, max_steps=max_steps)
     return contact.pressure * load / jnp.maximum(contact.force, 1e-6), contact.indentation
@@ -112,17 +113,17 @@ def press_heights(
 def surface_pressure(
     pad: Pad, surface: Surface, T_o_t: Float[Array, "4 4"], loads: Float[Array, " l"]
 ) -> tuple[ContactPressure, Float[Array, " l"]]:
-    """Press a pad's layer onto a mesh with each of several loads.
+    """Compute the contact pressure of a pad that is pressed onto a mesh with each of several loads.
 
     Args:
         pad: Pad whose layer is pressed.
         surface: Surface of the object.
-        T_o_t: Pose of the skin at first contact.
+        T_o_t: Pose (m) of the skin in the object's frame at first contact.
         loads: Loads (N). A load below `PressureModelConfig.floor` is raised to it.
 
     Returns:
-        Contact pressure of each press, and its indentation (m) past the pose. If no surface lies in front of the skin,
-        the pressure is zero and the indentation infinite.
+        Contact pressure of each of the l presses, and its indentation (m) past that pose. If no surface is in front
+        of the skin, the pressure is zero and the indentation infinite.
     """
     height, nearest = facing_surface(surface, T_o_t, CELL_GRID)
     hit, loads = jnp.isfinite(nearest), jnp.maximum(loads, PressureModelConfig.floor)
@@ -133,14 +134,14 @@ def surface_pressure(
 
 
 def newtons_on_cells(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float[AnyArray, "*n m m"]:
-    """Sum a pressure to the force on each cell of 1 mm.
+    """Convert a pressure on fine cells to the force on each 1 mm cell of the skin.
 
     Args:
-        pressure: Pressure (Pa) on the cells of a grid.
+        pressure: Pressure (Pa) on the g x g cells of a grid.
         grid: The grid, whose cells divide 1 mm.
 
     Returns:
-        `(*n, m, m)` forces (N), a NumPy array if the pressure is one.
+        `(*n, m, m)` forces (N) on m x m cells of 1 mm, a NumPy array if the pressure is one.
     """
     fine = round(CELL_MM * 1e-3 / grid.spacing)
     cells = pressure.shape[-1] // fine
@@ -155,7 +156,7 @@ def centre_of_pressure(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float
         grid: The grid.
 
     Returns:
-        `(*n, 2)` coordinates x and y (m) in the tool frame, 0 without pressure.
+        `(*n, 2)` coordinates x and y (m) in the tool frame; 0 if there is no pressure.
     """
     total = pressure.sum((-2, -1))
     along = jnp.stack([pressure.sum(-2) @ grid.centres, pressure.sum(-1) @ grid.centres], -1)
@@ -163,7 +164,7 @@ def centre_of_pressure(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float
 
 
 def heights(cfg: PressureModelConfig, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
-    """Resample a view to the cells of the skin.
+    """Resample a depth view to the cells of the contact grid, smoothing it if `cfg.smooth` is set.
 
     Args:
         cfg: Options of the pressure model.
@@ -187,7 +188,7 @@ def predict_pressure(
     force: Float[Array, ""],
     travel: Float[Array, ""],
 ) -> ContactPressure:
-    """Predict the contact pressure of a press onto the surface in a view.
+    """Predict the contact pressure on a pad that is pressed onto the surface in a depth view.
 
     Only the force or the travel is used, as `cfg.control` says. The travel is taken for the indentation of the pad's
     layer, whose load follows from it.
@@ -200,7 +201,7 @@ def predict_pressure(
         travel: Travel (m) past first contact.
 
     Returns:
-        Contact pressure with its load.
+        Predicted force (N) on each 1 mm cell, and its sum.
     """
     grid = cfg.grid
     pad = pad._replace(young=pad.young / cfg.softness)
@@ -231,7 +232,7 @@ def predict_pressure(
 def predict_pressures(
     cfg: PressureModelConfig, views: np.ndarray, force: np.ndarray, travel: np.ndarray, pad: Pad | None = None
 ) -> ContactPressure:
-    """Predict the contact pressures of many touches, in batches of a few sizes so that any number reuses compiled code.
+    """Predict the contact pressures of many touches from depth views; batches of a few sizes reuse compiled code.
 
     Args:
         cfg: Options of the pressure model.
@@ -241,7 +242,7 @@ def predict_pressures(
         pad: Pad whose layer is pressed; the nominal pad if not given.
 
     Returns:
-        Contact pressures of the n touches along axis 0.
+        Forces (N) on the 1 mm cells in the n touches, along axis 0.
     """
     columns, pressed = [np.asarray(x, np.float32) for x in (views, force, travel)], pad or _nominal_pad()
     parts = [_pressures(cfg, pressed, *(x[rows] for x in columns)) for rows in size_classes(len(views))]

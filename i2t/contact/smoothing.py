@@ -15,10 +15,10 @@ from i2t.types import Array as AnyArray
 
 
 def fill(depth: Float[Array, "n n"]) -> Float[Array, "n n"]:
-    """Replace NaN pixels around a known central square by the nearest known pixel, along rows and then columns.
+    """Fill the unknown border of a depth view: copy the nearest known pixel, along rows and then columns.
 
     Args:
-        depth: Depth view (m), NaN where it is unknown.
+        depth: Depth view (m), known in a central square and NaN around it.
 
     Returns:
         `(n, n)` depth view (m) without NaN; known pixels are unchanged.
@@ -42,12 +42,12 @@ def local_planes(
     edges: tuple[float, ...] = (1.5e-3, 0.8e-3, 0.5e-3),
     radius: int = 5,
 ) -> Float[Array, "n n"]:
-    """Replace each pixel by the value of a robust plane through its neighbourhood.
+    """Smooth a depth view, keeping its edges: replace each pixel by a robust plane through its neighbourhood.
 
     Args:
         depth: Depth view (m), NaN where it is unknown.
         sigma: Width (pixels) of the Gaussian weights.
-        edges: Width (m) of the agreement weights in each pass.
+        edges: For each pass, the difference of depth (m) from the plane beyond which a pixel loses weight.
         radius: Half the edge (pixels) of the square neighbourhood.
 
     Returns:

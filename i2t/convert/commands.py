@@ -42,14 +42,14 @@ PACKED_FILE = "touches.h5"  # name of the file that a converter writes
 
 @dataclass(kw_only=True)
 class ReadCommand:
-    """Base of the commands that read."""
+    """Base of the commands of i2t.convert that read a file or folder."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]  # file or folder to read
     # leave out damaged parts and touches in which a chip did not answer, and name what was left out
     skip_bad: bool = False
 
     def run(self) -> None:
-        """Carry out the command; raise DataError for unusable input."""
+        """Carry out the command that the options describe; raise DataError for unusable input."""
         raise NotImplementedError
 
     def _require_source(self) -> None:
@@ -65,7 +65,7 @@ class ReadCommand:
 
 @dataclass(kw_only=True)
 class WriteCommand(ReadCommand):
-    """Base of the commands that write their result."""
+    """Base of the commands of i2t.convert that write a file or folder."""
 
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]  # folder or file to write
     overwrite: bool = False  # replace the files of an earlier conversion
@@ -117,7 +117,7 @@ class WriteCommand(ReadCommand):
 
 @dataclass(kw_only=True)
 class Recording(WriteCommand):
-    """Base of the commands that convert a recording."""
+    """Base of the commands that convert a recording to a data set."""
 
     window_mm: float = 1e3 * PATCH_WINDOW  # edge (mm) of the square that a patch shows; presses outside it are left out
     # largest depth (mm) behind the nearest point in a patch; deeper points are clipped to it
@@ -148,7 +148,7 @@ class Summary(ReadCommand):
     skin_name: str | None = None  # name of the skin to summarise; required if each touch has readings of several skins
 
     def run(self) -> None:
-        """Print the summary."""
+        """Read the data set and print its summary."""
         self._require_source()
         summary = self._load(self.skin_name).summary()
         print(json_text.dumps(summary, indent=1, allow_nan=False) if self.json else _page(self.source, summary))
@@ -171,7 +171,7 @@ class FromImagine2touch(Recording):
     tool_forces: bool = False  # forces are given in the tool's axes, not in those of the robot base
 
     def run(self) -> None:
-        """Convert the recordings and write the data set."""
+        """Convert the Imagine2touch recordings and write the data set."""
         self._require()
         shared = self._shared_options()
         from i2t.convert import imagine2touch
@@ -196,7 +196,7 @@ class FromEflesh(Recording):
     pad: str | None = None  # name of the skin for all sessions; by default, each session has its own
 
     def run(self) -> None:
-        """Convert the sessions and write the data set."""
+        """Convert the eFlesh sessions and write the data set."""
         self._require()
         shared = self._shared_options()
         from i2t.convert import eflesh
@@ -229,7 +229,7 @@ class FromPresses(_FromTable):
     """
 
     def run(self) -> None:
-        """Convert the table and write the data set."""
+        """Convert the table of presses and write the data set."""
         self._require()
         options = self._indenter_options("")
         from i2t.convert import presses
@@ -248,7 +248,7 @@ class FromStream(_FromTable):
     rate_hz: float | None = None
 
     def run(self) -> None:
-        """Convert, or write the table."""
+        """Find the presses in the log, and write them as a data set or a table."""
         if self.rate_hz is not None and not 1 <= self.rate_hz <= 1e4:
             raise DataError(f"--rate-hz is {self.rate_hz:g}; give 1 to 10000 rows in a second")
         if self.target.suffix.lower() == ".csv":
@@ -291,7 +291,7 @@ class ToLeRobot(WriteCommand):
     written: ClassVar[tuple[str, ...]] = ("data", "meta", "README.md")
 
     def run(self) -> None:
-        """Write the LeRobot data set."""
+        """Read the data set and write it in the LeRobot format."""
         self._require_source()
         require_extra("pyarrow", "LeRobot's format")
         self._require()
@@ -313,10 +313,10 @@ COMMANDS: dict[str, Callable[..., ReadCommand]] = {
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run one command.
+    """Run one command of `python -m i2t.convert`.
 
     Args:
-        args: Arguments without the program's name; by default those of this process.
+        args: Arguments without the program's name; by default, those of `sys.argv`.
 
     Returns:
         The exit code, as in `i2t.cli.exit_codes`: 2 if a recording cannot be used.

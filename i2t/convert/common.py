@@ -8,18 +8,18 @@ from i2t.recordings.log import ReadingLog
 
 
 class Converted(NamedTuple):
-    """A data set, and sentences on the assumptions and omissions of the conversion."""
+    """A data set converted from a recording, and sentences on assumptions and omissions of the conversion."""
 
     dataset: Dataset
     notes: tuple[str, ...]
 
 
 def converted(dataset: Dataset, log: ReadingLog) -> Converted:
-    """Add the notes of a conversion to the data set's provenance.
+    """Add the notes of a conversion to the data set's provenance (`Dataset.meta`).
 
     Args:
         dataset: The converted touches.
-        log: Log of the conversion.
+        log: Log that holds the notes.
 
     Returns:
         The data set with its notes, and the notes.

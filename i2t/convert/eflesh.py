@@ -59,7 +59,7 @@ def convert(
     as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
-    """Convert a session or a folder of sessions.
+    """Convert recordings of the eFlesh project, a session or a folder of sessions, to a data set.
 
     Args:
         source: Folder of a session, or of sessions.

@@ -54,20 +54,21 @@ def convert(
     as_stated: bool = False,
     skip_bad: bool = False,
 ) -> Converted:
-    """Convert one object's folder or a folder of them.
+    """Convert recordings in the layout of the Imagine2touch code, one object's folder or several, to a data set.
 
     Args:
         source: Folder of an object, or of several.
         board: Board that recorded the touches.
-        order: Order of a sample's values: "binary" (t first), "ascii" (t last) or "auto".
+        order: Order of a chip's values in a sample: "binary" (temperature t first), "ascii" (t last) or "auto" (found
+            from the data).
         window: Edge (m) of the square that a patch shows.
-        reach: Depth (m) at which a patch ends.
-        camera: Distance (m) of the camera behind the tool's origin.
+        reach: Depth (m) behind the nearest point at which a patch is clipped.
+        camera: Distance (m) of the camera behind the tool's origin, along the tool's z axis.
         quarter_turns: Number of counter-clockwise quarter turns of the images.
-        tool_forces: Whether forces are in the tool's axes.
+        tool_forces: Whether forces are recorded in the tool's axes.
         pad: Name of the skin.
         stated_source: "real" or "simulated", which the layout does not state; None if unknown.
-        as_stated: Whether to take all units and signs as they are.
+        as_stated: Whether to take all units and signs as recorded, without a search for mistakes.
         skip_bad: Whether to leave out damaged parts instead of raising an error.
 
     Returns:

@@ -33,7 +33,7 @@ POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # names of a pose's number
 
 
 def write(target: Path, dataset: Dataset) -> Path:
-    """Write a data set as a LeRobotDataset that appears complete or not at all.
+    """Export a data set to the LeRobotDataset format v3.0; the folder appears complete or not at all.
 
     Args:
         target: Folder to create; an earlier export is replaced.

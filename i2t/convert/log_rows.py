@@ -32,7 +32,7 @@ ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are estimated from th
 
 
 class LabelColumn(IntEnum):
-    """Columns of a row's labels."""
+    """Column indices in `LogRows.labels`: line number, time stamp, names of pad and session, first further value."""
 
     LINE = 0
     STAMP = 1
@@ -41,7 +41,7 @@ class LabelColumn(IntEnum):
 
 
 class LogRows(NamedTuple):
-    """Rows in the order of the log."""
+    """Rows of a log of sensor samples, in its order: time stamps, readings and labels."""
 
     time: np.ndarray  # (n,) s, time stamps of the rows
     readings: np.ndarray  # (n, c) uT; NaN for a chip that did not answer
@@ -61,7 +61,7 @@ class LogRows(NamedTuple):
         return LogRows(self.time[which], self.readings[which], self.labels[which])
 
     def append(self, more: "LogRows") -> "LogRows":
-        """Append further rows.
+        """Append rows that follow in the log.
 
         Args:
             more: The rows that follow.
@@ -78,7 +78,7 @@ class LogRows(NamedTuple):
 
 
 class TimedRows(NamedTuple):
-    """Rows with valid times."""
+    """Rows of a log with ascending times, divided into parts at pauses and restarts of the clock."""
 
     rows: LogRows  # rows with ascending time, except at the beginning of a part
     begins: np.ndarray  # (n,) mask of rows after a pause, or at which the clock begins again
@@ -86,7 +86,7 @@ class TimedRows(NamedTuple):
 
 
 def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: float | None) -> Iterator[TimedRows]:
-    """Put the rows of a log on the clock that its stamps show.
+    """Give the rows of a log of sensor samples valid times, from its time stamps or a stated rate.
 
     Args:
         pieces: Rows in the order of the log, some at a time.

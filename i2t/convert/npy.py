@@ -42,7 +42,7 @@ class _Refused(pickle.UnpicklingError):
 
 
 def find(path: Path) -> Path | None:
-    """Find a file, or the one that `np.save` made of its name by adding .npy.
+    """Find a file of an array by its name, with or without the suffix .npy that `np.save` adds.
 
     Args:
         path: Name of the file.

@@ -36,7 +36,7 @@ Profile: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 class SessionCheck(NamedTuple):
-    """Findings in one session, to be applied to its presses."""
+    """What the readings of a session show about its coordinates (axes, zero height, ...), to correct its presses."""
 
     board: Board
     findings: tuple[Finding, ...] = ()
@@ -44,12 +44,12 @@ class SessionCheck(NamedTuple):
 
     @property
     def zero(self) -> Finding | None:
-        """Finding on the height of first contact, if any."""
+        """Finding on the height of first contact; None if there is none."""
         return find(self.findings, FindingName.HEIGHT_ZERO)
 
     @property
     def correction(self) -> Correction:
-        """Correction of the session's columns."""
+        """Correction of the session's recorded columns that follows from the findings."""
         return correction_of(self.findings)
 
 
@@ -62,13 +62,13 @@ def check_session(
     stated_zero: float | None = None,
     keep_zero: bool = False,
 ) -> SessionCheck:
-    """Estimate the unknown properties of a session, and note each in a sentence.
+    """Estimate properties of a session that its recording does not state or misstates, from the readings.
 
     Args:
         name: Name of the session.
-        presses: Presses as recorded.
-        board: Board as described.
-        notes: Log that receives the sentences.
+        presses: Presses of the session as recorded, before any correction.
+        board: Board of the skin as the user describes it.
+        notes: Log that receives a sentence on each finding.
         stated_zero: Height (m) of first contact that the recording states.
         keep_zero: Whether that height is kept even if the readings contradict it.
 
@@ -87,7 +87,7 @@ def check_session(
 
 
 class Indenter(NamedTuple):
-    """The body that presses."""
+    """An indenter: its name, and the depth patches that show its tip."""
 
     name: str
     # function that makes patches from x, y, window and reach (m)
@@ -96,14 +96,15 @@ class Indenter(NamedTuple):
 
 
 def round_tip(name: str, profile: Profile) -> Indenter:
-    """Make a tip that is a body of revolution.
+    """Make an indenter whose tip is a body of revolution.
 
     Args:
         name: Name of the object in the data set.
-        profile: Profile of the tip.
+        profile: Function from the distance (m) to the tip's axis to the height (m) of its surface above the lowest
+            point.
 
     Returns:
-        The tip, with its patches.
+        The indenter.
     """
     return Indenter(name, lambda x, y, window, reach: tip_patches(profile, x, y, window, reach))
 
@@ -120,14 +121,14 @@ def presses_dataset(
     source: str = "real",
     meta: dict[str, str] | None = None,
 ) -> Dataset:
-    """Make the data set of presses.
+    """Make a data set of presses of one indenter, with a depth patch computed from the indenter's shape.
 
     Args:
         presses: Corrected presses of one skin, or of several with one board, with heights, forces, times, pads and
             sessions.
         tip: Tip that pressed.
         board: Board of the readings.
-        notes: Log that receives omissions.
+        notes: Log that receives a sentence on what was left out.
         whose: Name of the source in messages.
         window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: Depth (m) behind the tip's lowest point to which patches are clipped.
@@ -175,7 +176,7 @@ def presses_dataset(
 
 
 def sphere(radius: float) -> Profile:
-    """Make the profile of the lower half of a sphere: h = R - sqrt(R^2 - r^2).
+    """Make the profile of a sphere's lower half: height h = R - sqrt(R^2 - r^2) at distance r from the axis.
 
     Args:
         radius: Radius (m) of the sphere.
@@ -187,7 +188,7 @@ def sphere(radius: float) -> Profile:
 
 
 def cylinder(radius: float) -> Profile:
-    """Make the profile of the flat end of a cylinder.
+    """Make the profile of the flat end of a cylinder: height 0 up to its radius.
 
     Args:
         radius: Radius (m) of the cylinder.
@@ -199,14 +200,14 @@ def cylinder(radius: float) -> Profile:
 
 
 def tip_patches(profile: Profile, x: np.ndarray, y: np.ndarray, window: float, reach: float) -> np.ndarray:
-    """Compute patches of a tip whose axis stands upright on the skin.
+    """Compute depth patches of an indenter tip whose axis is perpendicular to the skin.
 
     Depth counts from the tip's lowest point, which may lie between two pixels.
 
     Args:
-        profile: Profile of the tip.
-        x: `(n,)` positions (m) of the axis in the tool frame.
-        y: `(n,)` positions (m) of the axis in the tool frame.
+        profile: Function from the distance (m) to the tip's axis to the height (m) of its surface.
+        x: `(n,)` x (m) of the axis in the tool frame.
+        y: `(n,)` y (m) of the axis in the tool frame.
         window: Edge (m) of the square that a patch shows.
         reach: Depth (m) to which patches are clipped.
 

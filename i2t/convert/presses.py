@@ -61,7 +61,7 @@ def convert(
     table: TextTable | None = None,
     stated_source: str | None = None,
 ) -> Converted:
-    """Convert a table of presses.
+    """Convert a table with one press of an indenter in each row to a data set.
 
     Args:
         source: File of the table.
@@ -70,7 +70,7 @@ def convert(
         window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
         unit: Unit of the mesh file: m, cm, mm or inch.
-        as_stated: Whether to take all units, signs and axes as they are.
+        as_stated: Whether to take all units, signs and axes as recorded, without a search for mistakes.
         skip_bad: Whether to leave out damaged rows, with a note, instead of raising an error.
         table: Contents of `source`, if they have been read already.
         stated_source: "real" or "simulated", for a table without a column `source`.

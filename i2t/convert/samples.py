@@ -23,13 +23,13 @@ MAX_SAMPLE_VALUE = 1e6  # uT, largest plausible value; the range of the chips en
 
 
 def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the readings of one run: mean in contact minus mean ambient, over the samples in which all chips
-    answered.
+    """Compute the readings of the touches in one Imagine2touch recording: mean in contact minus mean ambient, over the
+    samples in which all chips answered.
 
     Args:
         tactile: File of the samples in contact, with or without `.npy`; the ambient file is next to it.
-        order: Order of a sample's values: "binary" (t first), "ascii" (t last), or "auto", which searches the steady
-            temperature.
+        order: Order of a chip's values in a sample: "binary" (temperature t first), "ascii" (t last), or "auto", which
+            looks for the steady value, the temperature.
         notes: Log that receives findings and omissions.
 
     Returns:

@@ -50,7 +50,7 @@ from i2t.types import Board
 
 @dataclass(frozen=True)
 class PartRules:
-    """Rules for the parts of a log, at whose ends presses may be cut."""
+    """Thresholds that decide whether a press at the beginning or end of a part of a log was recorded whole."""
 
     head_rows: int = 20  # number of rows at rest at the beginning of a part
     level_rows: int = 3  # number of rows whose mean is a level
@@ -168,16 +168,16 @@ def convert(
     rate: float | None = None,
     stated_source: str | None = None,
 ) -> Converted:
-    """Convert a log of presses of one indenter.
+    """Find the presses of one indenter in a log of sensor samples and convert them to a data set.
 
     Args:
         source: File of the log, plain or gzip-ed.
         indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `unit`.
-        board: Board of the values.
+        board: Board that sent the values.
         window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
         reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
-        unit: Unit of a mesh file.
-        as_stated: Whether to skip the search and correction of mistakes.
+        unit: Unit of a mesh file: m, cm, mm or inch.
+        as_stated: Whether to skip the search for and correction of mistakes in units, signs and axes.
         skip_bad: Whether to leave out damaged rows, with a note on their number.
         rate: Rate (Hz) of the rows, if no time stamps show it.
         stated_source: "real" or "simulated", if the log does not state it.
@@ -203,7 +203,7 @@ def convert(
 
 
 def write_presses(target: Path, table: TextTable) -> Path:
-    """Write presses as the table that `i2t.convert.presses` reads.
+    """Write presses as a table (.csv) that `i2t.convert.presses` reads.
 
     Args:
         target: File of the table.
@@ -213,7 +213,7 @@ def write_presses(target: Path, table: TextTable) -> Path:
         The path of the file.
 
     Raises:
-        DataError: If it cannot be written.
+        DataError: If the file cannot be written.
     """
     with replacing(target) as temporary, temporary.open("w", newline="") as file:
         rows = csv.writer(file)
@@ -223,16 +223,17 @@ def write_presses(target: Path, table: TextTable) -> Path:
 
 
 def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate: float | None = None) -> TextTable:
-    """Find the presses of a log, in the columns that `i2t.convert.presses` reads.
+    """Find the presses in a log of sensor samples and make the table of them that `i2t.convert.presses` reads.
 
     Args:
         source: File of the log, plain or gzip-ed.
-        board: Board of the values.
+        board: Board that sent the values.
         skip_bad: Whether to leave out damaged rows, with a note on their number.
         rate: Rate (Hz) of the rows, if no time stamps show it.
 
     Returns:
-        A row for each press, with the line of the log where it begins, and notes on assumptions and omissions.
+        A table with a row for each press and the line of the log where it begins, and notes on assumptions and
+        omissions.
 
     Raises:
         DataError: If the file is not a log of this board, a row is damaged, or the log holds no press.

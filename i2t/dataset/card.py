@@ -13,11 +13,11 @@ CARD = "README.md"  # name of the file with a data set's card
 
 
 def card_of(dataset: Dataset, *, board_name: str = "", max_notes: int = 40) -> str:
-    """Write the card of a data set as a page of Markdown.
+    """Describe a data set as a page of Markdown, its card.
 
     Args:
         dataset: The data set.
-        board_name: Name of its board (`i2t.skin.boards.name_of_board`), if it has one.
+        board_name: Name of the data set's board (`i2t.skin.boards.name_of_board`), if it has one.
         max_notes: Maximum number of notes listed.
 
     Returns:
@@ -56,15 +56,15 @@ def card_of(dataset: Dataset, *, board_name: str = "", max_notes: int = 40) -> s
 
 
 def write_card(folder: Path | str, dataset: Dataset, *, board_name: str = "") -> Path:
-    """Write the card of a data set; an earlier one is replaced.
+    """Write the card of a data set (`card_of`) to the folder's README.md; an earlier one is replaced.
 
     Args:
         folder: Folder of the data set.
         dataset: The data set.
-        board_name: Name of its board, if it has one.
+        board_name: Name of the data set's board, if it has one.
 
     Returns:
-        The path of the card.
+        The path of the card's file.
 
     Raises:
         DataError: The card cannot be written.

@@ -54,7 +54,7 @@ _LIMITS = _H5Limits()
 
 
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
-    """Write a new HDF5 file of this schema, atomically and durably; an existing file is replaced.
+    """Write a new HDF5 file of touches, atomically and durably; an existing file is replaced.
 
     Args:
         path: Path of the file.
@@ -86,7 +86,7 @@ def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make a rename durable on systems that can synchronise folders; Windows cannot and need not.
+    """Make a rename in a folder survive a power cut, where the system can synchronise folders (not on Windows).
 
     Args:
         folder: The folder in which a file was renamed.
@@ -101,7 +101,7 @@ def sync_folder(folder: Path) -> None:
 
 @contextmanager
 def verified(path: Path) -> Iterator[h5py.File]:
-    """Open a file of this schema for reading, after verifying that no byte of it changed.
+    """Open an HDF5 file of touches for reading, after verifying by its checksum that no byte of it changed.
 
     Args:
         path: Path of the file.

@@ -23,8 +23,8 @@ AXIS_NAMES = ("x", "y", "z")
 
 @dataclass(frozen=True, repr=False)
 class Dataset:
-    """Touches with their names. `touches.object[i]` is an index into `objects`, and `pad` and `session` likewise. Rows
-    are in order of time.
+    """A data set: touches, the names of their objects, pads and sessions, the sensor board, and provenance.
+    `touches.object[i]` is an index into `objects`, and `pad` and `session` likewise. Rows are in order of time.
 
     Example:
         dataset = i2t.load_dataset("DATA")
@@ -75,9 +75,9 @@ class Dataset:
             touches: Simulated touches of one pad.
             objects: Names of the objects, in the order of the simulated surfaces.
             pad: The simulated pad.
-            pad_name: Name of the pad.
+            pad_name: Name of the pad in the data set.
             session: Prefix of the names of sessions, which are numbered.
-            meta: Provenance.
+            meta: Provenance of the touches, as names and texts.
 
         Returns:
             The data set of the simulated touches.
@@ -143,7 +143,7 @@ class Dataset:
 
 
 def holds_simulated(source: str) -> bool:
-    """Test whether any of a data set is known to be simulated.
+    """Test whether any touch of a data set is known to be simulated.
 
     Args:
         source: The source of the data set, one of `SOURCES`.
@@ -155,7 +155,7 @@ def holds_simulated(source: str) -> bool:
 
 
 def source_phrase(source: str) -> str:
-    """Word the source of a data set for a sentence.
+    """Convert the source of a data set to words for a sentence.
 
     Args:
         source: The source of the data set, one of `SOURCES`.
@@ -174,11 +174,11 @@ def _common_source(sources: set[str]) -> str:
 
 
 def missing_views(touches: int, pixels: int = VIEW_PIXELS) -> np.ndarray:
-    """Make the views of touches whose surroundings were not recorded.
+    """Make NaN views for touches whose surroundings were not recorded.
 
     Args:
         touches: Number of touches.
-        pixels: Number of pixels along each edge.
+        pixels: Number of pixels along each edge of a view.
 
     Returns:
         Read-only NaN array of shape (touches, pixels, pixels), which shares one value and takes no memory.
@@ -190,14 +190,14 @@ def concatenate(datasets: Sequence[Dataset]) -> Dataset:
     """Join data sets in the given order, and merge their names.
 
     Args:
-        datasets: At least one data set. The truth is kept if every part has it, and times if any part has them. Entries
-            of `meta` that differ are joined by "; ".
+        datasets: At least one data set. The error-free values (`truth`) are kept if every data set has them, and times
+            if any has them. Entries of `meta` that differ are joined by "; ".
 
     Returns:
         The joined data set.
 
     Raises:
-        DataError: Windows, reaches or boards differ.
+        DataError: The patches' windows or reaches, or the boards, differ.
     """
     if not datasets:
         raise DataError("no data set given; name at least one")
@@ -236,7 +236,7 @@ def times_of(dataset: Dataset) -> np.ndarray:
         dataset: Data set of n touches.
 
     Returns:
-        `(n,)` times (s) on the clock of the recording; NaN where unknown.
+        `(n,)` times (s) on the clock of the recording, Unix time where it has that; NaN where unknown.
     """
     time = dataset.touches.time
     return np.full(len(dataset), np.nan) if time is None else np.asarray(time, np.float64)

@@ -23,12 +23,12 @@ SAME_PLACE_M = 0.2e-3  # m, maximum distance between presses that count as at th
 
 @dataclass(frozen=True)
 class Split:
-    """Masks (n,) of the touches to train on, to choose between methods on, and to test on.
+    """Division of a data set of n touches into training, validation and test touches.
 
     Attributes:
-        train: Touches to fit to.
-        validation: Touches on which to choose between methods.
-        test: Touches on which to report.
+        train: `(n,)` mask of the touches to fit to.
+        validation: `(n,)` mask of the touches on which to choose between methods.
+        test: `(n,)` mask of the touches on which to report results.
         groups: `(n,)` session, spatial block or stretch of time of each touch. A split never divides a group.
         description: Description of what is held out.
 
@@ -51,8 +51,8 @@ class Split:
         Args:
             dataset: Data set of n touches.
             kind: "object", "pad" or "session".
-            validation: Names to validate on.
-            test: Names to test on.
+            validation: Names of the objects, pads or sessions to validate on.
+            test: Names of those to test on.
 
         Returns:
             The split, with sessions as groups.
@@ -67,7 +67,7 @@ class Split:
 
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
-    """Group the rows by their label.
+    """Group row numbers by an integer label of each row.
 
     Args:
         labels: `(n,)` integers, such as an index array of touches, or block numbers.
@@ -79,7 +79,7 @@ def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
 
 
 def square_blocks(position: np.ndarray, edge: float, *, origin: tuple[float, float] | None = None) -> np.ndarray:
-    """Assign positions to square blocks. A position on an edge belongs to the block above it.
+    """Number the square blocks in which positions are; one on an edge belongs to the block of larger coordinate.
 
     Args:
         position: `(n, 2)` positions (m).
@@ -98,7 +98,7 @@ def square_blocks(position: np.ndarray, edge: float, *, origin: tuple[float, flo
 
 
 def same_places(position: np.ndarray) -> np.ndarray:
-    """Group positions into places no wider than `SAME_PLACE_M`, by complete linkage.
+    """Group positions that count as the same place: groups no wider than `SAME_PLACE_M` (complete linkage).
 
     Args:
         position: `(n, 2)` positions (m).
@@ -135,17 +135,17 @@ def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarr
 
 
 def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
-    """Assign touches to square blocks over x and y of the tool's position in the object's frame, object by object.
+    """Number square blocks over x and y of the tool's position in the object's frame, separately for each object.
 
-    A position on an edge belongs to the block above it. If the object's pose is unknown, the world frame of the touch's
-    session is used instead.
+    A position on an edge belongs to the block of larger coordinate. If the object's pose is unknown, the world frame
+    of the touch's session is used instead.
 
     Args:
         dataset: Data set of n touches.
         size: Edge (m) of a block.
 
     Returns:
-        `(n,)` block numbers of the touches.
+        `(n,)` number of each touch's block.
     """
     touches = dataset.touches
     unknown = np.isnan(touches.T_w_o).any((1, 2))
@@ -158,7 +158,7 @@ def spatial_blocks(dataset: Dataset, size: float) -> np.ndarray:
 
 
 def holdout_blocks(dataset: Dataset, size: float, fraction: float, seed: int) -> np.ndarray:
-    """Hold out random whole blocks of space, as few as hold at least a fraction of the touches.
+    """Hold out the touches in random whole blocks (`spatial_blocks`), as few as hold a fraction of the touches.
 
     Args:
         dataset: Data set of n touches.

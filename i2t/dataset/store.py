@@ -50,7 +50,7 @@ T = TypeVar("T")
 
 
 class SkinChoiceError(DataError):
-    """The skin is ambiguous or unknown. The message does not name the file."""
+    """No skin was named although a touch has several, or the named skin is unknown. The message names no file."""
 
 
 class BadFileWarning(UserWarning):
@@ -59,7 +59,7 @@ class BadFileWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Image:
-    """An image of one touch as the camera delivered it. A value times `scale` is in `unit` (depth: uint16, m)."""
+    """A depth or colour image of one touch as the camera delivered it. A value times `scale` is in `unit`."""
 
     values: np.ndarray  # (rows, columns) or (rows, columns, channels), integers
     scale: float = 1.0
@@ -68,7 +68,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Series:
-    """Samples with their own clock."""
+    """A recorded time series of one touch: samples of several columns, each with its time."""
 
     time: np.ndarray  # (n,) s, Unix time
     values: np.ndarray  # (n, k) values of the columns
@@ -78,7 +78,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Record:
-    """Everything that was recorded of one touch."""
+    """Everything that was recorded of one touch: its measurements, images, time series, events and counts."""
 
     touch: Dataset  # data set that holds one touch
     images: Mapping[str, Image] = field(default_factory=dict)
@@ -93,7 +93,7 @@ class Record:
         return (self.touch.meta.get(SKIN_NAME, ""), *self.skins)
 
     def of_skin(self, name: str | None = None) -> "Record":
-        """Select the record of one of several skins, as if it had been the only one.
+        """Select the part of a touch's record that belongs to one of several skins, as if it had been the only one.
 
         Args:
             name: Name of the skin. It may be omitted if there is only one.
@@ -115,7 +115,7 @@ class Record:
 
 
 def save_dataset(path: str | Path, dataset: Dataset) -> Path:
-    """Pack a data set into one file, atomically.
+    """Write a data set to one packed HDF5 file, completely or not at all.
 
     Args:
         path: Path of the file, ending in .h5. An existing file is replaced.
@@ -188,7 +188,7 @@ def write_touch(folder: str | Path, record: Record, at: float | None = None) -> 
 
 
 def read_touch(path: str | Path) -> Record:
-    """Read everything that `write_touch` recorded.
+    """Read everything that was recorded of one touch from the file that `write_touch` wrote.
 
     Args:
         path: Path of the file. A packed file of one touch is read as a record without images and series.
@@ -231,7 +231,7 @@ def read_touch(path: str | Path) -> Record:
 def load_dataset(
     path: str | Path, *, skip_bad: bool = False, missing_chips: bool = False, skin: str | None = None
 ) -> Dataset:
-    """Read a packed file, a recorded touch, or a folder of these with its subfolders.
+    """Read a data set from a packed file, a file of one recorded touch, or a folder of these with its subfolders.
 
     Touches are in the order of the files' names, which is that of time for recorded touches. Hidden files, such as
     temporary files of an interrupted writer, index.json and the card README.md are ignored.

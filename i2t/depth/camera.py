@@ -36,7 +36,7 @@ COMMON_UNITS_M = (1e-3, 2.5e-4, 2e-4, 1.25e-4, 1e-4)
 
 @dataclass(frozen=True)
 class PlausibleDepth:
-    """Distances (m) at which a camera sees what a tool touches; others show that an image is not in metres."""
+    """Range of depth (m) that nearly all pixels of an image must be in; others show that it is not in metres."""
 
     nearest: float = 0.02
     farthest: float = 5.0
@@ -45,7 +45,7 @@ class PlausibleDepth:
 
 @dataclass(frozen=True)
 class PlausibleLens:
-    """Bounds on a lens; beyond them it was given in another unit, in another order or for another image size."""
+    """Bounds on a camera's lens parameters, beyond which unit, order or image size are taken to be mistaken."""
 
     # smallest focal length relative to the image's edge: an angle of view of 152 degrees
     min_focal_ratio: float = 1 / 8
@@ -70,7 +70,7 @@ class PlausibleLens:
 
 
 class Distortion(StrEnum):
-    """Lens models of RealSense's depth cameras by librealsense's names; `i2t.depth.distortion` gives the formulas."""
+    """Lens distortion models of RealSense cameras by librealsense's names; `i2t.depth.distortion` has the formulas."""
 
     NONE = "none"
     MODIFIED_BROWN_CONRADY = "modified_brown_conrady"
@@ -89,7 +89,7 @@ MODEL_NAMES: dict[str, Distortion | None] = {
 
 
 class Encoding(StrEnum):
-    """How a file encodes depth in its 16-bit numbers."""
+    """Encodings of depth in the 16-bit numbers of a depth image file."""
 
     PLAIN = "plain"
     ROTATED = "rotated"  # rotated left by three bits, as in files of a RealSense F200
@@ -97,7 +97,7 @@ class Encoding(StrEnum):
 
 @dataclass(frozen=True)
 class Camera:
-    """The image size and the lens of a depth camera, in pixels. A camera can be a static argument under `jit`.
+    """Image size, focal lengths, principal point (pixels) and distortion of a depth camera; hashable, static in `jit`.
 
     `coefficients` are in the order of librealsense and OpenCV: k1, k2, p1, p2, k3. Missing ones are zero. `model` is a
     `Distortion`, or another program's name for the same model, such as ROS's plumb_bob for brown_conrady.
@@ -204,7 +204,7 @@ def _check_lens_fits_image(camera: Camera, plausible: PlausibleLens) -> None:
 
 
 def brown_conrady(camera: Camera, x: Any, y: Any) -> tuple[Any, Any]:
-    """Apply radial and tangential distortion.
+    """Apply the lens distortion of a Brown-Conrady model to lines of sight.
 
     The modified model applies the tangential part to the radially distorted point instead of the original one. The
     function uses arithmetic only, so that it accepts arrays of NumPy and of JAX.
@@ -248,13 +248,13 @@ def _jacobian(camera: Camera, x: Any, y: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def fold_radius(camera: Camera) -> float:
-    """Compute the radius at which the radial part of `brown_conrady` folds: points beyond it are moved inwards again.
+    """Compute the radius at which a lens model folds: `brown_conrady` moves points beyond it inwards again.
 
     Args:
         camera: The camera, whose coefficients are used.
 
     Returns:
-        The radius in the unit of x = x / z, infinite for a lens that does not fold.
+        The radius as a ratio to z, sqrt(x^2 + y^2) / z; infinite for a lens that does not fold.
     """
     k1, k2, _, _, k3 = camera.coefficients
     squares = np.roots([7 * k3, 5 * k2, 3 * k1, 1])  # r^2 at which d/dr (r + k1 r^3 + k2 r^5 + k3 r^7) = 0
@@ -265,19 +265,19 @@ def fold_radius(camera: Camera) -> float:
 def invert_brown_conrady(
     camera: Camera, x: Any, y: Any, *, xp: Any = np, repeat: Callable[[int, Callable, Any], Any] | None = None
 ) -> tuple[Any, Any]:
-    """Invert `brown_conrady` within the radius at which the lens folds.
+    """Remove lens distortion: invert `brown_conrady` within the radius at which the lens folds.
 
     Bisection of the radius finds a start for Newton's method.
 
     Args:
         camera: The camera, whose model and coefficients are used.
-        x: The distorted x, of any shape.
-        y: The distorted y, of the same shape.
+        x: Distorted x / z of lines of sight, of any shape.
+        y: Distorted y / z, of the same shape.
         xp: The array namespace: NumPy, or `jax.numpy`.
         repeat: `repeat(n, step, value)` applies `step` to a value n times; None uses a Python loop.
 
     Returns:
-        x and y before distortion; NaN where no point within the fold is mapped to the given one.
+        x / z and y / z before distortion; NaN where no point within the fold is mapped to the given one.
     """
     # 10 is 84 degrees off the camera's axis; at the fold itself the derivative is zero.
     limit = 0.999 * min(fold_radius(camera), 10.0)
@@ -334,7 +334,7 @@ def _check_folds(camera: Camera, plausible: PlausibleLens) -> None:
 
 
 def measured_mask(depth: Any) -> Any:
-    """Mark the pixels of a depth image that were measured. It accepts arrays of NumPy and of JAX.
+    """Mark the pixels of a depth image that were measured. Accepts arrays of NumPy and of JAX.
 
     Args:
         depth: Depth (m) along the camera's axis, floats of any shape.
@@ -356,11 +356,11 @@ def _is_full_scale(depth: Any) -> Any:
 
 
 def to_units(depth: np.ndarray, unit: float) -> np.ndarray:
-    """Convert depth to the 16-bit numbers of a file, the inverse of `read_depth`.
+    """Convert a depth image to the 16-bit numbers of a file, the inverse of `read_depth`.
 
     Args:
         depth: Depth (m), with holes as `measured_mask` recognises them.
-        unit: Metres per unit.
+        unit: Metres per unit of the numbers.
 
     Returns:
         uint16 numbers of the same shape; 0 in holes and where depth exceeds 16 bits.
@@ -376,7 +376,7 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
 
     Args:
         path: The file's path.
-        scale: Metres per unit, or "m" or "mm".
+        scale: Metres per unit of the file's numbers, or "m" or "mm".
         encoding: An `Encoding`. With "rotated", 16-bit numbers are rotated right by three bits first.
 
     Returns:
@@ -409,7 +409,7 @@ def read_depth(path: str | Path, scale: float | str, encoding: str = Encoding.PL
 
 
 def metres_per_unit(scale: Any, whose: str | Path) -> float:
-    """Convert the scale of depth files to a number.
+    """Convert the scale of a depth file, as a user gives it, to metres per unit.
 
     Args:
         scale: Metres per unit, or "m" or "mm".
@@ -430,7 +430,7 @@ def metres_per_unit(scale: Any, whose: str | Path) -> float:
 def stored_mask(
     values: np.ndarray, path: str | Path, *, max_fraction: float = 0.01, max_gap: float = 0.98
 ) -> np.ndarray:
-    """Mark the measured pixels of a depth file by the numbers that it stores.
+    """Mark the measured pixels of a depth file from the numbers that it stores, before they are scaled to metres.
 
     Args:
         values: `(h, w)` integers or floats, in the file's own unit.
@@ -471,16 +471,16 @@ def stored_mask(
 
 
 def check_view(depth: Any, camera: Camera, T_w_c: Any, T_w_t: Any) -> None:
-    """Refuse arguments of `i2t.depth.patches.patch_from_depth` that make no sense, before they are traced.
+    """Refuse a depth image or poses that `i2t.depth.patches.patch_from_depth` cannot use, before JAX traces them.
 
     Args:
         depth: `(h, w)` depth (m).
         camera: The camera.
-        T_w_c: `(4, 4)` pose of the camera.
-        T_w_t: `(4, 4)` pose of the tool, from which the patch is seen.
+        T_w_c: `(4, 4)` pose of the camera in the world.
+        T_w_t: `(4, 4)` pose of the tool in the world, from which the patch is seen.
 
     Raises:
-        ValueError: The depth image makes no sense, or a pose is not rigid.
+        ValueError: The depth image is refused by `check_depth`, or a pose is not rigid.
     """
     check_depth(depth, camera)
     validation.pose("T_w_c", T_w_c)
@@ -496,7 +496,7 @@ def check_depth(depth: Any, camera: Camera, *, plausible: PlausibleDepth = Plaus
         plausible: The distances between which nearly all pixels must lie.
 
     Raises:
-        ValueError: The image makes no sense.
+        ValueError: The image is refused.
     """
     check_image(depth, camera)
     values = np.asarray(depth)

@@ -27,11 +27,11 @@ from i2t.depth.camera import Camera, Distortion, brown_conrady, fold_radius, inv
 
 
 def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"]:
-    """Find where points appear in the image.
+    """Project points to the pixels at which the camera sees them.
 
     Args:
         camera: The camera.
-        points: `(*n, 3)` points (m) in C, in front of the camera.
+        points: `(*n, 3)` points (m) in the camera frame C, in front of the camera.
 
     Returns:
         `(*n, 2)` pixels (column, row); NaN beyond the lens's fold.
@@ -40,7 +40,7 @@ def project(camera: Camera, points: Float[Array, "*n 3"]) -> Float[Array, "*n 2"
 
 
 def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, "*n"]) -> Float[Array, "*n 3"]:
-    """Find the points that pixels show.
+    """Compute the 3-D points that pixels of known depth show.
 
     Args:
         camera: The camera.
@@ -48,14 +48,14 @@ def deproject(camera: Camera, pixels: Float[Array, "*n 2"], depth: Float[Array, 
         depth: `(*n,)` depth (m) along the camera's axis.
 
     Returns:
-        `(*n, 3)` points (m) in C; NaN for pixels without a line of sight.
+        `(*n, 3)` points (m) in the camera frame C; NaN for pixels without a line of sight.
     """
     x, y = _undistort(camera, (pixels[..., 0] - camera.cx) / camera.fx, (pixels[..., 1] - camera.cy) / camera.fy)
     return jnp.stack([x * depth, y * depth, depth], -1)
 
 
 def pixel_rays(camera: Camera) -> Float[Array, "2 height width"]:
-    """Find every pixel's line of sight.
+    """Compute the line of sight of every pixel of a camera.
 
     Args:
         camera: The camera.
@@ -68,7 +68,7 @@ def pixel_rays(camera: Camera) -> Float[Array, "2 height width"]:
 
 
 def project_to_pixel(camera: Camera, x: Float[Array, "*n"], y: Float[Array, "*n"]) -> Float[Array, "*n 2"]:
-    """Find the pixels of lines of sight.
+    """Compute the pixels at which lines of sight meet the image, with lens distortion.
 
     Args:
         camera: The camera.

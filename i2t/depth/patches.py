@@ -39,7 +39,7 @@ from i2t.types import Patch, in_one_line
 
 @dataclass(frozen=True)
 class SurfaceTracing:
-    """How rays are followed through a depth image to its surface.
+    """Settings of the tracing of rays through a depth image to its surface.
 
     Example:
         tracing = i2t.SurfaceTracing(max_depth_step=3e-3)  # for a coarse camera
@@ -64,12 +64,12 @@ class _DepthPatch(NamedTuple):
 
 @in_one_line
 class DepthPatch(_DepthPatch):
-    """A patch extracted from a depth image, and masks of its measured and interpolated pixels.
+    """A depth patch extracted from a camera's depth image, and masks of its measured and interpolated pixels.
 
     Attributes:
         window: The edge of the patch (m) that `patch_from_depth` was given.
-        reach: The depth (m) at which the patch is clipped. Both are static and not part of the tuple, so they become
-            None, which means unknown, in a transformation of JAX.
+        reach: The depth (m) behind the nearest point at which the patch is clipped. Both are static and not part of
+            the tuple, so they become None, which means unknown, in a transformation of JAX.
     """
 
     window: float | None = None
@@ -78,7 +78,7 @@ class DepthPatch(_DepthPatch):
 
 @in_one_line
 class DepthView(NamedTuple):
-    """A patch and its surroundings from a depth image."""
+    """A depth patch and its surroundings, extracted from a camera's depth image, with a mask of its known pixels."""
 
     view: PatchView
     known_mask: Bool[Array, "w w"]  # True for pixels that were measured or interpolated
@@ -96,7 +96,7 @@ def patch_from_depth(
     fill: float = 2e-3,
     tracing: SurfaceTracing = SurfaceTracing(),
 ) -> DepthPatch:
-    """Extract the patch in front of a tool from a depth image; `render_patch` does the same for a mesh.
+    """Extract the depth patch in front of a tool from a depth image; `render_patch` does the same for a mesh.
 
     All arguments except `depth` and the two poses are static. The function has no reverse-mode derivative. A hole is
     bridged from side to side. Where its sides differ in depth by more than its width, it is filled to the deeper side,
@@ -106,8 +106,8 @@ def patch_from_depth(
         depth: `(height, width)` depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask`
             recognises them.
         camera: The camera.
-        T_w_c: `(4, 4)` pose of the camera.
-        T_w_t: `(4, 4)` pose of the tool, along whose z axis the patch is seen.
+        T_w_c: `(4, 4)` pose of the camera in the world.
+        T_w_t: `(4, 4)` pose of the tool in the world, along whose z axis the patch is seen.
         window: The edge of the patch (m).
         pixels: The number of pixels along the edge.
         reach: The depth (m) behind the nearest point at which the patch is clipped.
@@ -153,20 +153,20 @@ def view_from_depth(
     *,
     reach: float = 80e-3,
 ) -> DepthView:
-    """Extract a patch with its surroundings from a depth image, in the form in which a simulated camera sees them.
+    """Extract a depth patch with its surroundings from a depth image, in the form of simulated views.
 
     A model that was trained on simulated views accepts these views as well.
 
     Args:
         depth: `(height, width)` depth (m), as for `patch_from_depth`.
         camera: The camera; static.
-        T_w_c: `(4, 4)` pose of the camera.
-        T_w_t: `(4, 4)` pose of the tool.
+        T_w_c: `(4, 4)` pose of the camera in the world.
+        T_w_t: `(4, 4)` pose of the tool in the world.
         reach: The depth (m) behind the nearest point to which the view is followed; static.
 
     Returns:
-        The view, relative to the patch's nearest surface, and a mask of its measured or interpolated pixels. The
-        others are at the view's reach.
+        The view, with depths (m) along tool z behind the patch's nearest surface point, and a mask of its measured or
+        interpolated pixels. The others are at the view's reach.
 
     Raises:
         ValueError: As for `patch_from_depth`.

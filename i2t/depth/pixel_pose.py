@@ -24,7 +24,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class PlaneFit:
-    """Conditions under which points determine a plane.
+    """Conditions under which points around a pixel determine the plane on which a skin is laid.
 
     Example:
         T_w_t = i2t.pose_at_pixel(image, camera, T_w_c, (320, 200), plane=i2t.PlaneFit(min_points=20))
@@ -56,7 +56,7 @@ def pose_at_pixel(
         depth: `(h, w)` depth (m) along the camera's axis, with holes as `i2t.depth.camera.measured_mask` recognises
             them.
         camera: The camera.
-        T_w_c: `(4, 4)` pose of the camera.
+        T_w_c: `(4, 4)` pose of the camera in the world W.
         pixel: (u, v), column and row. The centre of the upper left pixel is (0, 0), and the nearest pixel is taken.
         roll: Angle (rad) by which the tool is turned about its z axis.
         radius: Distance (m) from the pixel's point within which measured points determine the plane. Half the skin's

@@ -43,10 +43,10 @@ SLOW_FIELD_S = 1.0  # s, assumed correlation time of the slow ambient field comm
 
 
 class VirtualClock:
-    """Time that passes only while a caller waits.
+    """Clock of a simulation, whose time passes only while a caller waits.
 
     Args:
-        wall: Unix time (s) at which it begins.
+        wall: Unix time (s) at which the clock begins.
     """
 
     def __init__(self, wall: float) -> None:
@@ -57,7 +57,7 @@ class VirtualClock:
         return self._now
 
     def wall(self) -> float:
-        """Return the Unix time (s)."""
+        """Return the Unix time (s) of the simulation."""
         return self._begun + self._now
 
     def sleep(self, seconds: float) -> None:
@@ -66,11 +66,11 @@ class VirtualClock:
 
 
 class SkinInLab:
-    """A skin on the tool of a lab, which records sample after sample.
+    """A simulated skin on the tool of a `SimulatedLab`, which records noisy samples at 400 Hz.
 
     Args:
-        scene: Scene that it touches.
-        T_tool_skin: `(4, 4)` pose on the tool; by default the tool's frame.
+        scene: Scene with the object that the skin touches.
+        T_tool_skin: `(4, 4)` pose (m) of the skin on the tool; by default the tool's frame.
         seed: Seed of the noise.
     """
 
@@ -86,7 +86,7 @@ class SkinInLab:
         self._noise: list[tuple[Array, Array]] = []
 
     def measure(self, now: float, rotation: Array) -> None:
-        """Record a sample, if the skin is connected.
+        """Record one sample of the skin, if it is connected.
 
         Args:
             now: Time (s) of the sample.
@@ -120,11 +120,11 @@ class SkinInLab:
 
 
 class SimulatedLab:
-    """A tool that moves in a scene, and the samples of its skins, up to the clock's present.
+    """Simulation of a robot's tool that moves and touches an object, and of the samples of the skins on it.
 
     Args:
-        scene: Scene that the tool touches.
-        clock: Clock in whose time it moves.
+        scene: Scene with the object that the tool touches.
+        clock: Clock up to whose time the simulation advances.
         seed: Seed of the noise.
     """
 
@@ -151,7 +151,7 @@ class SimulatedLab:
         return skin
 
     def advance(self) -> None:
-        """Advance the tool and the samples to the present."""
+        """Advance the tool's motion and the skins' samples to the clock's present time."""
         with self.lock:
             now = self.clock.now()
             self.time = max(self.time, now - 60.0)  # a longer time without queries is skipped
@@ -165,10 +165,10 @@ class SimulatedLab:
 
 
 class SimulatedSkin(QueuedSkin):
-    """A skin (`i2t.hardware.protocols.Skin`) at 400 Hz. Set `silent` to make it fall silent.
+    """A simulated skin with the interface of a real one (`i2t.hardware.protocols.Skin`). Set `silent` to silence it.
 
     Args:
-        lab: Lab in which its arm moves.
+        lab: Simulation of the tool that carries the skin.
         skin: One of the lab's skins; by default the pressing one.
     """
 
@@ -183,12 +183,12 @@ class SimulatedSkin(QueuedSkin):
 
     @property
     def counters(self) -> SkinCounters:
-        """Counts of samples and connections so far; no sample is ever lost."""
+        """Counts of samples and connections since the skin was made; no sample is ever lost."""
         rate = 1 / TICK_S if self._open else 0.0
         return SkinCounters(samples=self.in_lab.number, connects=self._connects, rate=rate)
 
     def connect(self) -> None:
-        """Begin to send samples from now on."""
+        """Start sending samples, and wait for the first one."""
         with self.lab.lock:
             self.lab.advance()
             self.in_lab.recording = self._open = True
@@ -196,7 +196,7 @@ class SimulatedSkin(QueuedSkin):
         self.read(1)
 
     def close(self) -> None:
-        """Stop sending."""
+        """Stop sending samples."""
         self.in_lab.recording = self._open = False
 
     def _check(self) -> None:
@@ -211,12 +211,12 @@ class SimulatedSkin(QueuedSkin):
 
 
 class SimulatedArm(PolledArm):
-    """An arm with guarded approaches (`i2t.hardware.protocols.GuardedArm`).
+    """A simulated arm with the interface of a real one (`i2t.hardware.protocols.GuardedArm`).
 
     Args:
-        lab: Lab in which it moves.
+        lab: Simulation of the tool that the arm moves.
         limits: Limits of every motion.
-        latency: Delay (s) before it brakes.
+        latency: Delay (s) between a command to brake and braking.
     """
 
     name, source = "the simulated arm", "simulated"
@@ -227,7 +227,7 @@ class SimulatedArm(PolledArm):
         self.lab, self.latency = lab, latency
 
     def read_state(self) -> ArmState:
-        """Read the present state."""
+        """Return the simulated arm's present state."""
         with self.lab.lock:
             self.lab.advance()
             robot = self.lab.robot
@@ -250,7 +250,7 @@ class SimulatedArm(PolledArm):
             robot.line_to(np.array(pose_to_vector(T_b_t)), speed, acceleration)
 
     def brake(self) -> None:
-        """Brake, after the delay if the tool moves."""
+        """Brake a moving tool after the delay `latency`."""
         if self.lab.robot.motion is not None:
             self.clock.sleep(self.latency)
         with self.lab.lock:
@@ -258,19 +258,19 @@ class SimulatedArm(PolledArm):
             self.lab.robot.stop(SAFETY.braking_m_s2)
 
     def zero_sensor(self) -> None:
-        """Zero the sensor at the present wrench."""
+        """Zero the force and torque sensor at the present wrench."""
         self.lab.robot.zero_wrench()
 
 
 class SimulatedCamera(CameraBase):
-    """A depth camera (`i2t.hardware.protocols.DepthCamera`) on the tool of an arm.
+    """A simulated depth camera (`i2t.hardware.protocols.DepthCamera`) on the tool of an arm.
 
     Args:
-        scene: Scene that it sees.
+        scene: Scene with the object that the camera sees.
         camera: Image size and lens, without distortion.
         T_t_c: `(4, 4)` assumed pose of the camera on the tool.
         pose: Function that returns the present pose T_b_t (4, 4) of the tool, of a simulated arm or any other.
-        clock: Clock that dates its views.
+        clock: Clock that dates the views.
         seed: Seed of the noise.
     """
 
@@ -291,15 +291,15 @@ class SimulatedCamera(CameraBase):
         self._open = False
 
     def connect(self) -> None:
-        """Switch the camera on."""
+        """Switch the simulated camera on."""
         self._open = True
 
     def close(self) -> None:
-        """Switch the camera off."""
+        """Switch the simulated camera off."""
         self._open = False
 
     def capture(self, timeout: float = 2.0) -> View:
-        """Take a view from the tool's present pose, as in `DepthCamera.capture`, without a timeout."""
+        """Render a view from the tool's present pose, as in `DepthCamera.capture`; `timeout` has no effect."""
         if not self._open:
             raise self._not_connected()
         self._clock.sleep(1 / self.features.rate)

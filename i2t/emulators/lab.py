@@ -39,7 +39,7 @@ run_lab = partial(processes.run_emulator, "i2t.emulators.lab")  # takes options;
 
 @dataclass(frozen=True, kw_only=True)
 class EmulatedLabArgs(ur_controller.ControllerArgs):
-    """An emulated lab."""
+    """Emulate a UR controller whose tool touches an object, and the boards of its skins, as separate programs."""
 
     link: Path  # symbolic link to create as the name of the skin's port
     board: str = DEFAULT_BOARD  # board of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file (.toml)

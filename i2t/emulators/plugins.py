@@ -25,13 +25,13 @@ if TYPE_CHECKING:
 
 
 def virtual_clock(begin: float) -> Clock:
-    """Make a clock whose time passes without waiting.
+    """Make the clock of simulated devices, whose waits advance its time at once.
 
     Args:
-        begin: Earliest Unix time (s) at which it may begin.
+        begin: Earliest Unix time (s) at which the clock may begin.
 
     Returns:
-        A virtual clock that begins now, or at that time.
+        A virtual clock that begins now, or at `begin` if that is later.
     """
     from i2t.emulators.in_process import VirtualClock
 
@@ -39,7 +39,7 @@ def virtual_clock(begin: float) -> Clock:
 
 
 def make_simulated_arm(setup: DeviceSetup) -> "SimulatedArm":
-    """Make an arm in a lab of its own.
+    """Make a simulated arm in a simulated lab of its own.
 
     Args:
         setup: The world, the rig, and the board of the skin that the arm carries.
@@ -55,10 +55,10 @@ def make_simulated_arm(setup: DeviceSetup) -> "SimulatedArm":
 
 
 def make_simulated_skin(setup: DeviceSetup) -> "SimulatedSkin":
-    """Make a skin of the arm's lab. A further skin has a pad of its own.
+    """Make a simulated skin on a simulated arm. A further skin on the tool has a random pad of its own.
 
     Args:
-        setup: The set-up, with the arm.
+        setup: The set-up, with the simulated arm that carries the skin.
 
     Returns:
         The skin, not connected.
@@ -73,10 +73,10 @@ def make_simulated_skin(setup: DeviceSetup) -> "SimulatedSkin":
 
 
 def make_simulated_camera(setup: DeviceSetup) -> "SimulatedCamera":
-    """Make a camera on the arm that carries it.
+    """Make a simulated camera on a simulated or emulated arm.
 
     Args:
-        setup: The set-up, with the arm.
+        setup: The set-up, with the arm that carries the camera.
 
     Returns:
         The camera. It sees the scene of the arm's lab, or the object of the world if the arm has no lab.
@@ -99,7 +99,7 @@ def make_simulated_camera(setup: DeviceSetup) -> "SimulatedCamera":
 
 
 def make_emulated_arm(setup: DeviceSetup) -> "UrArm":
-    """Make the real driver with an emulated controller, whose tool touches the object and carries emulated skins.
+    """Make the driver of a real UR arm, connected to an emulated controller whose tool carries emulated skins.
 
     Args:
         setup: The set-up, with the address of a running lab; without an address, one is started with the rig's emulated
@@ -137,7 +137,7 @@ def make_emulated_arm(setup: DeviceSetup) -> "UrArm":
 
 
 def make_emulated_skin(setup: DeviceSetup) -> "ReSkin":
-    """Make the real driver with an emulated board.
+    """Make the driver of a real ReSkin board, reading an emulated board.
 
     Args:
         setup: The set-up, with the arm, and the port of a running board unless the arm's lab was started.

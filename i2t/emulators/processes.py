@@ -13,17 +13,17 @@ Address: TypeAlias = tuple[str, int]  # host and port of an emulated board
 
 @contextmanager
 def run_emulator(module: str, *options: str) -> Iterator[tuple[str, "subprocess.Popen[str]"]]:
-    """Run an emulator next to this process.
+    """Run an emulator as a child process while the block runs.
 
     Args:
-        module: Name of its module, which takes `--tethered` and prints a line once it is ready.
-        options: Options of its command line.
+        module: Name of the emulator's module, which takes `--tethered` and prints a line once it is ready.
+        options: Options of the emulator's command line.
 
     Yields:
-        That line, and the process, from which further lines can be read.
+        The line that the emulator printed, and its process, from which further lines can be read.
 
     Raises:
-        RuntimeError: If it did not start.
+        RuntimeError: If the emulator did not start.
     """
     command = [sys.executable, "-m", module, "--tethered", *options]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:

@@ -40,7 +40,7 @@ run_board = partial(processes.run_emulator, "i2t.emulators.reskin_board")  # tak
 
 @dataclass(frozen=True)
 class BoardSignal:
-    """Signal of an emulated board. Noise and steps are those measured on real boards, at the paper's settings."""
+    """Fields, noise and steps of an emulated board's values; noise and steps as measured on real ReSkin boards."""
 
     ambient: tuple[float, float, float] = (18.0, -7.0, -41.0)  # uT, ambient field in tool axes, about the Earth's field
     noise: tuple[float, float, float] = (3.1, 3.1, 4.6)  # uT, standard deviation of a sample of x, y and z
@@ -56,7 +56,7 @@ class BoardSignal:
 
 @dataclass(frozen=True)
 class EmulatedBoardArgs:
-    """An emulated ReSkin, AnySkin or eFlesh board."""
+    """Emulate a ReSkin, AnySkin or eFlesh board on a pseudo-terminal, with faults on demand."""
 
     link: Path | None = None  # symbolic link to the port, created at the start and removed at the end
     board: str = "reskin"  # board to emulate: reskin, anyskin, or grid-RxC for R rows and C columns of chips
@@ -84,11 +84,11 @@ class EmulatedBoardArgs:
 
 
 class Readings:
-    """Readings of the chips, sample after sample.
+    """Random readings of an emulated board's chips, with noise, temperature and periodic presses.
 
     Args:
         noise: Noise relative to that of real boards.
-        press: Size of the periodic presses.
+        press: Size of the periodic presses, as a multiple of `BoardSignal.press`; 0 for none.
         seed: Seed of the noise.
         board: Board of the chips; by default ReSkin's.
         signal: Fields, noise and steps of the board.
@@ -106,13 +106,13 @@ class Readings:
         self.field = np.asarray(board.to_board(np.tile(signal.ambient, (self.chips, 1))))
 
     def at(self, now: float) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " chips"]]:
-        """Draw one sample.
+        """Draw one sample of all chips.
 
         Args:
             now: Time (s) since the board was opened.
 
         Returns:
-            The reading (uT) and the chips' temperatures (degrees Celsius).
+            The reading (uT, 3 values for each chip) and the chips' temperatures (degrees Celsius).
         """
         signal = self._signal
         pressed = max(0.0, np.sin(2 * np.pi * now / signal.press_period)) ** 2
@@ -126,10 +126,10 @@ class Readings:
 
 
 class BoardPort:
-    """The board's end of a pseudo-terminal, which may be unplugged.
+    """An emulated board's end of a pseudo-terminal, which stands for a serial port and may be unplugged.
 
     Args:
-        link: Path that names the other end; None for no name.
+        link: Symbolic link to create to the end that a driver opens; None for no link.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -138,11 +138,11 @@ class BoardPort:
 
     @property
     def plugged(self) -> bool:
-        """Whether there is a port."""
+        """Whether the port exists: plugged in and not unplugged since."""
         return self.master is not None
 
     def plug(self) -> str:
-        """Make the port and return its path."""
+        """Create the port and its link, and return the path that a driver opens."""
         self.master, slave = os.openpty()
         tty.setraw(slave)
         port = os.ttyname(slave)
@@ -177,7 +177,7 @@ class BoardPort:
         return next((int(name[1:]) for name in names if getattr(termios, name) == code), 0)
 
     def send(self, chunk: bytes) -> None:
-        """Send bytes. Those that do not fit the port's buffer are lost, and so are bytes sent to the board.
+        """Send bytes to the driver. Those that do not fit the buffer are lost, and so are bytes sent to the board.
 
         Args:
             chunk: Bytes to send.
@@ -200,10 +200,10 @@ class BoardPort:
 
 
 def main(args: Sequence[str] | None = None) -> int:
-    """Run until SIGTERM or Ctrl-C.
+    """Run the emulated board's command line until SIGTERM or Ctrl-C.
 
     Args:
-        args: Arguments without the program's name; by default those of this process.
+        args: Arguments without the program's name; by default, those of `sys.argv`.
 
     Returns:
         The exit code of the process.

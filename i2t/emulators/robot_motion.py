@@ -20,7 +20,7 @@ ROTATION_LEVER_M = 0.25  # m, length of path that counts as a rotation by one ra
 
 
 class LinearMotion(NamedTuple):
-    """Straight motion between two poses, with a proportional rotation about a fixed axis."""
+    """Straight motion of a simulated tool between two poses, rotating in proportion about a fixed axis."""
 
     position: Array  # (3,) m, position of the tool at the start
     rotation: Array  # (3, 3) rotation of the tool at the start
@@ -31,7 +31,7 @@ class LinearMotion(NamedTuple):
 
 
 class Braking(NamedTuple):
-    """A motion that slows down to a standstill."""
+    """Motion of a simulated tool that slows down to a standstill."""
 
     deceleration: float  # m/s^2
 
@@ -44,7 +44,7 @@ def plane(height: float, stiffness: float) -> Contact:
         stiffness: Stiffness (N/m) of the spring.
 
     Returns:
-        Function that computes the wrench on the tool at a pose.
+        Function that computes the wrench (6,) on the tool, N and Nm in base axes, from its position and rotation.
     """
 
     def wrench(position: Array, rotation: Array) -> Array:
@@ -54,12 +54,12 @@ def plane(height: float, stiffness: float) -> Contact:
 
 
 class Robot:
-    """A tool that moves in time and touches.
+    """A simulated robot tool, which moves along straight lines and feels the force of what it touches.
 
     Args:
-        pose: `(6,)` pose at the start.
-        contact: Contact of the tool with its surroundings.
-        noise: Standard deviation (N) of the sensor's force along each axis.
+        pose: `(6,)` pose of the tool in the base at the start: position (m) and rotation vector (rad).
+        contact: Function that computes the wrench of contact at a position and rotation, such as `plane`.
+        noise: Standard deviation (N) of the force sensor along each axis.
     """
 
     def __init__(self, pose: Array, contact: Contact, noise: float) -> None:
@@ -75,15 +75,15 @@ class Robot:
 
     @property
     def pose(self) -> Array:
-        """Pose (6,) of the tool: metres and rotation vector."""
+        """Pose (6,) of the tool in the base: position (m) and rotation vector (rad)."""
         return np.concatenate([self.position, so3_log(self.rotation)])
 
     def wrench(self) -> Array:
-        """Compute the true wrench (6,) on the tool."""
+        """Compute the true wrench (6,) on the tool: N and Nm, in base axes."""
         return self.contact(self.position, self.rotation) + self.external_wrench
 
     def measured_wrench(self) -> Array:
-        """Compute the wrench (6,) that the sensor reports."""
+        """Compute the wrench (6,) that the sensor reports, with noise and zero: N and Nm, in base axes."""
         noise = self.noise * np.append(self.rng.standard_normal(3), np.zeros(3))
         return self.wrench() - self.wrench_zero + noise
 
@@ -92,10 +92,10 @@ class Robot:
         self.wrench_zero = self.wrench()
 
     def line_to(self, pose: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion from the present pose.
+        """Start a straight motion of the tool from its present pose.
 
         Args:
-            pose: `(6,)` pose at the end.
+            pose: `(6,)` pose in the base at the end: position (m) and rotation vector (rad).
             speed: Speed (m/s) along the line.
             acceleration: Acceleration (m/s^2) at both ends.
         """
@@ -113,16 +113,16 @@ class Robot:
         )
 
     def stop(self, deceleration: float = 5.0) -> None:
-        """Slow down to a standstill.
+        """Start slowing the tool down to a standstill.
 
         Args:
-            deceleration: Deceleration (m/s^2), by default that of a program that ends.
+            deceleration: Deceleration (m/s^2), by default that with which a robot stops when its program ends.
         """
         if self.motion is not None:
             self.motion = Braking(deceleration)
 
     def step(self, dt: float) -> None:
-        """Advance in time.
+        """Advance the tool's motion in time.
 
         Args:
             dt: Time step (s).

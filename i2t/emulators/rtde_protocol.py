@@ -29,7 +29,7 @@ NOT_FOUND = "NOT_FOUND"  # type of an unknown name
 
 
 class PacketType(IntEnum):
-    """Types of packets."""
+    """Types of RTDE packets, as the byte after the size encodes them."""
 
     PROTOCOL = ord("V")
     VERSION = ord("v")
@@ -41,24 +41,24 @@ class PacketType(IntEnum):
 
 
 class Recipe(NamedTuple):
-    """Names of the values in a data packet, in order, and their types."""
+    """Names and types of the values in an RTDE data packet, in order."""
 
     names: tuple[str, ...]
     types: tuple[str, ...]
 
     @property
     def valid(self) -> bool:
-        """Whether every name exists on this controller."""
+        """Whether the emulated controller has every value of the recipe."""
         return NOT_FOUND not in self.types
 
     @property
     def layout(self) -> struct.Struct:
-        """Big-endian layout of the recipe's number and the values."""
+        """Big-endian binary layout of a data packet's body: the recipe's number and the values."""
         return struct.Struct(">B" + "".join(FORMATS[kind] for kind in self.types))
 
 
 def recipe(names: str) -> Recipe:
-    """Look up the types of a recipe.
+    """Make an RTDE recipe by looking up the types of the values with given names.
 
     Args:
         names: Names separated by commas, with an optional comma at the end.
@@ -75,7 +75,7 @@ def _type(name: str) -> str:
 
 
 def packet(kind: int, body: bytes = b"") -> bytes:
-    """Put a header before a body.
+    """Make an RTDE packet: put a header with size and type before its contents.
 
     Args:
         kind: Type of the packet.
@@ -88,11 +88,11 @@ def packet(kind: int, body: bytes = b"") -> bytes:
 
 
 def encode(number: int, layout: struct.Struct, values: Iterable[Value]) -> bytes:
-    """Encode a data packet.
+    """Encode values as an RTDE data packet.
 
     Args:
         number: Number of the recipe.
-        layout: Layout of the recipe.
+        layout: Layout of the recipe (`Recipe.layout`).
         values: Values in the recipe's order.
 
     Returns:
@@ -105,7 +105,7 @@ def encode(number: int, layout: struct.Struct, values: Iterable[Value]) -> bytes
 
 
 def decode(body: bytes, recipes: Mapping[int, Recipe]) -> dict[str, Value]:
-    """Read the body of a data packet.
+    """Decode the body of an RTDE data packet.
 
     Args:
         body: Number of a recipe, followed by values.
@@ -115,7 +115,7 @@ def decode(body: bytes, recipes: Mapping[int, Recipe]) -> dict[str, Value]:
         Values by their names.
 
     Raises:
-        ValueError: If the recipe or the size is not as agreed.
+        ValueError: If the recipe is unknown, or the size is not that of the recipe.
     """
     if not body or body[0] not in recipes:
         raise ValueError("a data packet names no agreed recipe")

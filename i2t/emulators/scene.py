@@ -40,7 +40,7 @@ ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # uT in base axes: about the Earth'
 
 
 class ContactLine(NamedTuple):
-    """Contact of the skin along its own z axis."""
+    """Simulated contact of a skin that moves along its own z axis: first contact, force and reading by travel."""
 
     T_b_t: Array  # (4, 4) pose at the beginning of the line
     first: float  # m, distance from the beginning of the line to first contact; inf if there is none
@@ -50,7 +50,7 @@ class ContactLine(NamedTuple):
     reading: Array  # (k, 3 chips) uT, reading at each tabulated travel, without noise
 
     def distance_along(self, position: Array, rotation: Array) -> float | None:
-        """Compute the distance of a pose along the line.
+        """Compute how far along the line a tool pose is.
 
         Args:
             position: `(3,)` position (m) of the tool in the base.
@@ -83,14 +83,15 @@ class ContactLine(NamedTuple):
         return begun and bool(np.isfinite(self.first) or along <= LINE_TOLERANCE_M)
 
     def contact_at(self, along: float) -> tuple[float, Array, Array]:
-        """Interpolate the contact of the skin at a position of the line; beyond the last tabulated load, extrapolate
-        linearly.
+        """Interpolate force and reading of the skin at a position on the line.
+
+        Beyond the last tabulated load, both are extrapolated linearly.
 
         Args:
             along: Distance (m) of the position from the line's beginning.
 
         Returns:
-            Force (N), its centre `(2,)` (m) on the skin, and the reading `(3 chips,)` (uT).
+            Force (N), its centre `(2,)` (m) in the skin's x and y, and the change of the reading `(3 chips,)` (uT).
         """
         past = along - self.first
         if past <= 0:
@@ -107,15 +108,15 @@ _draw_errors = jax.jit(sample_session_errors)
 
 
 class ObjectScene:
-    """An object at its true pose, which differs from the assumed one, and a pad that touches it.
+    """A simulated object and the pad that touches it; the object's true pose differs from the assumed one.
 
     Args:
         mesh: Mesh of the object.
         T_b_o: `(4, 4)` assumed pose of the object.
-        pad: Pad that touches it.
-        errors: Errors of the lab.
+        pad: Pad that touches the object.
+        errors: Sizes of the errors of poses, sensors and camera in the lab.
         stiffness: Stiffness (N/m) of arm and mount.
-        seed: Seed of the errors.
+        seed: Seed with which the errors are drawn.
     """
 
     def __init__(
@@ -143,10 +144,10 @@ class ObjectScene:
         self._radius = float(np.linalg.norm(corners - self._middle, axis=1).max())
 
     def is_near(self, position: Array) -> bool:
-        """Test whether the object may be within a line's reach.
+        """Test whether the object may be near enough to be met from a position.
 
         Args:
-            position: `(3,)` position (m) in the base.
+            position: `(3,)` position (m) of the tool in the base.
 
         Returns:
             False only if nothing can be met from there.
@@ -154,7 +155,7 @@ class ObjectScene:
         return float(np.linalg.norm(position - self._middle)) < self._radius + LINE_LENGTH_M
 
     def line_ahead(self, T_b_t: Array) -> ContactLine:
-        """Compute the line from a pose along tool z, with the contact of the skin on it.
+        """Compute the contact of the skin on the line from a tool pose along tool z.
 
         Args:
             T_b_t: `(4, 4)` pose that the arm reports; the tool deviates from it by the arm's own errors.
@@ -196,18 +197,18 @@ def _meet(surface: Surface, T_o_t: Array, pad: Pad, loads: Array) -> tuple[Array
 
 
 class SkinContactModel:
-    """Contact of a skin on a moving tool, and the skin's reading.
+    """Simulated contact force on a skin of a moving tool, and the skin's reading.
 
-    A line is computed once the tool stands still near the object. With `wait` False, that happens in the background (it
-    takes hundredths of a second); until it is done, while the model is `busy`, nothing is met. An emulated board
-    receives the reading by datagrams and keeps the newest: the skin's own field at rest, the room's in the tool's
-    orientation, and the change by a press.
+    The contact along the line ahead of the tool is computed once the tool stands still near the object. With `wait`
+    False, that happens in the background (it takes hundredths of a second); until it is done, while the model is
+    `busy`, nothing is met. An emulated board receives the reading by datagrams and keeps the newest: the sum of the
+    skin's own field, the room's field in the tool's orientation, and the change by a press.
 
     Args:
-        scene: Scene that is touched.
-        wait: Whether a line is computed before the tool continues.
+        scene: Scene with the object and the pad.
+        wait: Whether the tool waits until the contact ahead of it is computed.
         T_tool_skin: `(4, 4)` pose of the skin on the tool; by default the tool's frame.
-        to: Address of an emulated board.
+        to: UDP address of an emulated board that receives the readings; None sends none.
     """
 
     def __init__(
@@ -230,7 +231,7 @@ class SkinContactModel:
 
     @property
     def busy(self) -> bool:
-        """Whether a line is being computed in the background."""
+        """Whether the contact ahead of the tool is being computed in the background."""
         return self._pending is not None
 
     def __call__(self, position: Array, rotation: Array) -> Array:
@@ -262,7 +263,7 @@ class SkinContactModel:
         return scene.rest + scene.gains * np.asarray(scene.board.to_board(room))
 
     def look_ahead(self, position: Array, rotation: Array) -> None:
-        """Compute the line ahead of a tool that stands still, unless it is known or nothing is near.
+        """Compute the contact ahead of a tool that stands still, unless it is known or the object is far away.
 
         Args:
             position: `(3,)` position (m) of the tool in the base.
@@ -304,10 +305,11 @@ class SkinContactModel:
 
 
 class ToolContactModel:
-    """The contact of a tool with all its skins, whose forces add up, as an `i2t.emulators.robot_motion.Robot` expects.
+    """Simulated contact wrench on a tool with several skins, whose forces add up; an `i2t.emulators.robot_motion.Robot`
+    calls it.
 
     Args:
-        models: Contact models of the skins.
+        models: Contact models of the skins on the tool.
     """
 
     def __init__(self, models: Sequence[SkinContactModel]) -> None:
@@ -323,6 +325,6 @@ class ToolContactModel:
         return np.asarray(sum((model(position, rotation) for model in self.models), start=np.zeros(6)))
 
     def look_ahead(self, position: Array, rotation: Array) -> None:
-        """Compute the line ahead of each skin, as in `SkinContactModel.look_ahead`."""
+        """Compute the contact ahead of each skin, as in `SkinContactModel.look_ahead`."""
         for model in self.models:
             model.look_ahead(position, rotation)

@@ -64,10 +64,10 @@ PoseVector = tuple[float, float, float, float, float, float]  # position (m) and
 
 
 def loopback(number: int) -> str:
-    """Return the address of a controller that belongs to this process alone.
+    """Return an address for an emulated controller that no other process of this machine uses.
 
     Args:
-        number: Number of the controller, one of 250.
+        number: Number of the controller within this process, one of 250.
 
     Returns:
         An address 127.x.y.z of this machine.
@@ -78,28 +78,28 @@ def loopback(number: int) -> str:
 
 @contextlib.contextmanager
 def process(host: str, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    """Run an emulated controller next to this process, as in `i2t.emulators.processes.run_emulator`.
+    """Run an emulated UR controller as a child process, as in `i2t.emulators.processes.run_emulator`.
 
     Args:
         host: Address to listen on.
-        options: Options of its command line.
+        options: Options of the emulator's command line.
 
     Yields:
-        Its process.
+        The process of the emulator.
     """
     with run_emulator("i2t.emulators.ur_controller", "--host", host, *options) as (_, running):
         yield running
 
 
 def ask(host: str, line: str) -> str:
-    """Send a line to the fault port of a running emulator.
+    """Ask a running emulated controller for a fault or its status, through its fault port.
 
     Args:
         host: Address of the emulator.
-        line: A fault, or "status".
+        line: A fault as in the docstring of this module, or "status".
 
     Returns:
-        The line that it answers.
+        The emulator's answer, one line.
     """
     with socket.create_connection((host, FAULT_PORT), 5.0) as connection, connection.makefile("rw") as lines:
         lines.write(line + "\n")
@@ -109,7 +109,7 @@ def ask(host: str, line: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ControllerArgs:
-    """An emulated UR controller."""
+    """Emulate a UR controller, to which a real driver can connect."""
 
     host: str = "127.0.0.9"  # address to listen on
     pose: Annotated[PoseVector, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = (0.4, 0.0, 0.3, np.pi, 0.0, 0.0)
@@ -122,10 +122,10 @@ class ControllerArgs:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
+    """Run an emulated UR controller by its command line until SIGTERM or Ctrl-C, or the end of a tethered one's input.
 
     Args:
-        arguments: Arguments without the program's name; by default those of this process.
+        arguments: Arguments without the program's name; by default, those of `sys.argv`.
     """
     program = "python -m i2t.emulators.ur_controller"
     options = read_options(ControllerArgs, arguments, program=program, description=__doc__)
@@ -133,15 +133,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def run(options: ControllerArgs, contact: Contact, noise: float) -> None:
-    """Run a controller until SIGTERM or Ctrl-C, or until the standard input of a tethered controller ends.
+    """Run an emulated UR controller until SIGTERM or Ctrl-C, or until the standard input of a tethered one ends.
 
     Args:
         options: Properties of the controller.
-        contact: Contact of its tool with its surroundings.
+        contact: Function that computes the wrench of contact on the tool, as for `Robot`.
         noise: Noise (N) of the force sensor if the options state none.
 
     Raises:
-        SystemExit: If it cannot start; the message gives the reason.
+        SystemExit: If the controller cannot start; the message gives the reason.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
     robot = Robot(np.array(options.pose), contact, noise if options.noise is None else options.noise)

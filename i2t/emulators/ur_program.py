@@ -21,14 +21,14 @@ STOPPED, PLAYING, PAUSED = 1, 2, 4  # values of the runtime state
 
 
 class Handshake(IntEnum):
-    """Values of output_int_0."""
+    """Values that the robot's program writes to RTDE output_int_0: ready for a command, or done with one."""
 
     READY = 1
     DONE = 2
 
 
 class Command(IntEnum):
-    """Values of input_int_0, as ur_rtde 1.6.5 writes them."""
+    """Commands to the robot's program: values that the client ur_rtde 1.6.5 writes to RTDE input_int_0."""
 
     MOVE_L = 3
     ZERO_FT_SENSOR = 8
@@ -41,10 +41,10 @@ class Command(IntEnum):
 
 
 class Controller:
-    """The program that the client uploads, running on the robot, and the effects of the safety system on it.
+    """Emulation of the ur_rtde program that runs on a UR controller, and of the safety system's effects on it.
 
     Args:
-        robot: The robot that moves.
+        robot: The simulated robot tool that the program moves.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -67,7 +67,7 @@ class Controller:
         self.forged: dict[str, rtde_protocol.Value] = {}  # sent instead of the true values
 
     def upload(self) -> None:
-        """Start the client's program, which ends any running one."""
+        """Start the client's program, ending any running one; ignored in local mode and in a protective stop."""
         if self.local or self.protective:
             return
         self.uploads += 1
@@ -78,12 +78,12 @@ class Controller:
         self._set_asynchronous(False)
 
     def kill(self) -> None:
-        """End the program without a message to the client; the robot slows down."""
+        """End the program on the controller without a message to the client; the robot slows down."""
         self.robot.stop()
         self.runtime, self.watchdog = STOPPED, None
 
     def protective_stop(self) -> None:
-        """Brake and pause the program."""
+        """Trigger a protective stop: brake the robot and pause the program."""
         self.robot.stop(deceleration=10.0)
         self.protective = True
         self.runtime = PAUSED if self.runtime == PLAYING else self.runtime
@@ -93,12 +93,12 @@ class Controller:
         self.protective, self.runtime = False, STOPPED
 
     def write(self, values: Mapping[str, rtde_protocol.Value]) -> None:
-        """Write registers from the client. A command, even none, resets the watchdog.
+        """Take values that the client writes to input registers. A command, even the empty one, resets the watchdog.
 
-        The speed slider is left to the pendant, as the driver leaves it.
+        A speed slider in the values is ignored: it is left to the pendant, as the driver leaves it.
 
         Args:
-            values: Values by the names of the inputs.
+            values: Values by the RTDE names of the inputs.
         """
         for name, value in values.items():
             kind, _, index = name.rpartition("_")
@@ -110,7 +110,7 @@ class Controller:
                 self.in_doubles[int(index)] = float(number)
 
     def step(self) -> None:
-        """Advance robot, safety system and program by a tick."""
+        """Advance robot, safety system and program by a tick of 2 ms."""
         self.clock += TICK
         if not getattr(self.robot.contact, "busy", False):  # a motion waits for the contact ahead of it
             self.robot.step(TICK)
@@ -176,10 +176,10 @@ class Controller:
         self.out_ints[2] = self.operation << 24 | self.changes << 16 | running << 15
 
     def output(self, name: str) -> rtde_protocol.Value:
-        """Return the value of an output at the last `observe`, or the present value of a register.
+        """Return the value of an RTDE output as of the last `observe`, or the present value of an output register.
 
         Args:
-            name: Name of the output.
+            name: RTDE name of the output.
 
         Returns:
             The number or numbers of the output.
@@ -192,7 +192,7 @@ class Controller:
         return self.outputs[name]
 
     def observe(self) -> None:
-        """Compute the outputs that every client receives at this tick."""
+        """Compute the RTDE outputs that every client receives at this tick."""
         robot = self.robot
         self.outputs = {
             "timestamp": self.clock,
@@ -208,7 +208,7 @@ class Controller:
         }
 
     def status(self) -> dict[str, Any]:
-        """Return the state for a test or a person, independently of the client; clocks in s."""
+        """Return the emulator's state (pose, program, commands, ...) for tests, whatever clients see; times in s."""
         robot = self.robot
         return {
             "clock": self.clock,

@@ -27,7 +27,7 @@ FAULT_PORT = 30100  # port for faults on demand, which a real controller does no
 
 
 class Client:
-    """One connection.
+    """A client's connection to one port of the emulated controller.
 
     Args:
         reader: Stream of the bytes that the client sends.
@@ -41,7 +41,7 @@ class Client:
         self.every, self.streaming = 1, False  # ticks between two packets
 
     def send(self, data: bytes) -> None:
-        """Send bytes, or drop a client that has not read a mebibyte of them.
+        """Send bytes to the client; drop a client that has left more than a mebibyte unread.
 
         Args:
             data: Bytes to send.
@@ -62,10 +62,10 @@ class Client:
 
 
 class Server:
-    """All ports of a controller, and its time.
+    """Server of all ports of an emulated UR controller (script, dashboard, RTDE, faults), which runs it in real time.
 
     Args:
-        controller: The controller that runs.
+        controller: The emulated controller.
         host: Address of this machine to listen on.
         tethered: Whether to end when standard input closes.
     """
@@ -76,7 +76,7 @@ class Server:
         self.rtde_clients: list[Client] = []
 
     async def run(self, ready: Callable[[], None]) -> None:
-        """Serve until cancelled, or until the standard input of a tethered server ends.
+        """Serve all ports until cancelled, or until the standard input of a tethered server ends.
 
         Args:
             ready: Function that is called once all ports are open.
@@ -185,7 +185,7 @@ class Server:
                 client.send(text.encode() + b"\n")
 
     def dashboard(self, line: str) -> str:
-        """Execute a line of the dashboard port.
+        """Execute a command that a client sent to the dashboard port.
 
         Args:
             line: Command of Universal Robots' dashboard.
@@ -218,7 +218,7 @@ class Server:
         return f"could not understand: '{line}'"
 
     def fault(self, line: str) -> str:
-        """Execute a line of the fault port.
+        """Execute a command that was sent to the fault port.
 
         Args:
             line: Command as in `i2t.emulators.ur_controller`.

@@ -17,7 +17,7 @@ DEFAULT_PAD_KEY = 1000  # seed of the default random pad, which is pad 0 of expe
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":
-    """Read a pad, or make the default random one.
+    """Read the pad that touches the object in a simulation, or make the default random one.
 
     Args:
         path: Path of the pad's file, or None for the random one.
@@ -28,7 +28,7 @@ def read_pad(path: Path | None, board: str | None = None) -> "Pad":
 
     Raises:
         ValueError: If the file holds no pad, or one on another board.
-        OSError: If it cannot be read.
+        OSError: If the file cannot be read.
     """
     from i2t.skin.boards import DEFAULT_BOARD, make_board, same_board
     from i2t.skin.files import load_pad
@@ -54,7 +54,7 @@ def _random_pad(key: int, board: str) -> "Pad":
 
 
 def make_scene(world: WorldArgs, rig: "Rig", board: str | None = None, number: int = 0) -> "ObjectScene":
-    """Make a scene with the object at its pose in the rig, apart from the errors of a session with that seed.
+    """Make a scene with an object at its pose in the rig, displaced by random errors drawn with `world.seed`.
 
     Args:
         world: The object, the pad and the seed.

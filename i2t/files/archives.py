@@ -11,7 +11,7 @@ from i2t.files.limits import READ_LIMITS
 
 
 def unpacked_size_error(path: str | Path, max_bytes: float) -> DataError:
-    """Make the error for an archive that unpacks to more than any recording.
+    """Make the error for a compressed file that unpacks to more bytes than any recording has.
 
     Args:
         path: The archive's path.
@@ -51,13 +51,13 @@ def unpacked(path: str | Path, data: bytes) -> bytes:
 
 
 def max_unpacked_size(size: int) -> int:
-    """Compute the number of bytes that a packed file may unpack to.
+    """Compute the largest number of bytes that a compressed file may unpack to before it is refused.
 
     Args:
         size: The number of bytes of the packed file.
 
     Returns:
-        A bound that recordings and models stay far below.
+        The bound in bytes, which recordings and models stay far below.
     """
     return READ_LIMITS.unpacked_spare_bytes + READ_LIMITS.unpacked_growth * size
 

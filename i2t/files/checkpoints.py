@@ -14,19 +14,19 @@ _METADATA_FILE = "_CHECKPOINT_METADATA"
 
 
 def is_checkpoint(folder: Path) -> bool:
-    """Test whether a folder holds a checkpoint.
+    """Test whether a folder holds a checkpoint of orbax.
 
     Args:
         folder: The folder, which may be missing.
 
     Returns:
-        True if the file of the metadata is there.
+        True if the folder holds the file of a checkpoint's metadata.
     """
     return (folder / _METADATA_FILE).is_file()
 
 
 def custom_metadata(folder: Path) -> dict[str, Any]:
-    """Read the metadata that a program saved in a checkpoint along with its arrays.
+    """Read the metadata that a program saved in an orbax checkpoint along with its arrays.
 
     Args:
         folder: The checkpoint.

@@ -66,7 +66,7 @@ def explain_no_dataset(path: Path) -> str:
         path: The path of an existing file.
 
     Returns:
-        A sentence for the user; empty if the file begins like a file of touches.
+        A sentence for the user; empty if the file begins like an HDF5 file of touches.
     """
     with open_regular(path) as file:
         if file.read(len(MARK_OF_TOUCHES)) == MARK_OF_TOUCHES:

@@ -30,11 +30,11 @@ Tree = TypeVar("Tree")
 
 
 def save(path: Path | str, kind: str, tree: Any, about: dict[str, Any] | None = None, *, extra: Any = None) -> None:
-    """Write a NamedTuple of arrays as a file.
+    """Write a NamedTuple of arrays to a file in .npz format, which `load` reads.
 
     Args:
         path: The file's path.
-        kind: The kind of file; `load` refuses a file of another kind.
+        kind: Name of the kind of file; `load` refuses a file of another kind.
         tree: The NamedTuple, whose fields may be NamedTuples.
         about: Anything that JSON can hold; `load` returns it with the arrays.
         extra: A second NamedTuple with other fields; `load` returns it instead if it is given that type.
@@ -64,7 +64,7 @@ def load(
     Args:
         path: The file's path.
         kind: The kind of file, as `save` was given it.
-        form: The type of the NamedTuple.
+        form: The type of the NamedTuple to return.
         renamed: Names of fields in files of earlier versions, mapped to the names of today.
         missing: The end of the message for a file that does not exist.
 
@@ -116,7 +116,7 @@ def file_kind(path: Path | str) -> str:
 
 @contextmanager
 def fitting(path: Path | str) -> Iterator[None]:
-    """Turn errors of this block into one that names the file whose parts do not fit each other.
+    """Within the block, turn errors into one that names a loaded file whose arrays do not fit each other.
 
     Args:
         path: The path of the file that `load` read.
@@ -139,7 +139,7 @@ def fitting(path: Path | str) -> Iterator[None]:
 
 
 def check_arrays(path: Path | str, tree: Any, shapes: Mapping[str, tuple[int, ...]], remedy: str) -> None:
-    """Refuse arrays of a wrong shape or with non-finite values.
+    """Refuse a loaded NamedTuple whose arrays have a wrong shape or non-finite values.
 
     Args:
         path: The path of the file that the arrays come from.
@@ -157,11 +157,11 @@ def check_arrays(path: Path | str, tree: Any, shapes: Mapping[str, tuple[int, ..
 
 
 def flatten(tree: Any, prefix: str = "") -> dict[str, np.ndarray]:
-    """Collect the arrays of a NamedTuple.
+    """Collect the arrays of nested NamedTuples by their dotted names.
 
     Args:
         tree: A NamedTuple of arrays and of NamedTuples.
-        prefix: The text in front of each name.
+        prefix: Text that is put in front of each name.
 
     Returns:
         The arrays by their dotted names, without fields that are None.

@@ -51,7 +51,7 @@ def unwritable(path: str | Path, error: OSError) -> DataError:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Write a file whole or not at all: it appears under its name when the block ends without an error.
+    """Within the block, write a file whole or not at all: it gets its name when the block ends without an error.
 
     Args:
         path: The file's path. Its folder is created if it does not exist, and an existing file is replaced.
@@ -83,7 +83,7 @@ def file_in(folder: Path, name: str, listed_in: str | Path, *, below: bool = Fal
         folder: The folder that the file must be in.
         name: The file's name.
         listed_in: The file that gives the name, for messages.
-        below: Whether the file may be in a subfolder.
+        below: Whether the file may be in a subfolder of the folder.
 
     Returns:
         The path of the file, which need not exist.

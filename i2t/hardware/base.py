@@ -8,10 +8,10 @@ from i2t.hardware.protocols import CameraFeatures
 
 
 class DeviceBase:
-    """A device that `with` connects and closes."""
+    """Base of devices (arm, skin, camera): a `with` block connects the device and closes it."""
 
     def connect(self) -> None:
-        """Start the device; raise DeviceError if that fails."""
+        """Connect and start the device; raise DeviceError if that fails."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -27,10 +27,10 @@ class DeviceBase:
 
 
 class CameraBase(DeviceBase):
-    """A depth camera whose lens becomes known when it is connected: `connect` must set `_camera`.
+    """Base of depth cameras that report their lens once connected: a subclass's `connect` sets `_camera`.
 
     Args:
-        features: The features that are known before the connection.
+        features: The camera's features as far as they are known before the connection.
     """
 
     def __init__(self, features: CameraFeatures) -> None:
@@ -39,12 +39,12 @@ class CameraBase(DeviceBase):
 
     @property
     def features(self) -> CameraFeatures:
-        """Features of the camera; after `connect` as the device reported them."""
+        """Name, source, nearest depth and rate of the camera; after `connect`, as the device reported them."""
         return self._features
 
     @property
     def camera(self) -> Camera:
-        """Size and lens of the depth image; raises NotConnectedError before `connect` has read them."""
+        """Image size and lens of the depth images; raises NotConnectedError before `connect` has read them."""
         if self._camera is None:
             raise NotConnectedError(f"{self._name} is not connected, so its lens is unknown; connect it")
         return self._camera

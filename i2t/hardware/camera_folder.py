@@ -55,7 +55,7 @@ LENS_TOLERANCE = 1e-3  # largest relative difference between two matrices of one
 
 
 def read_view(path: str | Path) -> tuple[Camera, View]:
-    """Read the first view of a folder.
+    """Read the first depth view of a folder that `save_views` wrote.
 
     Args:
         path: Path of the folder.
@@ -82,7 +82,7 @@ def read_view(path: str | Path) -> tuple[Camera, View]:
 
 
 def read_lens(path: str | Path, others: dict[str, Any]) -> tuple[Camera, dict[str, Any]]:
-    """Read the lens from `camera.toml` in a folder, with the keys of i2t or with those of ROS and OpenCV.
+    """Read a camera's lens from `camera.toml` in a folder, with the keys of i2t or with those of ROS and OpenCV.
 
     Args:
         path: Path of the folder.
@@ -219,7 +219,7 @@ def _use_projection(own: dict[str, Any], matrix: list[float]) -> None:
 
 
 def lens_text(camera: Camera, **others: Any) -> str:
-    """Format a lens as TOML that `read_lens` can read.
+    """Format a camera's lens as TOML that `read_lens` can read.
 
     Args:
         camera: Lens to format.
@@ -233,7 +233,7 @@ def lens_text(camera: Camera, **others: Any) -> str:
 
 
 def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Iterator[View]:
-    """Write views to a new folder as they are iterated.
+    """Write depth views and their lens to a new folder, as the caller iterates over them.
 
     Args:
         path: Path of the new folder.

@@ -27,7 +27,7 @@ TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")  # text keys 
 
 @dataclass(frozen=True, eq=False)
 class CarriedSkin:
-    """A skin on the tool. Raises ValueError, which names the field, for an invalid value."""
+    """A further skin on the tool, as the rig describes it: device, board and pose. Raises ValueError for bad values."""
 
     name: str
     device: str = "reskin"  # reskin, simulated, emulated, or a device of another package, as --skin
@@ -50,11 +50,11 @@ class CarriedSkin:
 
 
 def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:
-    """Refuse skins that cannot be distinguished.
+    """Refuse skins on a tool that share a name or a board, or cannot be identified.
 
     Args:
-        tool_skin: Name of the skin in the tool's frame.
-        skins: Further skins.
+        tool_skin: Name of the pressing skin, which is in the tool's frame.
+        skins: Further skins on the tool.
 
     Raises:
         ValueError: A name is invalid, a board has neither address nor serial number, or two skins share a name or a

@@ -6,7 +6,7 @@ from typing import Protocol, runtime_checkable
 
 @runtime_checkable
 class Clock(Protocol):
-    """Two times that advance at the same rate, and a way to wait."""
+    """Interface of a clock: monotonic time, Unix time at the same rate, and waiting; devices share one."""
 
     def now(self) -> float:
         """Return the monotonic time (s) that dates the samples and states of devices."""
@@ -15,7 +15,7 @@ class Clock(Protocol):
         """Return the Unix time (s) for files; a person or a time server may set it."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait.
+        """Wait for a time.
 
         Args:
             seconds: Time to wait in s; 0 or less does not wait.
@@ -23,16 +23,16 @@ class Clock(Protocol):
 
 
 class MonotonicClock:
-    """The clocks of this machine."""
+    """Clock of this machine: real time."""
 
     def now(self) -> float:
-        """Return `time.monotonic()`."""
+        """Return the machine's monotonic time (s), `time.monotonic()`."""
         return time.monotonic()
 
     def wall(self) -> float:
-        """Return `time.time()`."""
+        """Return the machine's Unix time (s), `time.time()`."""
         return time.time()
 
     def sleep(self, seconds: float) -> None:
-        """Wait, as in `Clock.sleep`."""
+        """Wait for a time (s), as in `Clock.sleep`."""
         time.sleep(seconds)

@@ -22,7 +22,7 @@ from i2t.hardware.limits import SAFETY
 
 
 def overrun_force(speed: float, stiffness: float, *, braking: float, delay: float = SAFETY.reaction_time_s) -> float:
-    """Calculate the force that a contact gains until the tool stands.
+    """Calculate by how much the force of a contact grows until a moving tool has braked to a stop.
 
     Args:
         speed: Speed in m/s at first contact, or when a stop is commanded.
@@ -31,21 +31,21 @@ def overrun_force(speed: float, stiffness: float, *, braking: float, delay: floa
         delay: Time in s until the tool begins to brake.
 
     Returns:
-        The gain in force, in N.
+        The growth of the force in N.
     """
     return stiffness * (speed * delay + speed**2 / (2 * braking))
 
 
 def fastest_speed(force: float, stiffness: float, *, braking: float, delay: float = SAFETY.reaction_time_s) -> float:
-    """Calculate the highest speed at which a contact gains at most a given force until the tool stands.
+    """Calculate the highest speed at which the force of a contact grows by at most a given value until the tool stands.
 
     Args:
-        force: Gain in force that is allowed, in N.
+        force: Largest allowed growth of the force in N.
         stiffness: Stiffness of the contact in N/m.
         braking: Deceleration in m/s^2.
         delay: Time in s until the tool begins to brake.
 
     Returns:
-        The speed in m/s; 0 if no gain is allowed.
+        The speed in m/s; 0 if no growth is allowed.
     """
     return braking * (math.sqrt(delay**2 + 2 * max(0.0, force) / (stiffness * braking)) - delay)

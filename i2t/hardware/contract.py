@@ -40,7 +40,7 @@ class _Contract:
 
 
 class ArmContract(_Contract):
-    """Requirements of every guarded arm; the arm stands at `home` before each test."""
+    """Tests that the driver of every guarded arm must pass; the arm stands at `home` before each test."""
 
     limits: MotionLimits
     home: Array  # (4, 4) T_b_t, with the tool pointing down, 50 mm inside the box on all sides
@@ -51,12 +51,12 @@ class ArmContract(_Contract):
     speed_tolerance: float = 0.1  # tolerance of a speed, as a share of the requested one
 
     def pose(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Array:
-        """Calculate a pose near home.
+        """Calculate a pose of the tool near the arm's home pose.
 
         Args:
             x: Shift from home along the base's x axis, m.
-            y: Shift along the y axis, m.
-            z: Shift along the z axis, m.
+            y: Shift from home along the base's y axis, m.
+            z: Shift from home along the base's z axis, m.
 
         Returns:
             (4, 4) T_b_t, m.
@@ -66,7 +66,7 @@ class ArmContract(_Contract):
         return pose
 
     def test_only_features_work_before_connecting(self, make: Callable[[], GuardedArm]) -> None:
-        """Box, speed and acceleration are those of the limits; `close` never raises."""
+        """Before connecting, only features are available, which match the limits; `close` never raises."""
         arm, limits = make(), self.limits
         assert isinstance(arm, GuardedArm)
         _, source, rate, box, *bounds = arm.features
@@ -78,7 +78,7 @@ class ArmContract(_Contract):
     def test_motions_reach_their_goal_within_the_speed_limit_and_bad_goals_are_refused(
         self, make: Callable[[], GuardedArm]
     ) -> None:
-        """`move` returns at once; goals that are beyond the limits or not finite are refused before anything moves."""
+        """`move` returns at once and reaches its goal; goals beyond limits or not finite are refused before motion."""
         goal, limits = self.pose(0.02, 0.03, 0.02), self.limits
         motions = [
             (self.pose(z=limits.lower[2] - 0.05 - self.home[2, 3]), 0.1, 0.5, "outside the box"),
@@ -104,7 +104,7 @@ class ArmContract(_Contract):
             arm.go(self.home, 0.2, 0.5)
 
     def test_it_stops_from_another_thread_and_on_close_and_can_move_again(self, make: Callable[[], GuardedArm]) -> None:
-        """`stop` returns when the arm stands; `close` may be called twice."""
+        """`stop` from another thread returns when the arm stands; `close` stops too, and may be called twice."""
         arm = make()
         with arm:
             arm.move(self.pose(y=0.05), 0.02, 0.5)
@@ -150,13 +150,13 @@ class ArmContract(_Contract):
 
 
 class SkinContract(_Contract):
-    """Requirements of every skin, which need only measure the Earth's field."""
+    """Tests that the driver of every skin must pass; the skin need only measure the Earth's field."""
 
     rate: float = 400.0  # Hz, nominal rate of the samples
     has_temperature: bool = True
 
     def test_only_features_work_before_connecting(self, make: Callable[[], Skin]) -> None:
-        """There are three channels with distinct names for each chip; `close` never raises."""
+        """Before connecting, only features are available, with three named channels per chip; `close` never raises."""
         skin = make()
         assert isinstance(skin, Skin)
         _, source, channels, unit, rate = skin.features
@@ -194,7 +194,7 @@ class SkinContract(_Contract):
 
 
 class CameraContract(_Contract):
-    """Requirements of every depth camera; an object lies 90 to 200 mm in front of it."""
+    """Tests that the driver of every depth camera must pass; an object is 90 to 200 mm in front of the camera."""
 
     depth_range: tuple[float, float] = (0.09, 0.2)  # m, distance of the object
     min_measured_share: float = 0.9  # smallest share of the pixels that must be measured
@@ -221,7 +221,7 @@ class CameraContract(_Contract):
 
 
 def refuse(error: type[Exception], calls: Sequence[tuple[Callable[..., Any], Sequence[Any], str]]) -> None:
-    """Require that each call raises an error.
+    """Assert in a test that each call raises an error with a given message.
 
     Args:
         error: Type of the error.
@@ -233,7 +233,7 @@ def refuse(error: type[Exception], calls: Sequence[tuple[Callable[..., Any], Seq
 
 
 def at_rest(arm: GuardedArm, state_timeout: float, patience: float) -> tuple[ArmState, float]:
-    """Wait until an arm stands.
+    """Wait until a moving arm stands, and measure its highest speed meanwhile.
 
     Args:
         arm: Connected arm.
@@ -241,7 +241,7 @@ def at_rest(arm: GuardedArm, state_timeout: float, patience: float) -> tuple[Arm
         patience: Maximum wait, s.
 
     Returns:
-        The state at rest, and the highest speed during the motion (m/s).
+        The state at rest, and the tool's highest speed (m/s) during the wait.
     """
     fastest, end = 0.0, time.monotonic() + patience
     while True:

@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 
 
 def make_ur(setup: DeviceSetup) -> "UrArm":
-    """Build a UR arm, without connecting it.
+    """Build the driver of a UR arm, without connecting it.
 
     Args:
-        setup: Setup with the address, the rig (tool, payload, limits), and the times of the watch.
+        setup: Setup with the address, the rig (tool, payload, limits), state timeout and heartbeat rate.
 
     Returns:
         The arm, not connected.
 
     Raises:
-        ValueError: The address is missing, or a time of the watch is out of range.
+        ValueError: The address is missing, or the timeout or rate is out of range.
         DeviceError: The client library is not installed.
     """
     from i2t.hardware.ur.driver import UrArm
@@ -33,7 +33,7 @@ def make_ur(setup: DeviceSetup) -> "UrArm":
 
 
 def make_reskin(setup: DeviceSetup) -> "ReSkin":
-    """Build a ReSkin, AnySkin or eFlesh board, without connecting it.
+    """Build the driver of a ReSkin, AnySkin or eFlesh board, without connecting it.
 
     Args:
         setup: Setup with the port or the serial number of the board, and the name of the board.
@@ -53,7 +53,7 @@ def make_reskin(setup: DeviceSetup) -> "ReSkin":
 
 
 def make_realsense(setup: DeviceSetup) -> "RealSense":
-    """Build a RealSense, without connecting it.
+    """Build the driver of a RealSense depth camera, without connecting it.
 
     Args:
         setup: Setup with the serial number and the size of the images, by default that of the rig.

@@ -32,14 +32,14 @@ BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHU
 
 
 class MotionWatch:
-    """Check of the states of one motion.
+    """Check of an arm's states during one motion: force, torque, speed, distance and box.
 
     Args:
         arm: The arm that moves. If it has a `state_timeout` (s), its states may be that old. If it has
             `can_be_paused`, a person may pause it, and its pose may stand still while it reports a motion.
         limits: Limits of the rig.
-        start: State in which the motion begins.
-        distance: Distance in m that the tool is to move.
+        start: State of the arm in which the motion begins.
+        distance: Length of the motion in m.
         speed: Requested speed in m/s.
         force: Norm of the force in N that ends the motion.
         torque: Norm of the torque in Nm that ends the motion.
@@ -107,13 +107,13 @@ class MotionWatch:
 
 
 def non_finite(state: ArmState) -> str:
-    """Find a NaN or infinite value in a state.
+    """Find a NaN or infinite value in the state of an arm.
 
     Args:
         state: State of an arm.
 
     Returns:
-        The first such part, such as "wrench is [nan, 0.0, ...]"; empty if all values are finite.
+        The first part with such a value, such as "wrench is [nan, 0.0, ...]"; empty if all values are finite.
     """
     for name in ("T_b_t", "joints", "velocity", "wrench"):
         values = np.asarray(getattr(state, name), float)
@@ -123,20 +123,20 @@ def non_finite(state: ArmState) -> str:
 
 
 def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
-    """Calculate the force and torque that stop a free motion.
+    """Calculate the force and torque at which a motion in the air is stopped.
 
     A motion may begin above the limits, such as one that backs out of a contact. It is then stopped when the load grows
     by a tenth.
 
     Args:
         limits: Limits of the rig.
-        wrench: (6,) wrench at the start, in N and Nm.
+        wrench: (6,) wrench on the tool at the start of the motion, in N and Nm.
 
     Returns:
         The force in N and the torque in Nm that stop the motion.
 
     Raises:
-        DeviceError: The load is so high, or so wrong, that no motion may begin.
+        DeviceError: The load at the start is so high, or not finite, that no motion may begin.
     """
     force, torque = (float(norm) for norm in np.linalg.norm(np.reshape(wrench, (2, 3)), axis=1))
     if not (force <= SAFETY.max_start_load * limits.force and torque <= SAFETY.max_start_load * limits.torque):
@@ -192,17 +192,17 @@ class PolledArm(DeviceBase):
     # Methods that a driver implements
 
     def open_link(self) -> None:
-        """Connect; raise DeviceError if that fails."""
+        """Connect to the arm; raise DeviceError if that fails."""
 
     def close_link(self) -> None:
-        """Disconnect; may be called repeatedly."""
+        """Disconnect from the arm; may be called repeatedly."""
 
     def read_state(self) -> ArmState:
-        """Return the newest state."""
+        """Return the arm's newest state, as fresh as possible."""
         raise NotImplementedError
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion of the standing arm and return at once.
+        """Start a straight motion of the standing arm without waiting for its end.
 
         Args:
             T_b_t: (4, 4) goal in m.
@@ -212,33 +212,33 @@ class PolledArm(DeviceBase):
         raise NotImplementedError
 
     def brake(self) -> None:
-        """Brake without waiting until the arm stands."""
+        """Command the arm to brake, without waiting until it stands; may be called from any thread."""
         raise NotImplementedError
 
     def zero_sensor(self) -> None:
-        """Zero the wrench at its present value."""
+        """Zero the force and torque sensor at its present value, while the arm stands."""
         raise NotImplementedError
 
     def speed_share(self) -> float:
-        """Return the share of the requested speed that a person allows now; the lowest share if unknown."""
+        """Return the fraction (0 to 1) of the requested speed that a person allows now; the lowest one if unknown."""
         return SAFETY.min_speed_share
 
     # Methods of a guarded arm
 
     @property
     def features(self) -> ArmFeatures:
-        """Features of the arm, available before `connect`."""
+        """Name, source, rate and limits of the arm, available before `connect`."""
         limits = self.limits
         return ArmFeatures(self.name, self.source, self.rate, limits.box, limits.speed, limits.acceleration)
 
     def connect(self) -> None:
-        """Connect, again if necessary; raise DeviceError if that fails."""
+        """Connect to the arm, again if necessary; raise DeviceError if that fails."""
         self.close()
         self._call(self.open_link)
         self._open = self._accepting = True
 
     def close(self) -> None:
-        """Brake and disconnect; never raise."""
+        """Brake the arm and disconnect; never raises."""
         with self._command_lock:
             self._accepting = False
         if self._open:
@@ -252,7 +252,7 @@ class PolledArm(DeviceBase):
             self.close()
 
     def state(self, timeout: float | None = None) -> ArmState:
-        """Return the newest state, as in `Arm.state`.
+        """Return the arm's newest state, as in `Arm.state`; an invalid state or a bad motion stops the arm.
 
         Args:
             timeout: Maximum age of the state in s; by default the state timeout.
@@ -261,7 +261,7 @@ class PolledArm(DeviceBase):
             The newest state.
 
         Raises:
-            DeviceTimeoutError: The state is older; a stop was sent to the arm.
+            DeviceTimeoutError: The newest state is older than `timeout`; a stop was sent to the arm.
             DeviceError: The state is invalid, or a motion that `move` started met something or deviates from the
                 request; a stop was sent to the arm.
         """
@@ -305,7 +305,7 @@ class PolledArm(DeviceBase):
         return goal
 
     def stop(self, timeout: float = SAFETY.stop_timeout_s) -> None:
-        """Brake and return when the arm stands, as in `Arm.stop`."""
+        """Brake the arm and return when it stands, as in `Arm.stop`."""
         with self._command_lock:
             self._stops, self._sent_time, self._free_watch = self._stops + 1, -np.inf, None
             self._call(self.brake)
@@ -316,13 +316,13 @@ class PolledArm(DeviceBase):
             self.clock.sleep(self.poll_s)
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Zero the wrench at its present value, as in `Arm.zero_wrench`."""
+        """Zero the measured wrench at its present value, as in `Arm.zero_wrench`."""
         if self.state().moving:
             raise DeviceError("The wrench can be zeroed only while the arm stands.")
         self._call(self.zero_sensor)
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and wait, as in `GuardedArm.go`."""
+        """Move the tool straight to a pose and wait for the end, as in `GuardedArm.go`."""
         speed, acceleration = self.limits.checked(T_b_t, speed, acceleration)
         reason, _, state = self._guarded(np.array(T_b_t, float), speed, acceleration)
         if reason != "distance":
@@ -338,7 +338,7 @@ class PolledArm(DeviceBase):
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along tool z until a stop condition is met, as in `GuardedArm.approach`."""
+        """Move the tool along its z axis until a stop condition is met, as in `GuardedArm.approach`."""
         self.limits.check_approach(distance, force, torque)
         start = self.state().T_b_t
         goal = translated_along_z(start, distance)
@@ -492,7 +492,7 @@ class PolledArm(DeviceBase):
 
 @contextlib.contextmanager
 def signals_ignored() -> Iterator[None]:
-    """Ignore the signals that end a program, inside the block and on the main thread."""
+    """Within the block, ignore the signals that end a program; has an effect on the main thread only."""
     main = threading.current_thread() is threading.main_thread()
     before = {number: signal.signal(number, lambda *_: None) for number in BRAKING_SIGNALS if main}
     try:

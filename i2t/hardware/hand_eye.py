@@ -46,7 +46,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class CharucoBoard:
-    """A ChArUco board; drawing or finding an impossible board raises ValueError."""
+    """Geometry of a ChArUco calibration board; drawing or finding an impossible board raises ValueError."""
 
     columns: int = 8  # number of squares in a row
     rows: int = 6  # number of rows of squares
@@ -68,13 +68,14 @@ class CharucoBoard:
         return np.asarray(self._opencv_board().generateImage(size, marginSize=edge))
 
     def find(self, image: Array) -> tuple[Array, Array]:
-        """Find the corners of the board in an image.
+        """Find the board's corners in an image of it.
 
         Args:
             image: (h, w, 3) uint8 RGB image.
 
         Returns:
-            (k, 3) positions on the board in m, and (k, 2) pixels; k may be 0.
+            (k, 3) positions on the board in m of the k corners in view, and their (k, 2) pixels (column, row); k may
+            be 0.
         """
         cv2, board = opencv(), self._opencv_board()
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
@@ -99,14 +100,15 @@ class CharucoBoard:
 
 
 def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, list[str]]:
-    """Estimate the pose of the camera in the tool from a folder of views.
+    """Estimate the pose of the camera on the tool (hand-eye calibration) from a folder of views of a board.
 
     Args:
         path: Path of the folder.
         board: Board that the images show.
 
     Returns:
-        The estimate, T_camera_image (4, 4) of the images, and the names of the images that were used.
+        The estimate, the pose T_camera_image (4, 4) of the colour images' frame in the depth camera's frame, and the
+        names of the images that were used.
 
     Raises:
         ValueError: A file is invalid, or the views do not determine the pose; the message names the file.
@@ -139,12 +141,12 @@ def estimate(path: Path, board: CharucoBoard) -> tuple[HandEyeResult, Array, lis
 def capture(
     path: Path, take: Callable[[], tuple[Array, ColourImage]], more: Callable[[int], bool], board: CharucoBoard
 ) -> int:
-    """Save colour images and the tool's poses in a new folder.
+    """Take colour images of a board from several tool poses and save both in a new folder, for `estimate`.
 
     Args:
         path: Path of the new folder.
         take: Function that returns the present T_b_t (4, 4), and a colour image from there.
-        more: Function that decides whether to take view number n.
+        more: Function of the view's number that decides whether to take that view or to end.
         board: Board that the images show.
 
     Returns:
@@ -186,12 +188,12 @@ def _poses(path: Path) -> Iterator[tuple[str, Array]]:
 
 @dataclass(frozen=True, kw_only=True)
 class DrawArgs(CharucoBoard):
-    """Draw the board."""
+    """Draw a calibration board for printing."""
 
     file: tyro.conf.Positional[Path]  # image to write
 
     def run(self) -> None:
-        """Write the image of the board."""
+        """Draw the board and write its image."""
         suffixes = (".png", ".tif", ".pdf")  # of formats that keep the size on paper
         if self.file.is_dir() or self.file.suffix.lower() not in suffixes:
             raise ValueError(f"{self.file}: is not the name of a picture; use the ending {' or '.join(suffixes)}")
@@ -202,7 +204,7 @@ class DrawArgs(CharucoBoard):
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureArgs(CharucoBoard):
-    """Take views with the camera on an arm that is moved by hand."""
+    """Take views of a calibration board with the camera on an arm that is moved by hand."""
 
     folder: tyro.conf.Positional[Path]  # new folder for the views
     arm: str = "ur"  # ur, or an arm of another package by its registered name or as package.module:Class
@@ -215,7 +217,7 @@ class CaptureArgs(CharucoBoard):
     rig: Path | None = None  # the lab's calibration file; required for devices of other packages
 
     def run(self) -> None:
-        """Take the views and save them."""
+        """Connect the camera, take the views and save them."""
         rig = Rig.read(self.rig) if self.rig is not None else None
         check_device("camera", self.camera, {"size": self.size})
         if rig is None and self.camera != REALSENSE:
@@ -243,14 +245,14 @@ def _confirm(number: int) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class EstimateArgs(CharucoBoard):
-    """Estimate the pose of the camera in the tool."""
+    """Estimate the pose of the camera on the tool from saved views of a calibration board."""
 
     folder: tyro.conf.Positional[Path]  # folder of the views
     rig: Path | None = None  # the lab's calibration file, with which the estimate is compared
     write: bool = False  # write the estimate to the calibration file
 
     def run(self) -> None:
-        """Print the estimate, and write it."""
+        """Estimate and print the camera's pose, and write it to the rig if requested."""
         if self.write and self.rig is None:
             raise ValueError("--write needs the file to write into; give --rig")
         rig = Rig.read(self.rig) if self.rig is not None else None

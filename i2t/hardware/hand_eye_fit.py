@@ -27,7 +27,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class HandEyeConfig:
-    """Requirements on the views, and the refinement of the fit."""
+    """Requirements on the views of a hand-eye calibration, and settings of the refinement of its fit."""
 
     min_views: int = 6
     min_corners: int = 6  # smallest number of corners in each view
@@ -38,7 +38,7 @@ class HandEyeConfig:
 
 
 class BoardView(NamedTuple):
-    """A board seen from one pose of the tool."""
+    """A view of a calibration board: the tool's pose, and the board's corners with their lines of sight."""
 
     T_b_t: Array  # (4, 4) pose of the tool in the base when the view was taken, m
     corners: Array  # (k, 3) m, positions of the visible corners on the board
@@ -46,7 +46,7 @@ class BoardView(NamedTuple):
 
 
 class HandEyeResult(NamedTuple):
-    """Pose of a camera in a tool, with its errors."""
+    """Result of a hand-eye calibration: pose of the camera on the tool, with residuals and standard errors."""
 
     T_t_c: Array  # (4, 4) pose of the camera in the tool, m
     T_b_o: Array  # (4, 4) pose of the board in the base, m
@@ -57,14 +57,14 @@ class HandEyeResult(NamedTuple):
 
 
 def pixel_rays(camera: Camera, pixels: Array) -> Array:
-    """Calculate the lines of sight of pixels, like `i2t.depth.distortion` but without JAX.
+    """Calculate the lines of sight of pixels, without lens distortion, like `i2t.depth.distortion` but without JAX.
 
     Args:
         camera: Lens of the image.
         pixels: (k, 2) columns and rows in pixels.
 
     Returns:
-        (k, 2) x / z and y / z in the camera; NaN for pixels without a line of sight.
+        (k, 2) x / z and y / z of the lines of sight in the camera frame; NaN for pixels without a line of sight.
 
     Raises:
         ValueError: The lens is not of the Brown-Conrady family.
@@ -82,15 +82,15 @@ def pixel_rays(camera: Camera, pixels: Array) -> Array:
 
 
 def fit(views: Sequence[BoardView], focal: float, *, config: HandEyeConfig = HandEyeConfig()) -> HandEyeResult:
-    """Estimate the pose of the camera in the tool.
+    """Estimate the pose of the camera on the tool (hand-eye calibration) from views of one fixed board.
 
     Args:
-        views: Views of the board.
+        views: Views of the board from several poses of the tool.
         focal: Focal length in pixels, which converts lines of sight to pixels.
-        config: Requirements on the views, and the refinement.
+        config: Requirements on the views, and settings of the refinement.
 
     Returns:
-        The poses of the camera and the board, with their errors.
+        The poses of the camera on the tool and of the board in the base, with errors.
 
     Raises:
         ValueError: The views do not determine the pose.
@@ -116,7 +116,7 @@ def fit(views: Sequence[BoardView], focal: float, *, config: HandEyeConfig = Han
 
 
 def opencv() -> Any:
-    """Import OpenCV with its ChArUco boards; raise DeviceError if it is missing or too old."""
+    """Import and return OpenCV; raise DeviceError if it is missing, or too old to have ChArUco boards."""
     try:
         import cv2
     except ImportError as error:
@@ -127,14 +127,14 @@ def opencv() -> Any:
 
 
 def board_pose(view: BoardView, min_corners: int = HandEyeConfig.min_corners) -> Array:
-    """Estimate the pose of the board from one view.
+    """Estimate the pose of a calibration board in the camera frame from one view.
 
     Args:
         view: View of the board.
         min_corners: Number of corners that the view must show.
 
     Returns:
-        (4, 4) T_c_o, m.
+        (4, 4) pose T_c_o of the board in the camera frame, m.
 
     Raises:
         ValueError: The view shows too few corners.

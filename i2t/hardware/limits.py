@@ -198,13 +198,13 @@ SAFETY = SafetyLimits()
 
 
 def range_of(name: str) -> tuple[float, float, str]:
-    """Look up the range of a value.
+    """Look up the accepted range of a setting in the table of safety limits.
 
     Args:
-        name: Name of the value, such as "speed" for the limit `speed_range`.
+        name: Name of the setting, such as "speed" for the limit `speed_range`.
 
     Returns:
-        The lowest value, the highest value, and their unit.
+        The lowest value, the highest value, and their unit as text.
     """
     entry = next(entry for entry in fields(SafetyLimits) if entry.name == f"{name}_range")
     return *getattr(SAFETY, entry.name), entry.metadata["unit"]

@@ -20,7 +20,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits of the motions of an arm: a motion beyond them is refused or stopped.
+    """Box, speed, acceleration, force and torque limits of an arm; a motion beyond them is refused or stopped.
 
     Raises ValueError for limits outside the ranges of `i2t.hardware.limits`.
     """
@@ -51,33 +51,33 @@ class MotionLimits:
 
     @property
     def box(self) -> Float[Array, "2 3"]:
-        """(2, 3) lower and upper corner of the box in the base, in m."""
+        """(2, 3) lower and upper corner, in the base in m, of the box that the tool's origin must stay in."""
         return np.array([self.lower, self.upper], float)
 
     @property
     def trip_force(self) -> float:
-        """Force (N) that stops a free motion, low enough that the overrun stays within the force limit."""
+        """Force (N) at which a motion in the air is stopped, low enough that the overrun stays within `force`."""
         return SAFETY.free_trip_share * self.force
 
     @property
     def free_speed(self) -> float:
-        """Speed (m/s) of the fastest free motion whose collision stays within the limit (`i2t.hardware.collision`)."""
+        """Highest speed (m/s) in the air at which a collision stays within `force` (`i2t.hardware.collision`)."""
         return min(self.speed, fastest_speed(self.force - self.trip_force, self.stiffness, braking=SAFETY.braking_m_s2))
 
     def collision_force(self, speed: float, trip: float) -> float:
-        """Calculate the highest force of a collision.
+        """Calculate the highest force of a collision: the force that stops the motion plus the overrun.
 
         Args:
             speed: Speed of the tool in m/s.
             trip: Force in N at which the motion is stopped.
 
         Returns:
-            The force in N when the tool stands.
+            The force in N when the tool has come to a stop.
         """
         return trip + overrun_force(speed, self.stiffness, braking=SAFETY.braking_m_s2)
 
     def check(self, goal: Array, speed: float, acceleration: float) -> None:
-        """Refuse a motion whose goal is invalid or outside the box, or that is too fast.
+        """Refuse a motion whose goal is invalid or outside the box, or whose speed or acceleration is too high.
 
         Args:
             goal: (4, 4) T_b_t in m.
@@ -99,12 +99,12 @@ class MotionLimits:
         self._check_below("The {}", speed=speed, acceleration=acceleration)
 
     def checked(self, goal: Array, speed: float | None, acceleration: float | None) -> tuple[float, float]:
-        """Complete the speed and acceleration of a motion, and refuse the motion as `check` does.
+        """Fill in missing speed and acceleration of a motion, and refuse the motion as `check` does.
 
         Args:
             goal: (4, 4) T_b_t in m.
             speed: Requested speed in m/s, or None for `free_speed`.
-            acceleration: Requested acceleration in m/s^2, or None for the limit.
+            acceleration: Requested acceleration in m/s^2, or None for the largest allowed one.
 
         Returns:
             The speed in m/s and the acceleration in m/s^2.
@@ -118,7 +118,7 @@ class MotionLimits:
         return speed, acceleration
 
     def check_approach(self, distance: float, force: float, torque: float) -> None:
-        """Refuse an approach that may go too far or press too hard.
+        """Refuse an approach (a motion towards contact) that may go too far or press too hard.
 
         Args:
             distance: Distance in m after which the approach ends.
@@ -138,7 +138,7 @@ class MotionLimits:
                 raise ValueError(f"{quantity} {value} is outside (0, {getattr(self, name)}], the rig's limit.")
 
     def contains(self, position: Array, margin: float = 0.0) -> bool:
-        """Test whether a position is inside the box.
+        """Test whether a position of the tool is inside the allowed box.
 
         Args:
             position: (3,) position in the base, m.

@@ -52,7 +52,7 @@ KINDS: dict[DeviceKind, _KindOfDevice] = {
 
 @dataclass(frozen=True, eq=False)
 class DeviceSetup:
-    """Everything that a device is built from."""
+    """Everything that the driver of an arm, skin or camera is built from: rig, address, options, clock."""
 
     rig: Rig  # the lab's calibration: frames, payload, limits
     address: str | None = None  # --host for an arm, --port for a skin, --camera-serial for a camera
@@ -69,7 +69,7 @@ class DeviceSetup:
 
 @dataclass(frozen=True)
 class DevicePlugin:
-    """Description of a device that takes options besides its address, or requires its address."""
+    """Registered driver: how to build the device, which options it accepts and which it requires."""
 
     make: Callable[[DeviceSetup], Any]  # function that builds the device without connecting it, and imports its library
     takes: frozenset[str] = frozenset({"address"})  # names of the accepted options, as on the command line
@@ -82,7 +82,7 @@ class DevicePlugin:
 
 
 def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> DevicePlugin:
-    """Find a device by its name, without building it.
+    """Find the driver of a device by its name, without building the device.
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
@@ -90,7 +90,7 @@ def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> Devic
         option: Option that gave the name, for messages; by default the flag of the kind.
 
     Returns:
-        The plug-in of the device; a class is wrapped in one.
+        The plug-in of the device; a registered class is wrapped in a plug-in.
 
     Raises:
         ValueError: No installed package registers the name, several do, or the device cannot be imported.
@@ -137,7 +137,7 @@ def check_device(kind: DeviceKind, name: str, options: Mapping[str, Any]) -> Non
 
 
 def load_device(kind: DeviceKind, name: str, setup: DeviceSetup, option: str | None = None) -> Any:
-    """Build a device, without connecting it.
+    """Find the driver of a device by its name and build the device, without connecting it.
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
@@ -165,7 +165,7 @@ def load_device(kind: DeviceKind, name: str, setup: DeviceSetup, option: str | N
 
 
 class ToolPose:
-    """Pose of an arm's tool, while a person moves the arm.
+    """Reader of the pose of an arm's tool, while a person moves the arm.
 
     An arm with a method `tool_pose`, such as a UR arm, is read without being controlled. Another arm is connected for
     each pose and then released.

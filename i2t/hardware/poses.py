@@ -11,7 +11,7 @@ from i2t.types import Array
 
 
 def pose_to_vector(pose: Float[Array, "4 4"]) -> list[float]:
-    """Convert a transform to a position and a rotation vector.
+    """Convert a (4, 4) pose to position and rotation vector, as UR controllers write poses.
 
     Args:
         pose: (4, 4) rigid transform, m.
@@ -23,7 +23,7 @@ def pose_to_vector(pose: Float[Array, "4 4"]) -> list[float]:
 
 
 def pose_from_vector(vector: Sequence[Any]) -> Float[Array, "4 4"]:
-    """Convert a position and a rotation vector to a transform; the inverse of `pose_to_vector`.
+    """Convert position and rotation vector to a (4, 4) pose; the inverse of `pose_to_vector`.
 
     Args:
         vector: x, y, z (m) and a rotation vector (rad).
@@ -55,7 +55,7 @@ def translated_along_z(pose: Float[Array, "4 4"], distance: float) -> Float[Arra
 
     Args:
         pose: (4, 4) rigid transform, m; it is not changed.
-        distance: Distance in m; negative moves backwards.
+        distance: Distance in m along z; negative moves backwards.
 
     Returns:
         (4, 4) moved transform, m.

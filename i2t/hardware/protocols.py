@@ -20,7 +20,7 @@ StopReason: TypeAlias = Literal["condition", "force", "torque", "distance"]
 
 
 class Device(Protocol):
-    """Methods of all devices."""
+    """Methods of all devices: arm, skin and camera."""
 
     def connect(self) -> None:
         """Start the device, or restart it after a failure or `close`; raise DeviceError if that fails."""
@@ -36,7 +36,7 @@ class Device(Protocol):
 
 
 class SkinFeatures(NamedTuple):
-    """Features of a skin, available before it is connected."""
+    """Name, source, channels, unit and rate of a skin, available before it is connected."""
 
     name: str  # name of the device, for messages
     source: str  # real, emulated or simulated; files record it with the readings
@@ -46,19 +46,19 @@ class SkinFeatures(NamedTuple):
 
 
 def channel_names(chips: int) -> tuple[str, ...]:
-    """Name the values of a reading.
+    """Name the values of a skin's reading.
 
     Args:
         chips: Number of chips of the board.
 
     Returns:
-        Three names for each chip, in the board's order.
+        Three names for each chip, in the board's order, such as "chip0_x".
     """
     return tuple(f"chip{chip}_{axis}" for chip in range(chips) for axis in "xyz")
 
 
 class Samples(NamedTuple):
-    """Samples of a skin, one in each row, in the board's order and axes; nothing has been subtracted."""
+    """Samples of a skin, one in each row, as the board sends them: its order and axes, ambient field included."""
 
     number: Array  # (n,) int64, running number of the samples; the queue dropped the samples of a jump
     time: Array  # (n,) s, monotonic time, never decreasing
@@ -81,7 +81,7 @@ class SkinCounters(NamedTuple):
 
     @property
     def loss(self) -> float:
-        """Share of the frames that were lost."""
+        """Fraction of the board's frames that were lost, 0 to 1."""
         return self.lost / max(1, self.samples + self.lost)
 
 
@@ -91,14 +91,14 @@ class Skin(Device, Protocol):
 
     @property
     def features(self) -> SkinFeatures:
-        """Features of the skin, available before `connect`."""
+        """Name, source, channels, unit and rate of the skin, available before `connect`."""
 
     @property
     def counters(self) -> SkinCounters:
-        """Counts so far; available at any time, never raises."""
+        """Counts of samples and losses since the first connection; available at any time, never raises."""
 
     def latest(self, timeout: float = 0.4) -> Samples:
-        """Return the newest sample at once.
+        """Return the skin's newest sample without waiting.
 
         Args:
             timeout: Maximum age of the sample in s.
@@ -107,11 +107,11 @@ class Skin(Device, Protocol):
             The newest sample, as one row.
 
         Raises:
-            DeviceTimeoutError: The newest sample is older.
+            DeviceTimeoutError: The newest sample is older than `timeout`.
         """
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """Read the next samples, all measured after the call.
+        """Wait for and return the next samples of the skin, all measured after the call.
 
         Args:
             count: Number of samples.
@@ -121,12 +121,12 @@ class Skin(Device, Protocol):
             The samples, as `count` rows.
 
         Raises:
-            ValueError: The count is zero, or larger than the queue.
+            ValueError: The count is zero, or larger than the queue of samples.
             DeviceTimeoutError: The samples did not arrive in time.
         """
 
     def since(self, number: SupportsIndex) -> Samples:
-        """Return the samples after a given one that are still in the queue, without waiting.
+        """Return the skin's samples after a given one, as far as they are still in the queue, without waiting.
 
         Args:
             number: Number of the given sample, as in `Samples`; -1 for all samples.
@@ -137,7 +137,7 @@ class Skin(Device, Protocol):
 
 
 class ArmFeatures(NamedTuple):
-    """Features of an arm, available before it is connected."""
+    """Name, source, rate and limits of an arm, available before it is connected."""
 
     name: str  # name of the device, for messages
     source: str  # real, emulated or simulated
@@ -148,7 +148,7 @@ class ArmFeatures(NamedTuple):
 
 
 class ArmState(NamedTuple):
-    """State of an arm at one moment."""
+    """Measured state of an arm at one moment: pose, joints, velocity, wrench and safety."""
 
     time: float  # s, monotonic time of the state
     T_b_t: Array  # (4, 4) measured pose of the tool in the base, m
@@ -168,10 +168,10 @@ class Arm(Device, Protocol):
 
     @property
     def features(self) -> ArmFeatures:
-        """Features of the arm, available before `connect`."""
+        """Name, source, rate and limits of the arm, available before `connect`."""
 
     def state(self, timeout: float = 0.1) -> ArmState:
-        """Return the newest state.
+        """Return the arm's newest state.
 
         Args:
             timeout: Maximum age of the state in s.
@@ -180,11 +180,12 @@ class Arm(Device, Protocol):
             The newest state.
 
         Raises:
-            DeviceTimeoutError: The newest state is older; a stop was sent to the arm if it can be reached.
+            DeviceTimeoutError: The newest state is older than `timeout`; a stop was sent to the arm if it can be
+                reached.
         """
 
     def move(self, T_b_t: Array, speed: float, acceleration: float) -> Array:
-        """Start a straight motion of the tool and return at once; replace a motion that is under way.
+        """Start a straight motion of the tool and return at once; it replaces a motion that is under way.
 
         Args:
             T_b_t: (4, 4) goal of the tool in the base, m.
@@ -192,7 +193,7 @@ class Arm(Device, Protocol):
             acceleration: Acceleration in m/s^2.
 
         Returns:
-            (4, 4) goal that was actually sent, m.
+            (4, 4) goal that was actually sent to the arm, m.
 
         Raises:
             ValueError: The goal is outside the box, or the motion is too fast; nothing was sent.
@@ -210,7 +211,7 @@ class Arm(Device, Protocol):
         """
 
     def zero_wrench(self, timeout: float = 1.0) -> None:
-        """Zero the wrench at its present value; the arm must stand still and touch nothing.
+        """Zero the measured wrench at its present value; the arm must stand still and touch nothing.
 
         Args:
             timeout: Maximum wait in s.
@@ -222,10 +223,10 @@ class Arm(Device, Protocol):
 
 @runtime_checkable
 class PlanningArm(Protocol):
-    """An arm that can plan; for other arms only the box is checked."""
+    """An arm that can check whether it reaches poses; for other arms only the box is checked."""
 
     def why_unreachable(self, goals: Sequence[Array]) -> str:
-        """Explain, before anything moves, why the arm cannot follow straight lines from pose to pose.
+        """Explain, before anything moves, why the arm cannot move its tool along straight lines from pose to pose.
 
         Args:
             goals: Poses T_b_t (4, 4) of the tool, m.
@@ -236,7 +237,7 @@ class PlanningArm(Protocol):
 
 
 class CameraFeatures(NamedTuple):
-    """Features of a depth camera, available before it is connected."""
+    """Name, source, nearest depth and rate of a depth camera, available before it is connected."""
 
     name: str  # name of the device, for messages
     source: str  # real, simulated or replay
@@ -245,7 +246,7 @@ class CameraFeatures(NamedTuple):
 
 
 class View(NamedTuple):
-    """A depth image and the colours of the same pixels."""
+    """A view of a depth camera: a depth image and the colours of the same pixels."""
 
     time: float  # s, monotonic time of the exposure, as precise as possible
     depth: Array  # (h, w) m along the optical axis; NaN for unmeasured pixels
@@ -253,7 +254,7 @@ class View(NamedTuple):
 
 
 class ColourImage(NamedTuple):
-    """A colour image as the sensor took it, for fine print: the colours of a `View` have the holes of its depth."""
+    """A complete colour image with its own lens; the colours of a `View` are missing where its depth is missing."""
 
     time: float  # s, monotonic time of the exposure
     image: Array  # (h, w, 3) uint8 RGB image
@@ -267,11 +268,11 @@ class DepthCamera(Device, Protocol):
 
     @property
     def features(self) -> CameraFeatures:
-        """Features of the camera, available before `connect`."""
+        """Name, source, nearest depth and rate of the camera, available before `connect`."""
 
     @property
     def camera(self) -> Camera:
-        """Size and lens of the depth images; raises NotConnectedError while only the device knows them."""
+        """Image size and lens of the depth images; raises NotConnectedError while only the device knows them."""
 
     def capture(self, timeout: float = 2.0) -> View:
         """Take a view that is exposed after the call.
@@ -289,7 +290,7 @@ class DepthCamera(Device, Protocol):
 
 
 class ApproachResult(NamedTuple):
-    """Outcome of a guarded approach."""
+    """Outcome of a guarded approach: what ended it, where, and the arm's states."""
 
     reason: StopReason  # what ended the approach
     answer: Any  # answer of the caller's stop condition if it stopped the arm, otherwise None
@@ -300,10 +301,10 @@ class ApproachResult(NamedTuple):
 
 @runtime_checkable
 class GuardedArm(Arm, Protocol):
-    """An arm that supervises its motions to their end, as the touch procedure requires."""
+    """An arm that checks force, torque and position during its motions to their end, as touching requires."""
 
     def go(self, T_b_t: Array, speed: float | None = None, acceleration: float | None = None) -> ArmState:
-        """Move straight to a pose and wait.
+        """Move the tool straight to a pose and wait for the end of the motion.
 
         Args:
             T_b_t: (4, 4) goal, m.
@@ -327,7 +328,7 @@ class GuardedArm(Arm, Protocol):
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move along the tool's z axis, out of the skin, until a stop condition is met.
+        """Move the tool along its z axis, which points out of the skin, until a stop condition is met.
 
         Args:
             distance: Maximum distance in m.

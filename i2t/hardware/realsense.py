@@ -51,7 +51,7 @@ NEAREST_MM = {  # shortest depth (mm) that each model measures, at each of the s
 
 
 def nearest(model: str, width: int, height: int) -> float:
-    """Look up the nearest depth that a model measures, by its maker, at the next larger of six image sizes.
+    """Look up the nearest depth that a RealSense model measures, as its maker states it, at an image size.
 
     Args:
         model: Model such as "D405", or the name that the device reports.
@@ -59,7 +59,7 @@ def nearest(model: str, width: int, height: int) -> float:
         height: Height of the image in pixels.
 
     Returns:
-        The depth in m; NaN if it is unknown.
+        The depth in m at the next larger of six image sizes; NaN if it is unknown.
     """
     for name, depths in NEAREST_MM.items():
         fitting = [depth for (w, h), depth in zip(SIZES_PX, depths, strict=True) if width <= w and height <= h]
@@ -69,11 +69,11 @@ def nearest(model: str, width: int, height: int) -> float:
 
 
 class TooNearError(DeviceError, ValueError):
-    """A camera is to look from a shorter distance than it measures; the request must be changed."""
+    """The requested distance is shorter than the camera can measure; the request must be changed."""
 
 
 def check_distance(model: str, width: int, height: int, distance: float) -> None:
-    """Refuse a camera that cannot measure at the requested distance.
+    """Refuse a RealSense camera that cannot measure depth at the requested distance.
 
     Args:
         model: Model such as "D405".
@@ -82,7 +82,7 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
         distance: Distance in m from which the camera is to look.
 
     Raises:
-        TooNearError: The camera measures nothing as near; the message states the remedy.
+        TooNearError: The camera cannot measure so near; the message states the remedy.
     """
     minimum = nearest(model, width, height)
     if distance < minimum:
@@ -95,7 +95,7 @@ def check_distance(model: str, width: int, height: int, distance: float) -> None
 
 
 class RealSense(CameraBase):
-    """A RealSense camera (`i2t.hardware.protocols.DepthCamera`).
+    """Driver of a RealSense depth camera (`i2t.hardware.protocols.DepthCamera`).
 
     Args:
         serial: Serial number of the camera; by default the only camera that is plugged in.
@@ -129,7 +129,7 @@ class RealSense(CameraBase):
         self._colour: tuple[Camera, Array] | None = None
 
     def connect(self) -> None:
-        """Start streaming; raise DeviceError if that fails."""
+        """Start the camera's stream; raise DeviceError if that fails."""
         self.close()
         rs, (width, height) = self._rs, self._size
         config = rs.config()
@@ -178,7 +178,7 @@ class RealSense(CameraBase):
         self._features = self._features._replace(name=name, nearest=nearest(model, *self._size))
 
     def close(self) -> None:
-        """Stop streaming."""
+        """Stop the camera's stream."""
         with self._lock:
             pipe, self._pipe = self._pipe, None
         if pipe is not None:
@@ -196,7 +196,7 @@ class RealSense(CameraBase):
         return View(when, metres, np.array(colour.get_data()) if colour else None)
 
     def colour(self, timeout: float = 2.0) -> ColourImage:
-        """Take a colour image as the sensor sees it, exposed after the call.
+        """Take a complete colour image, not aligned with depth, that is exposed after the call.
 
         Args:
             timeout: Maximum wait in s.

@@ -28,7 +28,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class PlausibleRig:
-    """Ranges of the values of a plausible rig, in metres, kilograms and degrees."""
+    """Ranges of values that a correct rig nearly always has, in metres, kilograms and degrees."""
 
     tool_distance: tuple[float, float] = (10e-3, 0.35)  # m, range of the distance from the flange to the skin
     min_forward_cosine: float = 0.3  # smallest cosine between the direction from flange to skin and the skin's axis
@@ -82,14 +82,14 @@ def implausible_values(
 
 
 def require_plausible(rig: Rig, vertices: Float[Array, "v 3"] | None = None) -> None:
-    """Refuse a rig that is nearly always a mistake.
+    """Refuse a rig with a value that is nearly always a mistake.
 
     Args:
         rig: Calibration of a lab.
         vertices: (v, 3) vertices of the object in its own frame, m.
 
     Raises:
-        ValueError: A value of the rig is implausible.
+        ValueError: A value of the rig is implausible; the message names it.
     """
     doubts = implausible_values(rig, vertices)
     if doubts:
@@ -120,7 +120,7 @@ def compare_lens(rig: Camera, own: Camera, *, plausible: PlausibleRig = Plausibl
 
 
 def compare_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 4"]) -> str:
-    """Compare the TCP that is set on a controller with the rig's.
+    """Compare the TCP (tool pose) that is set on a robot's controller with the rig's.
 
     Args:
         T_flange_tool: (4, 4) tool in the flange as the rig has it, m.

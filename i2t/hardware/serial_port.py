@@ -21,7 +21,7 @@ COMMON_PORT_USERS = "ModemManager or a serial monitor"
 
 
 def users_of(port: str) -> dict[int, str]:
-    """Find the programs that have a port open.
+    """Find the programs that have a serial port open.
 
     Args:
         port: Name of the port, or a link to it.
@@ -45,7 +45,7 @@ def _leads_to(link: Path, target: str) -> bool:
 
 
 def other_users(port: str) -> str:
-    """Name the other programs that have a port open.
+    """List the other programs that have a serial port open, for a message.
 
     Args:
         port: Name of the port, or a link to it.
@@ -58,7 +58,7 @@ def other_users(port: str) -> str:
 
 
 def set_exclusive(line: Any, exclusive: bool = True) -> None:
-    """Prevent other programs from opening a port that is open here, if the system can.
+    """Prevent other programs from opening a serial port that this program has open, if the system can.
 
     Args:
         line: Open port, a `serial.Serial`.
@@ -70,7 +70,7 @@ def set_exclusive(line: Any, exclusive: bool = True) -> None:
 
 
 def explain_no_access(port: str) -> str:
-    """Explain why this user may not open a port, and what to do.
+    """Explain why this user may not open a serial port, and what to do.
 
     Args:
         port: Name of the port.

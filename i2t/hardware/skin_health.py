@@ -34,7 +34,7 @@ CONVERTER_RANGE_UT = (4915.0, 4915.0, 7930.0)
 
 @dataclass(frozen=True)
 class HealthConfig:
-    """Thresholds of the health of a skin.
+    """Thresholds by which a skin's samples are judged: noise, frozen or saturated values, missing chips.
 
     The typical noise was recorded on ReSkin boards at rest, at the paper's settings.
     """
@@ -59,14 +59,14 @@ class HealthConfig:
 
 
 class SkinDefect(NamedTuple):
-    """A defect of a skin."""
+    """A sentence on something wrong with a skin's samples, and whether a session may start nevertheless."""
 
     sentence: str
     stops: bool  # whether the defect prevents a session from starting
 
 
 class SkinHealth(NamedTuple):
-    """Health of a skin, judged from samples at rest."""
+    """Rate, noise, temperature, missing chips and defects of a skin, from samples at rest."""
 
     rate: float  # Hz, rate of the samples
     noise: Float[np.ndarray, " c"]  # uT, standard deviation of one sample; NaN for a missing chip
@@ -76,7 +76,7 @@ class SkinHealth(NamedTuple):
 
     @property
     def summary(self) -> str:
-        """Rate, noise, temperature and missing chips in one line."""
+        """One line of text with the skin's rate, noise, temperature and missing chips."""
         noise = self.noise[np.isfinite(self.noise)]
         parts = [f"{self.rate:.0f} Hz", f"noise up to {noise.max():.1f} uT" if len(noise) else "no chip answers"]
         celsius = self.temperature[np.isfinite(self.temperature)]
@@ -85,12 +85,12 @@ class SkinHealth(NamedTuple):
 
 
 def rest_samples(skin: Skin, clock: Clock | None = None, *, config: HealthConfig = HealthConfig()) -> Samples:
-    """Read samples of a skin that touches nothing.
+    """Read samples of a skin that touches nothing, for `check_skin`.
 
     Args:
         skin: Connected skin.
         clock: Clock of the skin; by default this machine's.
-        config: Duration and number of samples.
+        config: Duration and number of the samples.
 
     Returns:
         Samples of half a second, or as many as a slow board needs to be judged: at least 24 rows.
@@ -111,7 +111,7 @@ def check_skin(samples: Samples, *, config: HealthConfig = HealthConfig()) -> Sk
     """Judge the health of a skin from samples that it sent while it touched nothing.
 
     Args:
-        samples: Samples as of `rest_samples`: 24 rows or more.
+        samples: Samples from `rest_samples`: 24 rows or more.
         config: Thresholds of the judgement.
 
     Returns:
@@ -148,7 +148,7 @@ def press_defect(change: Float[Array, " c"], force: float, *, config: HealthConf
         config: Thresholds of force and response.
 
     Returns:
-        A sentence if the skin did not respond, otherwise an empty string.
+        A sentence on the defect if the skin did not respond, otherwise an empty string.
     """
     size = float(np.sqrt(np.nansum(np.asarray(change, float) ** 2)))
     if force < config.min_press_force or size >= config.min_response_ut:
@@ -160,14 +160,14 @@ def press_defect(change: Float[Array, " c"], force: float, *, config: HealthConf
 
 
 def frozen_sentence(reading: Float[Array, "n c"], *, config: HealthConfig = HealthConfig()) -> str:
-    """Check during a session that a skin is not frozen; a frozen skin would feel no contact.
+    """Check during a session that a skin's values still change; a frozen skin would feel no contact.
 
     Args:
         reading: (n, c) successive samples in uT, with the noise of a real skin; NaN for a missing chip.
         config: Number of samples that the judgement needs.
 
     Returns:
-        A sentence if no chip changed once in 24 samples or more, otherwise an empty string.
+        A sentence on the defect if no chip changed once in 24 samples or more, otherwise an empty string.
     """
     by_chip = np.asarray(reading, float).reshape(len(reading), reading.shape[1] // 3, 3)
     by_chip = by_chip[:, np.isfinite(by_chip).all(2).sum(0) >= config.min_samples]

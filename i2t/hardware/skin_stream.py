@@ -24,7 +24,7 @@ from i2t.types import Array, Board
 
 @dataclass(frozen=True)
 class StreamConfig:
-    """Size of the queue of a skin, and its times in seconds."""
+    """Size of the queue of a skin's samples, and timeouts of reading it, in seconds."""
 
     queue_samples: int = 4096
     poll_period: float = 0.02  # s, maximum time between two looks into the queue
@@ -37,7 +37,7 @@ class StreamConfig:
 
 
 class StreamRow(NamedTuple):
-    """One sample, as in `i2t.hardware.protocols.Samples`."""
+    """One numbered sample of a skin: a row of `i2t.hardware.protocols.Samples`."""
 
     number: int
     time: float  # s, monotonic time of the sample
@@ -46,7 +46,7 @@ class StreamRow(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """A sample as a driver receives it, not yet numbered."""
+    """One sample of a skin as its driver receives it, not numbered yet."""
 
     time: float  # s, monotonic time
     reading: Array  # (c,) uT, reading
@@ -54,7 +54,7 @@ class Measurement(NamedTuple):
 
 
 class QueuedSkin(DeviceBase):
-    """A skin whose samples wait in a queue.
+    """Base of skins whose samples are kept in a queue, from which `latest`, `read` and `since` take them.
 
     Code that fills the queue must append rows with rising numbers and hold `lock`.
 
@@ -79,7 +79,7 @@ class QueuedSkin(DeviceBase):
 
     @property
     def features(self) -> SkinFeatures:
-        """Features of the skin, available before `connect`."""
+        """Name, source, channels, unit and rate of the skin, available before `connect`."""
         return self._features
 
     @property
@@ -87,7 +87,7 @@ class QueuedSkin(DeviceBase):
         return self._features.name
 
     def latest(self, timeout: float = 0.4) -> Samples:
-        """Return the newest sample at once, as in `Skin.latest`."""
+        """Return the skin's newest sample without waiting, as in `Skin.latest`."""
         self._check()
         newest = self._after(self._newest - 1)
         age = self._clock.now() - newest[-1].time if newest else np.inf
@@ -96,7 +96,7 @@ class QueuedSkin(DeviceBase):
         return self._samples(newest[-1:])
 
     def read(self, count: int, timeout: float | None = None) -> Samples:
-        """Read the next samples, all measured after the call, as in `Skin.read`."""
+        """Wait for and return the next samples, all measured after the call, as in `Skin.read`."""
         if not 0 < count <= (self._queue.maxlen or 0):
             raise ValueError(f"{count} samples were requested; the queue holds 1 to {self._queue.maxlen}")
         rate = min(self._rate() or self._features.rate, self._features.rate)
@@ -157,7 +157,7 @@ class QueuedSkin(DeviceBase):
 
 
 class StreamedSkin(QueuedSkin):
-    """A skin (`i2t.hardware.protocols.Skin`) whose samples a thread receives; its `board` describes its chips.
+    """Base of drivers of skins (`i2t.hardware.protocols.Skin`) whose samples a thread receives into a queue.
 
     A driver implements
 
@@ -165,7 +165,8 @@ class StreamedSkin(QueuedSkin):
         receive       return the samples that have arrived since the last call, or arrive within about 50 ms
         close_link    close the link, whatever its state
 
-    Once the thread has ended, for whatever reason, every call raises the reason until `connect` is called again.
+    The skin's `board` describes its chips. Once the thread has ended, for whatever reason, every call raises the reason
+    until `connect` is called again.
 
     Args:
         name: Name of the device, for messages.
@@ -190,11 +191,11 @@ class StreamedSkin(QueuedSkin):
     # Methods that a driver implements
 
     def open_link(self) -> Any:
-        """Open the board; raise DeviceError if that fails."""
+        """Open the link to the board and return it; raise DeviceError if that fails."""
         raise NotImplementedError
 
     def receive(self, link: Any) -> Sequence[Measurement]:
-        """Receive the samples that have arrived; may raise any exception of a library when the board is gone.
+        """Receive the samples that have arrived from the board; may raise any exception when the board is gone.
 
         Args:
             link: Link that `open_link` returned.
@@ -205,7 +206,7 @@ class StreamedSkin(QueuedSkin):
         raise NotImplementedError
 
     def close_link(self, link: Any) -> None:
-        """Release the board.
+        """Close the link to the board, whatever its state.
 
         Args:
             link: Link that `open_link` returned.
@@ -215,7 +216,7 @@ class StreamedSkin(QueuedSkin):
 
     @property
     def counters(self) -> SkinCounters:
-        """Counts so far; a driver adds its counts of losses."""
+        """Counts of samples since the first connection; a driver adds its counts of losses."""
         with self._lock:
             return SkinCounters(samples=self._received, connects=self._connects, rate=self._rate())
 

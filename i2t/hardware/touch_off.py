@@ -53,7 +53,7 @@ CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 @dataclass(frozen=True)
 class TouchOffConfig:
-    """Motions of a touch-off, and how the force of a corner is judged."""
+    """Motions of a touch-off (touching a flat with each corner of the skin), and thresholds of the corner's force."""
 
     tilt: float = math.radians(6)  # rad, tilt of the tool while it touches
     clearance: float = 6e-3  # m, height of the lowest corner above the flat before it is lowered slowly
@@ -67,7 +67,7 @@ class TouchOffConfig:
 
 
 class FittedPlane(NamedTuple):
-    """Plane of the skin's face, fitted to the touches of its corners."""
+    """Pose of the skin's face in the tool, fitted to touches of a flat with its corners."""
 
     T_tool_skin: Array  # (4, 4) pose of the skin in the rig's tool frame: a shift along z and a tilt, m
     flatness_error: float  # m, distance of each corner from the fitted plane
@@ -77,7 +77,7 @@ def corner_rotation(side: tuple[int, int], tilt: float = TouchOffConfig.tilt) ->
     """Calculate the rotation that brings one corner of the skin forward.
 
     Args:
-        side: Signs of the corner's x and y.
+        side: Signs (1 or -1) of the corner's x and y in the tool.
         tilt: Angle of the rotation in rad.
 
     Returns:
@@ -90,7 +90,7 @@ def corner_rotation(side: tuple[int, int], tilt: float = TouchOffConfig.tilt) ->
 def contact_onset(
     distance: Float[Array, " n"], force: Float[Array, " n"], *, config: TouchOffConfig = TouchOffConfig()
 ) -> float:
-    """Estimate the distance to first contact in a press of a corner.
+    """Estimate from the force at which distance a pressed corner of the skin first touched the flat.
 
     Args:
         distance: (n,) distance of the tool from the start at each sample, m.
@@ -125,7 +125,7 @@ def contact_onset(
 
 
 def corner_force(travel: Float[Array, " n"], soft: float, stiffness: float) -> Float[Array, " n"]:
-    """Calculate the force F of a pressed corner: travel = soft F^(1/3) + F / stiffness, by Cardano's formula.
+    """Calculate the force F of a pressed corner of the skin from travel = soft F^(1/3) + F / stiffness.
 
     Args:
         travel: (n,) travel past first contact in m; below zero there is no force.
@@ -141,14 +141,14 @@ def corner_force(travel: Float[Array, " n"], soft: float, stiffness: float) -> F
 
 
 def fit_plane(touches: Sequence[Array], height: float) -> FittedPlane:
-    """Fit the face of the skin to the tool's poses in which its corners began to touch.
+    """Fit the plane of the skin's face to the tool poses at which its corners first touched a flat.
 
     Args:
         touches: Four poses T_b_t (4, 4), in the order of `CORNER_SIGNS`.
         height: Height of the flat in the base, m.
 
     Returns:
-        The plane of the face in the tool.
+        The pose of the skin's face in the tool.
 
     Raises:
         ValueError: The face is so far from the tool's frame that something else was touched.
@@ -178,7 +178,7 @@ def touch_off(
     *,
     config: TouchOffConfig = TouchOffConfig(),
 ) -> FittedPlane:
-    """Touch a flat with all corners of the skin.
+    """Touch a horizontal flat with each corner of the skin, and fit the plane of its face.
 
     Args:
         arm: Connected arm.
@@ -189,7 +189,7 @@ def touch_off(
         config: Motions of the touch-off.
 
     Returns:
-        The plane of the skin's face.
+        The pose of the skin's face in the tool.
 
     Raises:
         ValueError: The tool would leave the box; nothing has moved.

@@ -62,22 +62,22 @@ HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.binary)
 
 @dataclass(frozen=True)
 class HeadConfig:
-    """Validation of heads, and the uncertainty of their predictions.
+    """Settings for validating a head (a regression from readings) and for the uncertainty of its predictions.
 
     Attributes:
         min_rows: Number of rows that a head needs; fewer leave nothing to choose and to test on.
-        fold_count: Number of folds, at most.
-        block_m: Edge of the blocks of the skin that are held out.
+        fold_count: Number of folds of the cross-validation, at most.
+        block_m: Edge (m) of the square blocks of the skin that are held out.
         blocks_across: Number of blocks across a range of positions that is too small for `block_m`.
-        min_strokes: Number of strokes from which strokes are held out.
+        min_strokes: Number of strokes (sessions) from which whole strokes are held out.
         time_stretches: Number of stretches of time that are held out if there are neither blocks nor strokes.
         stream_history: Number of earlier rows that a head of a stream may use, because a skin has a memory and moves.
-        min_weight: Weight from which a method belongs to a weighted sum.
-        gates: Shares of single presses, and of blocks, whose distances from known readings end the near region and
-            begin the far one.
-        range_share: Share of the rows in a stated range, and of the groups that hold as many.
-        similar_share: Share of the rows whose errors determine the uncertainty of a similar reading.
-        min_similar_rows: Number of these rows, at least.
+        min_weight: Weight from which a method belongs to the weighted sum of methods.
+        gates: Pairs to try: the quantile of the distances of single held-out presses from known readings at which the
+            near region ends, and that of held-out blocks at which the far region begins.
+        range_share: Fraction of the rows in a stated range, and of the groups that hold as many.
+        similar_share: Fraction of the rows whose errors determine the uncertainty of a similar reading.
+        min_similar_rows: Smallest number of these rows.
         unfamiliar_quantile: Quantile of the distances between known readings.
         unfamiliar_factor: Factor on that quantile from which a reading is unfamiliar.
     """
@@ -102,7 +102,7 @@ HEAD_CONFIG = HeadConfig()
 
 
 class HeadPrediction(NamedTuple):
-    """Predictions of a head for n readings."""
+    """Targets that a head predicts for n readings: mean, standard deviation and whether a reading is unfamiliar."""
 
     mean: Float[np.ndarray, "n d"]  # predicted target in the library's unit; NaN if a reading is not finite
     std: Float[np.ndarray, "n d"]  # standard deviation in the library's unit; NaN if a reading is not finite
@@ -110,7 +110,7 @@ class HeadPrediction(NamedTuple):
 
 
 class SpreadRecord(NamedTuple):
-    """Errors on rows that were held out in several ways, and features of their readings."""
+    """Errors of a head on held-out rows and features of their readings, from which its uncertainty is predicted."""
 
     features: FeatureMap
     known: Float[np.ndarray, "m k"]  # features of known readings
@@ -123,7 +123,7 @@ class SpreadRecord(NamedTuple):
 
 
 class StackRecord(NamedTuple):
-    """A weighted sum of methods about the mean, m + sum w_i (f_i - m); methods without weight are None."""
+    """Weighted sum of regression methods f_i about the targets' mean m: m + sum w_i (f_i - m); unused ones are None."""
 
     centre: Float[np.ndarray, " d"]  # m, mean of the targets
     weights: Float[np.ndarray, " methods"]  # weights of the methods, in the order of HEAD_METHODS
@@ -135,13 +135,13 @@ class StackRecord(NamedTuple):
 
     @property
     def parts(self) -> dict[str, Regression]:
-        """Methods that have a weight, by name."""
+        """Regression methods that have a weight in the sum, by name."""
         parts = (self.mean, self.linear, self.nearest, self.gaussian_process)
         return {name: part for name, part in zip(HEAD_METHODS, parts, strict=True) if part is not None}
 
 
 class HeadRecord(NamedTuple):
-    """Arrays of a head, as its file holds them."""
+    """Fitted arrays of a head, as its file holds them."""
 
     stack: StackRecord
     spread: SpreadRecord
@@ -156,14 +156,14 @@ class HeadRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class Head:
-    """Predictor of one target from readings, from `fit_head` or `load_head`.
+    """Regression from a skin's readings to one target, such as force or position, from `fit_head` or `load_head`.
 
     Attributes:
         target: Name of the target, one of `HEAD_TARGETS`.
         record: Arrays of the head.
-        validation: Root mean square error of each method on held-out blocks of the recording, in the library's unit;
-            the head has the smallest.
-        metadata: Data of the caller, in types that JSON can hold.
+        validation: Root mean square error of each method on held-out blocks of the recording, in the target's unit;
+            smaller is better, and the head has the smallest.
+        metadata: Data that the caller saved with the head, in types that JSON can hold.
     """
 
     target: str
@@ -173,18 +173,18 @@ class Head:
 
     @property
     def method(self) -> str:
-        """Name of the method or weighted sum; two names if another one predicts near known readings."""
+        """Name of the regression method or weighted sum; two names if another one serves near known readings."""
         near, far = self.record.near_stack, _name_of(self.record.stack.parts)
         return far if near is None else f"{_name_of(near.parts)} near, {far} far"
 
     def predict(
         self, readings: Float[np.ndarray, "n c"], session: Int[np.ndarray, " n"] | None = None
     ) -> HeadPrediction:
-        """Predict the target of readings.
+        """Predict the target from readings.
 
         Args:
-            readings: `(n, c)` readings of all channels of the skin in uT, in the order of time if the head uses earlier
-                rows.
+            readings: `(n, c)` readings (uT) of all c channels of the skin, in the order of time if the head uses
+                earlier rows.
             session: `(n,)` number of the stroke or session within which rows follow each other; None if there is one.
 
         Returns:
@@ -228,7 +228,7 @@ class Head:
 
 
 def load_head(path: Path | str) -> Head:
-    """Load a head from its file.
+    """Load a head (a regression from readings) from its file.
 
     Args:
         path: Path of a file that `Head.save` wrote.
@@ -260,14 +260,15 @@ def fit_head(
     seed: int = 0,
     metadata: dict[str, Any] | None = None,
 ) -> Head:
-    """Fit a head to a recording, with the method that is best on held-out parts of it.
+    """Fit a head, which predicts a target from readings, with the method that is best on held-out parts.
 
     Args:
-        recording: Recording of one skin.
+        recording: Recording of one skin with readings and targets.
         target: Name of the target, one of `HEAD_TARGETS`.
         methods: Methods of `HEAD_METHODS` to try; the mean is always among them.
-        history: Number of earlier rows that the head uses too. None means none, or the best number in a stream.
-        budget: Numbers of rows to use, at most; None for the default.
+        history: Number of earlier rows that the head uses too. None means 0 for single presses, and the best number
+            for a stream.
+        budget: Largest numbers of rows to use; None for the default.
         seed: Seed of the folds.
         metadata: Data to save with the head, in types that JSON can hold.
 
@@ -314,7 +315,7 @@ def fit_head(
 
 
 def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
-    """Find the rows that a head can learn from: the target is known and the skin is touched.
+    """Find the rows of a recording to which a head can be fitted: the target is known and the skin is touched.
 
     Args:
         recording: Recording of one skin.
@@ -350,7 +351,7 @@ def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
 
 
 def hold_out_groups(recording: SkinRecording) -> np.ndarray:
-    """Group the rows that are held out together.
+    """Group the rows of a recording that a validation holds out together.
 
     Groups are objects if there are several; else blocks of the skin if presses lie in several (6 mm, or a quarter of a
     smaller range); else strokes; else stretches of time.

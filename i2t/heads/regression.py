@@ -32,7 +32,7 @@ Settings: TypeAlias = tuple[float, ...]
 
 
 class FeatureKind(IntEnum):
-    """Kinds of features; files store their numbers."""
+    """Kinds of features that are computed from readings; files store their numbers."""
 
     PLAIN = 0
     BY_CHANNEL = auto()
@@ -42,16 +42,16 @@ class FeatureKind(IntEnum):
 
 @dataclass(frozen=True)
 class SearchGrid:
-    """Settings that `choose_settings` tries; features have mean square length 1.
+    """Settings of the regression methods that `choose_settings` tries; features have mean square length 1.
 
     Attributes:
         penalties: Penalties of the ridge regression.
-        neighbours: Numbers of nearest readings.
-        lengths: Length scales of the GP.
+        neighbours: Numbers of nearest readings that are averaged.
+        lengths: Length scales of the Gaussian process (GP).
         noises: Noise variances of the GP, relative to the target's variance.
         shapes: Shape parameters of the rational quadratic; infinity is the squared exponential.
         linear_variances: Variances of the GP's linear part, relative to the target's variance.
-        rounds: Rounds of the search over the settings of the GP, one after the other.
+        rounds: Number of rounds of the search over the settings of the GP, one setting after the other.
     """
 
     penalties: tuple[float, ...] = tuple(10.0 ** np.arange(-6.0, 2.0))
@@ -64,7 +64,7 @@ class SearchGrid:
 
 
 class HeadBudget(NamedTuple):
-    """Numbers of rows that a fit uses, at most."""
+    """Largest numbers of rows that a fit of a head uses."""
 
     selection_rows: int = 700  # largest number of rows for the choice of settings, whose cost grows with the cube
     known_rows: int = 2500  # largest number of rows that a Gaussian process keeps
@@ -72,7 +72,7 @@ class HeadBudget(NamedTuple):
 
 
 class FeatureMap(NamedTuple):
-    """Map from readings to features, as arrays that a file can hold."""
+    """Map from readings (uT) to features of a regression, as arrays that a file can hold."""
 
     kind: Int[np.ndarray, ""]  # kind of the features, a `FeatureKind`
     channel: Float[np.ndarray, " c"]  # uT, root mean square of each channel
@@ -93,7 +93,7 @@ class FeatureMap(NamedTuple):
 
 
 class Regression(NamedTuple):
-    """A fitted method, as arrays that a file can hold; fields that a method does not use are None."""
+    """A fitted regression method, as arrays that a file can hold; fields that a method does not use are None."""
 
     method: Int[np.ndarray, ""]  # index of the method in HEAD_METHODS
     settings: Float[np.ndarray, " s"]  # settings of the method, from `choose_settings`
@@ -105,14 +105,14 @@ class Regression(NamedTuple):
 
 
 def make_feature_map(kind: int, readings: Float[np.ndarray, "n c"]) -> FeatureMap:
-    """Fit the scales of a feature map to readings.
+    """Make a feature map whose scales are fitted to readings.
 
     Args:
         kind: A `FeatureKind` or its number.
         readings: `(n, c)` readings in uT.
 
     Returns:
-        The feature map, scaled to these readings.
+        The feature map, whose features of these readings have mean 0 and mean square length 1.
     """
     channel = np.sqrt(np.mean(readings**2, axis=0))
     overall = np.sqrt(np.mean(readings**2)) + 1e-9
@@ -134,18 +134,18 @@ def choose_settings(
     *,
     grid: SearchGrid = SearchGrid(),
 ) -> Settings:
-    """Choose the settings of a method that have the smallest squared error on whole folds.
+    """Choose the settings of a regression method that have the smallest squared error on held-out folds.
 
     Args:
         method: One of `HEAD_METHODS`.
         readings: `(n, c)` readings in uT.
         targets: `(n, d)` targets in any unit.
         folds: `(ways, n)` number of each row's fold, in each way of holding out.
-        budget: Number of rows to use, at most.
+        budget: Largest number of rows to use.
         grid: Settings to try.
 
     Returns:
-        The number of the features, followed by the settings of the method.
+        The number of the `FeatureKind`, followed by the settings of the method.
     """
     rows = subsample(len(readings), budget.selection_rows)
     readings, targets, folds = readings[rows], targets[rows], folds[:, rows]
@@ -167,14 +167,14 @@ def fit_regression(
     *,
     budget: HeadBudget | None = None,
 ) -> Regression:
-    """Fit a method with given settings.
+    """Fit a regression method with given settings.
 
     Args:
         method: One of `HEAD_METHODS`.
         settings: Settings of the method, from `choose_settings`.
         readings: `(n, c)` readings in uT.
         targets: `(n, d)` targets in any unit.
-        budget: Number of rows to keep, at most; None for the default.
+        budget: Largest number of rows to keep; None for the default.
 
     Returns:
         The fitted method, for `predict_regression`.
@@ -199,14 +199,14 @@ def fit_regression(
 
 
 def predict_regression(fitted: Regression, readings: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "n d"]:
-    """Predict targets with a fitted method.
+    """Predict targets from readings with a fitted regression method.
 
     Args:
         fitted: The fitted method.
         readings: `(n, c)` finite readings in uT.
 
     Returns:
-        `(n, d)` predicted targets, in their unit.
+        `(n, d)` predicted targets, in the unit of those it was fitted to.
     """
     method, settings = HEAD_METHODS[int(fitted.method)], tuple(map(float, fitted.settings))
     if method == MEAN_TARGET:
@@ -231,7 +231,7 @@ def cross_predict(
     *,
     budget: HeadBudget | None = None,
 ) -> Float[np.ndarray, "ways n d"]:
-    """Predict each fold from all others.
+    """Predict the targets of each fold with a method that was fitted to all other folds.
 
     Args:
         method: One of `HEAD_METHODS`.
@@ -239,10 +239,10 @@ def cross_predict(
         readings: `(n, c)` readings in uT.
         targets: `(n, d)` targets in any unit.
         folds: `(ways, n)` number of each row's fold, in each way of holding out.
-        budget: Number of rows that a fit keeps, at most; None for the default.
+        budget: Largest number of rows that a fit keeps; None for the default.
 
     Returns:
-        `(ways, n, d)` predicted targets, in their unit.
+        `(ways, n, d)` predicted targets, in the unit of `targets`.
     """
     predicted = np.empty((len(folds), *targets.shape))
     for way, row_folds in enumerate(folds):
@@ -256,7 +256,7 @@ def cross_predict(
 def nearest_known(
     reference: Float[np.ndarray, "m k"], x: Float[np.ndarray, "n k"], count: int
 ) -> tuple[Float[np.ndarray, "n j"], Int[np.ndarray, "n j"]]:
-    """Find the nearest known rows of each row by matrix products.
+    """Find the known rows whose features are nearest to those of each row, by matrix products.
 
     No tree is faster in as many dimensions as a skin has channels.
 
@@ -266,7 +266,7 @@ def nearest_known(
         count: Number of neighbours to find; all m if there are fewer.
 
     Returns:
-        `(n, j)` distances in no particular order, and the row numbers of these neighbours.
+        `(n, j)` distances of the j neighbours in no particular order, and their row numbers in `reference`.
     """
     count = min(count, len(reference))
     squared_length, distances, rows = np.sum(reference**2, axis=1), [], []

@@ -33,7 +33,7 @@ CLOSE_PROGRAM = "close that program and connect again"
 
 @dataclass(frozen=True)
 class BoardSearch:
-    """Search for the rate and the format of a board, with times in seconds."""
+    """Baud rates and timeouts with which a board's frame format is detected, in seconds."""
 
     # baud rates to try, in this order; over USB any works
     baud_rates: tuple[int, ...] = (115200, 921600, 460800, 230400, 57600, 9600)
@@ -45,7 +45,7 @@ class BoardSearch:
 
 
 class BoardInfo(NamedTuple):
-    """Properties of a board."""
+    """Port, baud rate, frame format and USB identity of a skin's board."""
 
     port: str
     baud: int | None
@@ -56,7 +56,7 @@ class BoardInfo(NamedTuple):
 
 
 class ReSkin(StreamedSkin):
-    """A board on a serial port (`i2t.hardware.protocols.Skin`).
+    """Driver of a ReSkin, AnySkin or eFlesh board on a serial port (`i2t.hardware.protocols.Skin`).
 
     Args:
         port: Name of the port; by default the only board that `connect` finds.
@@ -65,7 +65,7 @@ class ReSkin(StreamedSkin):
         rate: Nominal rate in Hz; by default the published one.
         capacity: Number of samples that the queue holds.
         serial_number: Serial number of the board, instead of its port.
-        search: How rate and format are found.
+        search: Rates and timeouts with which baud rate and frame format are detected.
 
     Raises:
         DeviceError: pyserial is missing.
@@ -100,19 +100,19 @@ class ReSkin(StreamedSkin):
 
     @property
     def info(self) -> BoardInfo:
-        """Port, speed, format and USB names; raises NotConnectedError before the first connection."""
+        """Port, baud rate, frame format and USB names; raises NotConnectedError before the first connection."""
         if self._info is None:
             raise NotConnectedError(f"{self._name} has not been connected yet, so its board is unknown")
         return self._info
 
     @property
     def counters(self) -> SkinCounters:
-        """Counts so far."""
+        """Counts of samples, bytes and losses since the first connection."""
         with self._lock:
             return self._total()._replace(connects=self._connects, rate=self._rate())
 
     def open_link(self) -> Any:
-        """Open the port and find the format of its frames.
+        """Open the board's port and detect the format of its frames.
 
         Returns:
             The open port.
@@ -126,7 +126,7 @@ class ReSkin(StreamedSkin):
         return port
 
     def receive(self, link: Any) -> list[Measurement]:
-        """Receive the samples of the complete frames, as in `StreamedSkin.receive`."""
+        """Receive the samples in the frames that have arrived whole, as in `StreamedSkin.receive`."""
         new_frames, self._first_frames = self._first_frames, []
         if not new_frames:
             chunk = link.read(max(1, link.in_waiting))
@@ -143,7 +143,7 @@ class ReSkin(StreamedSkin):
         return measured
 
     def close_link(self, link: Any) -> None:
-        """Release the port, as in `StreamedSkin.close_link`."""
+        """Close the port of the board, as in `StreamedSkin.close_link`."""
         set_exclusive(link, False)
         link.close()
 
@@ -308,7 +308,7 @@ class ReSkin(StreamedSkin):
 
 
 def diagnose(received: bytes, chips: int, baud: int | None = None) -> str:
-    """Explain why a board's bytes gave no frame.
+    """Explain why the bytes that a board sent hold no valid frame.
 
     Args:
         received: Bytes that the board has sent.

@@ -39,7 +39,7 @@ RUN_LENGTH = 3  # number of candidates in a row that are accepted without a fram
 
 
 class Frame(NamedTuple):
-    """One sample of all chips; NaN for a missing chip."""
+    """One decoded frame of a board: a sample of all chips; NaN for a missing chip."""
 
     end: int  # number of bytes of the stream up to the end of this frame
     reading: Float[np.ndarray, " c"]  # uT, in the board's order
@@ -47,7 +47,7 @@ class Frame(NamedTuple):
 
 
 class Decoder(NamedTuple):
-    """State of decoding. `bytes == taken + skipped + len(rest)` at all times."""
+    """State of decoding a board's byte stream, with counts. `bytes == taken + skipped + len(rest)` at all times."""
 
     layout: FrameLayout = FrameLayout()
     rest: bytes = b""  # bytes that are not decided yet
@@ -63,31 +63,31 @@ class Decoder(NamedTuple):
 
     @property
     def bytes(self) -> int:
-        """Number of all bytes that have arrived."""
+        """Number of all bytes of the stream that were passed to the decoder."""
         return self.taken + self.skipped + len(self.rest)
 
 
 def decoders(chips: int = DEFAULT_CHIPS) -> tuple[Decoder, ...]:
-    """Create one decoder for each format, for `decode_any`.
+    """Create one decoder for each frame format, for `decode_any`.
 
     Args:
         chips: Number of chips of the board.
 
     Returns:
-        Decoders at the beginning of a stream.
+        Decoders in the state at the beginning of a stream.
     """
     return tuple(Decoder(FrameLayout(form, chips)) for form in Format)
 
 
 def decode_any(candidates: tuple[Decoder, ...], chunk: bytes) -> tuple[tuple[Decoder, ...], list[Frame]]:
-    """Decode the next bytes of a stream of unknown format.
+    """Decode the next bytes of a board's stream whose frame format is unknown.
 
     Args:
         candidates: Decoders that may fit.
         chunk: Next bytes of the stream.
 
     Returns:
-        The decoders that may still fit (only one from the first frame on), and its frames.
+        The decoders that may still fit (only one from the first frame on), and the frames that were decoded.
     """
     results = [decode(decoder, chunk) for decoder in candidates]
     hits = [(frames[0].end, i) for i, (_, frames) in enumerate(results) if frames]
@@ -98,14 +98,14 @@ def decode_any(candidates: tuple[Decoder, ...], chunk: bytes) -> tuple[tuple[Dec
 
 
 def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
-    """Decode the next bytes of the stream.
+    """Decode the next bytes of a board's stream.
 
     Args:
         decoder: State of decoding before these bytes.
         chunk: Next bytes of the stream.
 
     Returns:
-        The state of decoding after them, and the frames that have become certain.
+        The state after these bytes, and the frames that have become certain.
     """
     data = decoder.rest + chunk
     data_start = decoder.taken + decoder.skipped  # position of `data` in the stream
@@ -133,7 +133,7 @@ def decode(decoder: Decoder, chunk: bytes) -> tuple[Decoder, list[Frame]]:
 
 
 def recognised_problem(data: bytes, chips: int) -> str:
-    """Explain why bytes gave no frame, if the bytes show a known problem.
+    """Explain why the bytes that a board sent hold no valid frame, if they show a known problem.
 
     Args:
         data: Bytes that a board has sent.

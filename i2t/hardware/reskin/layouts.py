@@ -38,7 +38,7 @@ COUNTER_SIZE = 256  # number of values of a frame's counter
 
 
 class Format(StrEnum):
-    """Formats of boards' frames."""
+    """Formats in which boards' firmware sends frames: bare values, or with header, counter and checksum."""
 
     BINARY = "binary"
     FRAMED = "framed"
@@ -61,7 +61,7 @@ CHECKED_FORMATS = {
 
 
 class FrameValues(NamedTuple):
-    """Values of the bytes of a frame."""
+    """Values parsed from the bytes of a frame: temperature and field of each chip, and the frame's counter."""
 
     # (chips, 4) t, x, y, z in degrees Celsius and uT; 0 for a value that is not sent
     table: Float[np.ndarray, "chips 4"]
@@ -69,7 +69,7 @@ class FrameValues(NamedTuple):
 
 
 class FrameLayout(NamedTuple):
-    """Layout of a board's frames."""
+    """Layout of the frames that a board sends: their format and number of chips."""
 
     form: Format = Format.BINARY
     chips: int = DEFAULT_CHIPS
@@ -81,17 +81,17 @@ class FrameLayout(NamedTuple):
 
     @property
     def checked(self) -> bool:
-        """Whether a frame has a counter and a checksum."""
+        """Whether frames of this format have a counter and a checksum."""
         return self.form in CHECKED_FORMATS
 
     @property
     def has_temperature(self) -> bool:
-        """Whether a frame has temperatures."""
+        """Whether frames of this format hold the chips' temperatures."""
         return self.form != Format.FRAMED
 
 
 def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | None]:
-    """Find the next stretch of bytes that may be a frame.
+    """Find the next stretch of a board's bytes that may be a frame.
 
     Args:
         layout: Layout of the frames.
@@ -116,7 +116,7 @@ def window(layout: FrameLayout, data: bytes, search: int) -> tuple[int, int | No
 
 
 def parse(layout: FrameLayout, stretch: bytes) -> FrameValues | None:
-    """Parse a stretch of bytes, whether or not its values are plausible.
+    """Parse a stretch of bytes as a frame, whether or not its values are plausible.
 
     Args:
         layout: Layout of the frames.
@@ -144,7 +144,7 @@ def encode(
     form: Format = Format.BINARY,
     count: int = 0,
 ) -> bytes:
-    """Encode a frame as a board sends it.
+    """Encode a sample as the frame that a board sends.
 
     Args:
         reading: (3 chips,) values in uT, in the board's order; a chip that fails is NaN, or zero.

@@ -48,10 +48,10 @@ class Options:
 
 
 def table(counters: SkinCounters, shown: Samples, rest: np.ndarray) -> list[str]:
-    """Format the lines that are shown.
+    """Format the live display of a board: stream, and change of field and temperature of each chip.
 
     Args:
-        counters: Counts of the skin.
+        counters: Counts of samples and losses of the skin.
         shown: Samples whose mean is shown; NaN for a missing chip.
         rest: (c,) reading at rest in uT, which is subtracted.
 

@@ -136,12 +136,12 @@ class Rig:
 
     @property
     def T_base_world(self) -> Array:
-        """(4, 4) world in the base, m."""
+        """(4, 4) pose of the world in the robot's base, m; the inverse of `T_world_base`."""
         return inverse(self.T_world_base)
 
     @classmethod
     def read(cls, path: str | Path) -> "Rig":
-        """Read a rig from a file.
+        """Read a rig from a TOML file.
 
         Args:
             path: Path of the TOML file.
@@ -166,7 +166,7 @@ class Rig:
             raise ValueError(f"{path}: {error}") from error
 
     def write(self, path: str | Path) -> None:
-        """Write the rig to a file, completely or not at all.
+        """Write the rig to a TOML file, completely or not at all.
 
         Args:
             path: Path of the TOML file; an existing file is replaced.
@@ -178,7 +178,7 @@ class Rig:
             temporary.write_text(self.text(), encoding="utf-8")
 
     def text(self) -> str:
-        """Format the rig as TOML."""
+        """Return the rig as TOML text, which `read` reads."""
         lines = ["# A rig of i2t: T_a_b maps points in b to a, as the four rows of its matrix."]
         left_out = {"skin"} if self.skin == TOOL_SKIN else set()
         for name, table in TABLES.items():
@@ -193,7 +193,7 @@ class Rig:
 
 
 def summary(rig: Rig) -> str:
-    """Summarise a rig, for comparison with the devices on the table.
+    """Summarise a rig in words and numbers, for comparison with the real devices.
 
     Args:
         rig: Calibration of the lab.

@@ -22,7 +22,7 @@ LIBRARY_REMEDY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' 
 
 
 def ask_dashboard(host: str, line: str) -> str:
-    """Send one line to the controller's dashboard.
+    """Send one line to the dashboard server of a UR controller, and return its answer.
 
     Args:
         host: Address of the controller.
@@ -46,13 +46,13 @@ def ask_dashboard(host: str, line: str) -> str:
 
 
 def lock_folder() -> Path:
-    """Return the folder of this user's locks: in `$XDG_RUNTIME_DIR`, or in `~/.cache`."""
+    """Return the folder of this user's locks on arms: in `$XDG_RUNTIME_DIR`, or in `~/.cache`."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     return (Path(runtime) if runtime else Path.home() / ".cache") / "i2t"
 
 
 def take_lock(host: str) -> IO[str]:
-    """Exclude other programs of this user from an arm.
+    """Lock a UR arm, so that no other program of this user controls it.
 
     Args:
         host: Address of the controller.
@@ -88,7 +88,7 @@ def take_lock(host: str) -> IO[str]:
 
 
 def check_reachable(host: str, port: Port = RTDE) -> None:
-    """Check that a port of a controller answers.
+    """Check that a port of a UR controller answers.
 
     Args:
         host: Address of the controller.
@@ -103,7 +103,7 @@ def check_reachable(host: str, port: Port = RTDE) -> None:
 
 
 def check_controller(host: str) -> None:
-    """Check that a controller can be controlled now.
+    """Check that a UR controller lets this program control the arm now.
 
     Args:
         host: Address of the controller.
@@ -132,7 +132,7 @@ def check_controller(host: str) -> None:
 
 
 def controller_serial(host: str) -> str:
-    """Ask a controller's dashboard for its serial number.
+    """Ask a UR controller for the robot's serial number.
 
     Args:
         host: Address of the controller.

@@ -48,15 +48,15 @@ from i2t.types import Array
 
 
 class UrArm(PolledArm):
-    """A UR arm (`i2t.hardware.protocols.GuardedArm`).
+    """Driver of a Universal Robots (UR) arm (`i2t.hardware.protocols.GuardedArm`).
 
     Args:
         host: Address of the controller.
-        limits: Box, speed, acceleration, force and torque that nothing exceeds.
+        limits: Box, speed, acceleration, force and torque that no motion exceeds.
         tool: (4, 4) pose of the tool in the flange, m, sent to the controller; None keeps the pendant's setting.
         payload: Mass in kg and its centre (3,) in the flange, m, sent to the controller; None keeps the pendant's.
-        state_timeout: Time in s without a new state in a motion, after which the arm is given up.
-        watchdog_rate: Minimum rate of the heartbeats in Hz, below which the controller ends the program.
+        state_timeout: Time in s without a new state in a motion, after which the connection counts as lost.
+        watchdog_rate: Minimum rate in Hz of this program's heartbeats, below which the controller ends its program.
         source: "real" or "emulated"; by default an address of this machine is emulated.
 
     Raises:
@@ -118,7 +118,7 @@ class UrArm(PolledArm):
         sys.exit(128 + number)
 
     def open_link(self) -> None:
-        """Take control; raise DeviceError if another client has it, or the robot refuses or does not answer."""
+        """Take control of the arm; raise DeviceError if another client has it, or the robot refuses or is silent."""
         try:
             self._lock = take_lock(self.host)
             check_controller(self.host)
@@ -129,7 +129,7 @@ class UrArm(PolledArm):
             raise
 
     def close_link(self) -> None:
-        """End the program and disconnect, from any thread."""
+        """End the program on the controller and disconnect; may be called from any thread."""
         with self._closing:
             try:
                 with contextlib.suppress(DeviceError):
@@ -142,27 +142,27 @@ class UrArm(PolledArm):
                     lock.close()
 
     def read_state(self) -> ArmState:
-        """Return the newest state; raise DeviceError if the arm is lost, or its program has ended."""
+        """Return the arm's newest state; raise DeviceError if the connection is lost or the program has ended."""
         return self.connection.running(np.inf)
 
     def begin_line(self, T_b_t: Array, speed: float, acceleration: float) -> None:
-        """Start a straight motion, as in `PolledArm.begin_line`; the library's process keeps its bounds too."""
+        """Start a straight motion, as in `PolledArm.begin_line`; the worker process checks its bounds too."""
         self.connection.start_motion(T_b_t, speed=speed, acceleration=acceleration, bounds=self.bounds)
 
     def brake(self) -> None:
-        """Brake the arm to a stop."""
+        """Command the arm to brake to a stop."""
         self.connection.request_stop()
 
     def zero_sensor(self) -> None:
-        """Zero the wrench at its present value."""
+        """Zero the force and torque sensor at its present value."""
         self.connection.zero_wrench(1.0)
 
     def speed_share(self) -> float:
-        """Return the share of the requested speed that the pendant's slider leaves."""
+        """Return the fraction (0 to 1) of the requested speed to which the pendant's slider reduces motions."""
         return self.connection.speed_share
 
     def stop(self, timeout: float = SAFETY.stop_timeout_s) -> None:
-        """Brake and return when the arm stands, as in `Arm.stop`; give up an arm that is not seen to stand."""
+        """Brake the arm and return when it stands, as in `Arm.stop`; disconnect if it is not seen to stand."""
         # No lock, because a motion that is being started holds it; that motion checks the number of stops again.
         self._stops, self._free_watch = self._stops + 1, None
         self.connection.stop(timeout)

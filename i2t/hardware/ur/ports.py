@@ -19,7 +19,7 @@ VERSION_REQUEST = b"\x00\x03v"  # requests the version of URControl
 
 
 class Port(NamedTuple):
-    """A port of the controller that the driver needs."""
+    """A TCP port of a UR controller that the driver needs."""
 
     number: int
     name: str
@@ -36,7 +36,7 @@ PORTS = (RTDE, DASHBOARD, SCRIPT)
 
 
 class Answer(enum.Enum):
-    """Outcome of an attempt to talk to a port; messages use the values, such as "refuses connections on port 29999"."""
+    """Outcome of an attempt to talk to a controller's port; messages use the values, as in "refuses connections"."""
 
     ANSWERS = "answers"
     REFUSED = "refuses connections"
@@ -47,7 +47,7 @@ class Answer(enum.Enum):
 
 
 def probe(host: str, port: Port, timeout: float = 1.0) -> Answer:
-    """Connect to a port, and wait for its greeting if its service has one.
+    """Test whether a port of a UR controller answers: connect, and wait for the greeting of a service that sends one.
 
     Args:
         host: Address of the controller.
@@ -82,7 +82,7 @@ def _greeting(connection: socket.socket, port: Port) -> Answer:
 
 
 def controller_version(host: str, timeout: float = 1.0) -> tuple[int, ...]:
-    """Ask the RTDE server of a controller for the version of URControl.
+    """Ask the RTDE server of a UR controller for the version of its software, URControl.
 
     Args:
         host: Address of the controller.
@@ -104,7 +104,7 @@ def controller_version(host: str, timeout: float = 1.0) -> tuple[int, ...]:
 
 
 def explain_no_answer(host: str) -> str:
-    """Probe all ports of a controller that did not answer, and state the remedy.
+    """Probe all ports of a UR controller that did not answer, and explain the problem and its remedy.
 
     Args:
         host: Address of the controller.
@@ -123,7 +123,7 @@ def explain_no_answer(host: str) -> str:
 
 
 def explain(host: str, answers: Mapping[Port, Answer], version: tuple[int, ...] = ()) -> str:
-    """Explain which ports of a controller answer, which do not, and what to change.
+    """Explain which ports of a UR controller answer, which do not, and what to change.
 
     Args:
         host: Address of the controller.

@@ -34,7 +34,7 @@ from i2t.types import Array
 
 
 class ControllerState(NamedTuple):
-    """Newest state that the controller sent."""
+    """State that a UR controller sent: that of the arm, the speed slider, and whether i2t's program runs."""
 
     arm: ArmState
     speed_share: float  # fraction of the requested speed at which the pendant's slider lets the arm move
@@ -42,12 +42,12 @@ class ControllerState(NamedTuple):
 
 
 class RtdeConnection:
-    """A connection that can be opened, lost, closed and reopened; every method may be called from any thread.
+    """Connection to a UR controller through a worker process; every method may be called from any thread.
 
     Args:
         host: Address of the controller.
-        state_timeout: Time in s without a new state in a motion, after which the controller is given up.
-        watchdog_rate: Minimum rate of the heartbeats in Hz, below which the controller ends the program.
+        state_timeout: Time in s without a new state in a motion, after which the connection counts as lost.
+        watchdog_rate: Minimum rate in Hz of the heartbeats, below which the controller ends its program.
     """
 
     exit_timeout = 1.0  # s, in which the process must have ended by itself
@@ -73,11 +73,11 @@ class RtdeConnection:
 
     @property
     def speed_share(self) -> float:
-        """Share of the requested speed that the pendant's slider leaves; NaN before the first state."""
+        """Fraction (0 to 1) of the requested speed that the pendant's slider leaves; NaN before the first state."""
         return np.nan if self._state is None else self._state.speed_share
 
     def open(self, tool: Array | None, payload: tuple[float, tuple[float, float, float]] | None) -> None:
-        """Connect, set tool, payload and watchdog, and wait for the first state.
+        """Connect to the controller, set tool, payload and watchdog, and wait for the first state.
 
         Args:
             tool: (4, 4) pose of the tool in the flange, m; None keeps the pendant's setting.
@@ -118,7 +118,7 @@ class RtdeConnection:
         self.running(SAFETY.command_timeout_s)
 
     def close(self) -> None:
-        """End the process and thus the connection; the program on a controller that still listens ends too."""
+        """End the worker process and with it the connection; the program on a reachable controller ends too."""
         if self._ending is not None:
             self._ending.join(5.0)
         self._end()
@@ -126,7 +126,7 @@ class RtdeConnection:
     # State
 
     def newest(self, timeout: float) -> ControllerState:
-        """Return the newest state, whatever it contains.
+        """Return the newest state of the controller, even if its program has ended.
 
         Args:
             timeout: Maximum age of the state, and maximum wait for the first state, in s.
@@ -136,7 +136,7 @@ class RtdeConnection:
 
         Raises:
             NotConnectedError: There is no connection.
-            DeviceTimeoutError: The state is older; the arm has been given up.
+            DeviceTimeoutError: The newest state is older than `timeout`; the arm has been given up (`give_up`).
         """
         deadline = time.monotonic() + timeout
         while self._thread is not None and self._state is None and time.monotonic() < deadline:
@@ -152,13 +152,14 @@ class RtdeConnection:
         return state
 
     def running(self, timeout: float) -> ArmState:
-        """Return the newest state of an arm whose program runs.
+        """Return the arm's newest state, requiring that i2t's program runs on the controller.
 
         Args:
             timeout: Maximum age in s, as in `newest`.
 
         Returns:
-            The newest state. After a trip it keeps the pose and wrench that tripped, until the next brake or motion.
+            The newest state. After a force or torque above a motion's bounds, it keeps that state's pose and wrench
+            until the next brake or motion.
 
         Raises:
             DeviceError: The program has ended, or an error of `newest`.
@@ -174,11 +175,11 @@ class RtdeConnection:
     # Commands
 
     def request_stop(self) -> None:
-        """Have the thread brake; a plain assignment, because a signal handler must not wait for a lock."""
+        """Request that the connection's thread brakes the arm; never waits, so that a signal handler may call it."""
         self._stop_requested = True
 
     def stop(self, timeout: float = 1.0) -> None:
-        """Brake and return when the arm stands.
+        """Brake the arm and return when it stands.
 
         Args:
             timeout: Time in s until the arm must stand.
@@ -198,7 +199,7 @@ class RtdeConnection:
         raise self.give_up(f"The arm at {self.host} was not seen to stop within {timeout:g} s.")
 
     def start_motion(self, goal: Array, *, speed: float, acceleration: float, bounds: tuple[float, float]) -> None:
-        """Start a straight motion; on return, the newest state shows the arm moving.
+        """Start a straight motion of the arm; on return, the newest state shows it moving.
 
         Args:
             goal: (4, 4) pose of the tool in the base, m.
@@ -220,7 +221,7 @@ class RtdeConnection:
         self._wait(answer, SAFETY.command_timeout_s)
 
     def zero_wrench(self, timeout: float) -> None:
-        """Zero the wrench at its present value, as in `Arm.zero_wrench`."""
+        """Zero the measured wrench at its present value, as in `Arm.zero_wrench`."""
         self._wait(self._send("zero_wrench"), timeout)
 
     def end_program(self) -> None:
@@ -228,13 +229,13 @@ class RtdeConnection:
         self._wait(self._send("end_program"), SAFETY.command_timeout_s)
 
     def give_up(self, sentence: str) -> DeviceTimeoutError:
-        """Give up the arm: end the heartbeats, send "stop" to the dashboard, and end the process.
+        """Give up a lost arm: end the heartbeats, send "stop" to the dashboard, and end the worker process.
 
         Args:
             sentence: Message that states what happened.
 
         Returns:
-            The error to raise; the first one if the arm had been given up already.
+            The error to raise; that of the first call if the arm had been given up already.
         """
         if self._failure is not None:
             return self._failure

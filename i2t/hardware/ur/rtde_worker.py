@@ -43,7 +43,7 @@ TCP_LAST_RECEIVED = struct.Struct("52xI")  # field tcpi_last_data_recv of Linux'
 
 
 class WorkerLimits(NamedTuple):
-    """Safety limits that the process needs (`i2t.hardware.limits`)."""
+    """Safety limits (from `i2t.hardware.limits`) that the worker process between driver and UR controller needs."""
 
     watchdog_rate: float  # Hz, minimum rate of the heartbeats
     state_timeout: float  # s, maximum time for which a connection may receive nothing
@@ -55,7 +55,7 @@ class WorkerLimits(NamedTuple):
 
 
 class Channel:
-    """Lines of JSON over a socket, from any thread.
+    """Message channel between driver and worker process: lines of JSON over a socket, usable from any thread.
 
     Args:
         end: One end of a pair of sockets.
@@ -68,19 +68,19 @@ class Channel:
         self._rest = b""
 
     def send(self, message: Message) -> None:
-        """Send a message.
+        """Send a message to the other process.
 
         Args:
             message: Message of values that JSON can hold.
 
         Raises:
-            OSError: The other side is gone, or has not read for a second.
+            OSError: The other process is gone, or has not read for a second.
         """
         with self._sending:
             self._out.sendall(json.dumps(message).encode() + b"\n")
 
     def receive(self, timeout_s: float) -> list[Message]:
-        """Receive the messages that have arrived, or wait for one.
+        """Return the messages that have arrived from the other process, or wait for one.
 
         Args:
             timeout_s: Maximum wait in s.
@@ -89,7 +89,7 @@ class Channel:
             The messages in order; empty if none arrived in time.
 
         Raises:
-            EOFError: The other side has ended.
+            EOFError: The other process has ended.
         """
         self._in.settimeout(timeout_s)
         try:
@@ -104,7 +104,7 @@ class Channel:
         return [json.loads(line) for line in lines]
 
     def close(self) -> None:
-        """Close both directions, so that the other side notices."""
+        """Close the socket in both directions, so that the other process notices."""
         with contextlib.suppress(OSError):
             self._out.shutdown(socket.SHUT_RDWR)
         self._out.close()
@@ -112,7 +112,7 @@ class Channel:
 
 
 class Streams:
-    """The connections of the library that the controller streams to, when the object is created."""
+    """The open connections of ur_rtde over which a UR controller streams its state, to detect silent ones."""
 
     def __init__(self) -> None:
         self._ends: list[socket.socket] = []
@@ -126,7 +126,7 @@ class Streams:
                 end.detach()  # leave the library's socket open
 
     def silent_time(self) -> float:
-        """Measure the silence of the connection that has been silent longest.
+        """Measure for how long the connection that has been silent longest received nothing.
 
         Returns:
             Time in s since that connection received data; 0 if the kernel does not report it, infinite if a connection
@@ -142,13 +142,13 @@ class Streams:
 
 
 class Worker:
-    """Reader of the state that guards the motion and carries out the driver's commands.
+    """Worker process between driver and UR controller: reads states, guards motions and carries out commands.
 
     Args:
         channel: Channel to the driver.
-        control: The library's RTDEControlInterface.
-        receive: The library's RTDEReceiveInterface.
-        limits: Safety limits of the process.
+        control: The RTDEControlInterface of ur_rtde.
+        receive: The RTDEReceiveInterface of ur_rtde.
+        limits: Safety limits of the worker process.
     """
 
     def __init__(self, channel: Channel, control: Any, receive: Any, limits: WorkerLimits) -> None:
@@ -163,7 +163,7 @@ class Worker:
         self.braked_clock = -math.inf  # s, the controller's clock at the last brake
 
     def serve(self) -> None:
-        """Work until the driver ends (EOFError), or a connection breaks or sends invalid states (ConnectionError)."""
+        """Serve the driver until it ends (EOFError) or a connection breaks or sends bad states (ConnectionError)."""
         while True:
             if not self.control.isConnected() or not self.receive.isConnected():
                 raise ConnectionError("the controller closed it")
@@ -174,7 +174,7 @@ class Worker:
             self.process(self.channel.receive(POLL_S))
 
     def process(self, messages: list[Message]) -> None:
-        """Feed the watchdog once for all heartbeats, and carry out the commands.
+        """Process the driver's messages: feed the controller's watchdog once for all heartbeats, and execute commands.
 
         Args:
             messages: Messages of the driver, in order.
@@ -188,7 +188,7 @@ class Worker:
                 self.execute(message)
 
     def execute(self, message: Message) -> None:
-        """Carry out a command, send the state that it leads to, and answer.
+        """Execute a command of the driver, send the state that results, and answer.
 
         Args:
             message: Command with its arguments and the number of its answer.
@@ -209,7 +209,7 @@ class Worker:
         self.channel.send({"answer": message["id"], "error": error})
 
     def send_new_state(self) -> None:
-        """Send the controller's state if it is new, and brake if it is above the bounds of the motion.
+        """Send the controller's state to the driver if it is new; brake if force or torque exceeds the motion's bounds.
 
         Raises:
             ConnectionError: A value of the state is not finite.
@@ -231,13 +231,13 @@ class Worker:
             self.bounds = None
 
     def read_state(self, clock: float) -> Message:
-        """Read the state from ur_rtde as one message.
+        """Read the controller's state from ur_rtde as one message.
 
         Args:
             clock: Time of the state on the controller's clock, in s.
 
         Returns:
-            The state in metres, radians, newtons, and in the controller's own frame.
+            The state in metres, radians and newtons; pose, twist and wrench along the axes of the robot's base.
         """
         receive, last = self.receive, self.state
         now = time.monotonic() if last is None or clock > last["clock"] else last["time"]
@@ -266,23 +266,23 @@ class Worker:
         }
 
     def send_state(self, state: Message, tripped: bool = False) -> None:
-        """Keep a state and send it to the driver.
+        """Store a state of the controller as the newest, and send it to the driver.
 
         Args:
             state: State as `read_state` returns it.
-            tripped: Whether the state is above the bounds of the motion, which is therefore stopped.
+            tripped: Whether force or torque exceeds the bounds of the motion, which is therefore stopped.
         """
         self.state = state
         self.channel.send({"state": state, "tripped": tripped})
 
     def set_watchdog(self) -> None:
-        """Have the controller end the program when heartbeats stop; raise RuntimeError if it refuses."""
+        """Set the controller's watchdog to end the program when heartbeats stop; raise RuntimeError if refused."""
         if not self.control.setWatchdog(self.limits.watchdog_rate):
             raise RuntimeError("it did not take the watchdog")
         self.watchdog_set = True
 
     def move(self, pose: list[float], speed: float, acceleration: float, force: float, torque: float) -> None:
-        """Start a straight motion that is stopped above a force or torque.
+        """Start a straight motion of the tool that is stopped above a force or torque.
 
         Args:
             pose: Goal of the tool in the base: x, y, z (m) and a rotation vector (rad).
@@ -307,7 +307,7 @@ class Worker:
         self.bounds = force * (1 + 1e-9), torque * (1 + 1e-9)
 
     def brake(self) -> None:
-        """Brake to a standstill, if i2t's program runs."""
+        """Brake the arm to a standstill, if i2t's program runs on the controller."""
         self.bounds = self.pending = None
         state = self.state
         if state is not None and state["program"] and state["safe"]:
@@ -323,7 +323,7 @@ class Worker:
 
 
 def connect(channel: Channel, request: Message) -> Worker:
-    """Connect to the controller, and set tool and payload.
+    """Connect the worker process to a UR controller, and set tool and payload.
 
     Args:
         channel: Channel to the driver.
@@ -354,7 +354,7 @@ def connect(channel: Channel, request: Message) -> Worker:
 
 
 def forbid_new_connections() -> None:
-    """Make every later attempt to open a file or socket fail; open ones keep working."""
+    """Make every later attempt of this process to open a file or socket fail; open ones keep working."""
     import resource
 
     # Descriptors 0, 1 and 2 are the standard streams.
@@ -363,7 +363,7 @@ def forbid_new_connections() -> None:
 
 
 def main(request: Message) -> None:
-    """Serve the driver at the other end of standard input, and end the process.
+    """Run the worker process: serve the driver at the other end of standard input, then exit.
 
     Args:
         request: Request as `connect` takes it.
