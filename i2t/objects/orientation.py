@@ -22,7 +22,7 @@ from i2t.objects.solids import Mesh
 
 @dataclass(frozen=True)
 class OrientationConfig:
-    """Where winding numbers are evaluated, and how much evidence turns a part."""
+    """Options for turning faces outward: where winding numbers are evaluated, and how much evidence turns a part."""
 
     min_points: int = 9  # points on each side of a part
     max_points: int = 64  # points on each side of a part, if there are at most two parts
@@ -265,7 +265,7 @@ def encloses(corners: NDArray, inner: NDArray, config: OrientationConfig = Orien
     Args:
         corners: `(n, 3, 3)` corners of the surface's faces (m).
         inner: `(m, 3, 3)` corners of the other faces (m).
-        config: At how many of the other faces' centres winding numbers are evaluated, and how.
+        config: Options for winding numbers; it limits the number of centres at which they are evaluated.
 
     Returns:
         Whether the winding number at most of these centres is beyond 1/2.

@@ -48,19 +48,20 @@ def view_of_heights(
     noise: float = 0.0,
     lowest: Float[Array, ""] | float = -jnp.inf,
 ) -> PatchView:
-    """Compute a patch and its surroundings from heights.
+    """Compute a depth patch and its surroundings from heights along tool z.
 
     Args:
-        z: `(w, w)` heights (m) along tool z from the tool origin, +inf where nothing is seen. The patch is the central
-            48 x 48 pixels.
+        z: `(w, w)` heights (m) along tool z from the tool origin, growing away from the skin; +inf where nothing is
+            seen. The patch is the central 48 x 48 pixels.
         nearest: Height (m) from which depths are measured, by default that of the patch's nearest pixel. If it is +inf,
             depths are measured from the tool origin.
         reach: Depth (m) at which the view is clipped.
-        noise: Largest protrusion (m) that is taken for the camera's noise and reads 0.
-        lowest: Height (m) of the nearest surface anywhere; smaller heights are noise and are raised to it.
+        noise: A pixel in front of `nearest` by at most this much (m) is taken for camera noise and gets depth 0.
+        lowest: Smallest possible height (m), that of the surface nearest to the tool; smaller heights are noise and are
+            raised to it.
 
     Returns:
-        The patch, and its surroundings as `(w, w)` depths (m).
+        The patch, and with its surroundings as `(w, w)` depths (m); negative in front of `nearest`.
     """
     nearest = jnp.min(centre(z, PATCH_PIXELS)) if nearest is None else nearest
     start = jnp.where(jnp.isfinite(nearest), nearest, 0)

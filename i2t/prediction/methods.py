@@ -55,16 +55,16 @@ Shared = TypeVar("Shared")
 
 @dataclass(frozen=True)
 class TrainingTouches:
-    """Input of every method.
+    """Touches and options to which every method of predicting readings is fitted.
 
     Attributes:
         dataset: All touches, including those for validation and test; `Split` tells them apart.
-        measured: Those of force, nearest and travel that were measured at every touch.
+        measured: Names of the measurements (force, nearest, travel) that every touch has.
         pressure_model: Configuration of the predicted contact pressure; None if neither force nor travel is recorded.
         pressure: Contact pressures of all touches; None without a pressure model.
         paper: Sizes and loss of the paper's network.
         training: Configuration of the training of networks.
-        shared: Values that methods compute once and share (`once`).
+        shared: Values that methods compute once and share (`cached`).
     """
 
     dataset: Dataset
@@ -93,7 +93,7 @@ class TrainingTouches:
         return value
 
     def batch(self, rows: np.ndarray) -> TouchBatch:
-        """Select touches in the form that predictors take.
+        """Select some of the data set's touches in the form that predictors take.
 
         Args:
             rows: (n,) mask of touches.
@@ -145,7 +145,7 @@ class Method(ABC):
     """Method that is fitted to touches and predicts readings.
 
     Attributes:
-        title: Name of its rows in tables.
+        title: Name of the method in tables of results.
         baseline: Whether it is a baseline that all other methods have to beat.
 
     Example:

@@ -56,14 +56,14 @@ class SeenTouches(NamedTuple):
 
 
 def seen_touches(patch: Any, *, nearest: Any = None, view: Any = None, valid: Any = None) -> SeenTouches:
-    """Take the depths and their accompanying data from any object that holds depth patches.
+    """Extract the depths and their accompanying data from any object that holds depth patches.
 
     Args:
         patch: Depths, a `Patch`, a `PatchView`, a `DepthPatch`, a `DepthView`, a `TouchBatch`, the view of a collection
             (`i2t.collect.touch.SeenPatch`), or a list of them.
-        nearest: Replacement for the patch's own value; None keeps that value.
-        view: Replacement for the patch's own value; None keeps that value.
-        valid: Replacement for the patch's own value; None keeps that value.
+        nearest: Signed distance (m) of the nearest point from the tool origin; None takes the patch's own.
+        view: Depths (m) of the patch with its surroundings; None takes the patch's own.
+        valid: Mask of the pixels that were seen; None takes the patch's own.
 
     Returns:
         Depths with their accompanying data.
@@ -104,7 +104,7 @@ def _parts(patch: Any) -> SeenTouches:
 
 
 def check_size_of_patches(seen: SeenTouches, window: float, reach: float) -> None:
-    """Refuse patches of another square or depth than those on which the model was trained.
+    """Refuse patches of another window or reach than those on which the model was trained.
 
     Args:
         seen: The patches.
@@ -211,7 +211,7 @@ def checked_views(view: Any, patches: Float[np.ndarray, "n p p"], reach: float) 
 def checked_column(
     name: str, values: Any, n: int, default: float | None, *, unknown: bool = False
 ) -> Float[np.ndarray, " n"]:
-    """Check a quantity of which each of n touches has one value.
+    """Check a user's values of a quantity, one for each of n touches.
 
     Args:
         name: Name of the quantity, for messages.

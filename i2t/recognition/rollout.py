@@ -47,7 +47,7 @@ SitePolicy: TypeAlias = Callable[[Array, EpisodeState, EnvironmentParams], Array
 
 
 class RunningEpisodes(NamedTuple):
-    """Episodes in parallel, with all touches so far; arrays on the host."""
+    """States of e episodes that run in parallel, with their environment and all touches so far; arrays on the host."""
 
     environment: TouchEnvironment
     params: EnvironmentParams
@@ -64,7 +64,7 @@ def begin_episodes(
     truth: Int[np.ndarray, " e"],
     pad: Int[np.ndarray, " e"] | None = None,
 ) -> RunningEpisodes:
-    """Place an object in every episode.
+    """Begin episodes by placing an object, with random errors, in each.
 
     Args:
         key: Random key of all random events in the episodes.

@@ -79,7 +79,7 @@ def depth_noise(patches: Float[np.ndarray, "n p p"], *, minimum: float = 20e-6) 
 def with_registered_views(
     dataset: Dataset, surfaces: Mapping[str, Surface], estimates: Mapping[int, SessionEstimate]
 ) -> Dataset:
-    """Replace the views of registered sessions by renderings of their objects at the estimated poses.
+    """Replace the camera views of registered sessions by renderings of their objects at the estimated poses.
 
     Args:
         dataset: The touches that were registered.

@@ -9,7 +9,7 @@ WORD_BITS = 32
 
 
 def as_uint32(value: int) -> np.uint32:
-    """Convert a number to the type of words.
+    """Convert a number to a 32-bit word.
 
     Args:
         value: Number from 0 to 2^32 - 1.
@@ -45,7 +45,7 @@ def lowest_set_bit(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
 
 
 def bitwise_or_reduce(words: list[Array]) -> Array:
-    """Unite sets.
+    """Compute the union of bit sets.
 
     Args:
         words: Arrays of words, all of one shape.
