@@ -20,14 +20,14 @@ from i2t.objects.solids import Mesh
 
 
 class VoxelGrid(NamedTuple):
-    """Points in a box in the object's frame: point (i, j, k) is `low + spacing * (i, j, k)`."""
+    """Regular grid of points in the object's frame: point (i, j, k) is `low + spacing * (i, j, k)` (m)."""
 
     low: tuple[float, float, float]  # m, lowest corner of the grid
     spacing: float  # m, distance between the grid's points
     shape: tuple[int, int, int]
 
     def points(self) -> Float[np.ndarray, "g 3"]:
-        """List all points.
+        """List all points of the grid.
 
         Returns:
             `(g, 3)` points (m), z fastest.

@@ -14,7 +14,7 @@ LoadName: TypeAlias = Literal["travel", "force", "none"]
 
 
 class Presses(NamedTuple):
-    """n presses in the order of time; a column that was not recorded is None, and a missing value is NaN."""
+    """n presses of a tip on a skin, in the order of time; an unrecorded column is None, and a missing value NaN."""
 
     position: Float[np.ndarray, "n 2"]  # m, position of the tip's axis on the skin, along the skin's edges
     # uT, readings with three channels for each chip; NaN for a chip that did not answer
@@ -53,7 +53,7 @@ def join_presses(parts: Sequence[Presses]) -> Presses:
 
 
 def dataset_presses(dataset: Dataset) -> Presses:
-    """Convert the touches of a data set to presses.
+    """Convert the touches of a data set to presses of its object, the tip, on the skin.
 
     A height is minus the travel. Without travel it is the distance at which the tip stopped before the skin, if known.
 
@@ -75,7 +75,7 @@ def dataset_presses(dataset: Dataset) -> Presses:
 
 
 class LoadedPresses(NamedTuple):
-    """n presses by position and one load, as the models that predict readings take them."""
+    """n presses with position, one load (travel or force) and reading, as models of a tip on a skin take them."""
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # load of each press: travel in m, or force in N; constant if unknown

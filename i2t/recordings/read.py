@@ -60,7 +60,7 @@ MAX_STREAM_STEP_S = 0.5  # s, largest time between rows of a stream
 
 
 class TargetKind(NamedTuple):
-    """Kind of target that a head predicts."""
+    """Unit, scale and type of a target, a quantity that a head predicts from readings."""
 
     unit: str
     scale: float  # factor from the library's unit to `unit`
@@ -263,7 +263,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
 
 
 def is_stream(recording: SkinRecording) -> bool:
-    """Test whether rows follow each other quickly, as samples of one contact do.
+    """Test whether a recording's rows follow each other quickly, as samples of one contact do.
 
     Args:
         recording: Recording of one skin.
