@@ -43,7 +43,7 @@ def turn_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) ->
 
     Args:
         mesh: The mesh (m), whose faces all have an area.
-        config: Where winding numbers are evaluated, and how much evidence turns a part.
+        config: Options for the evaluation of winding numbers, and for how much evidence turns a part.
 
     Returns:
         The mesh with the same faces in the same order, some of them turned.
@@ -127,7 +127,7 @@ def _parts_to_turn(corners: NDArray, parts: _Parts, config: OrientationConfig) -
     Args:
         corners: `(m, 3, 3)` corners of the faces (m).
         parts: The parts of the faces.
-        config: Where winding numbers are evaluated, and how much evidence turns a part.
+        config: Options for the evaluation of winding numbers, and for how much evidence turns a part.
 
     Returns:
         `(parts,)` mask of the parts to turn.

@@ -32,7 +32,7 @@ class Mesh(NamedTuple):
 
 @in_one_line
 class Object(NamedTuple):
-    """Something to touch, in its own frame: z up, centred in x and y and standing on z = 0 unless read otherwise."""
+    """Object to touch, in its own frame: z up, centred in x and y and standing on z = 0 unless read otherwise."""
 
     name: str
     mesh: Mesh

@@ -52,7 +52,7 @@ def view_of_heights(
 
     Args:
         z: `(w, w)` heights (m) along tool z from the tool origin, growing away from the skin; +inf where nothing is
-            seen. The patch is the central 48 x 48 pixels.
+            seen. The patch is the central 48 x 48 of the w x w pixels.
         nearest: Height (m) from which depths are measured, by default that of the patch's nearest pixel. If it is +inf,
             depths are measured from the tool origin.
         reach: Depth (m) at which the view is clipped.
@@ -73,7 +73,7 @@ def view_of_heights(
 
 
 def view_of_noisy_heights(z: Float[Array, "w w"], *, filter_pixels: int = 5, min_surface_pixels: int = 10) -> PatchView:
-    """Compute a view of the default size from the heights of a noisy camera.
+    """Compute a patch with its surroundings, w pixels along an edge, from the heights of a noisy camera.
 
     The nearest pixel of a noisy image is not its nearest surface. That surface is the lowest mean over small squares of
     pixels, where each mean includes only pixels on the square's nearest surface (a sigma filter; Lee, CVGIP 24, 1983).
@@ -129,7 +129,7 @@ def complete_views(view: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n
         patch: Depths (m) of the patches in the middle of the views.
 
     Returns:
-        `(n, w, w)` copy of the views; the surroundings of cropped views stay NaN.
+        `(n, w, w)` copy of the views of w x w pixels; the surroundings of cropped views stay NaN.
     """
     views = np.array(view)
     middle = centre(views, patch.shape[-1])

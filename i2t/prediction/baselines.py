@@ -234,7 +234,7 @@ def ridge(
         penalty: Penalty on the squared weights, in units of the mean squared error.
 
     Returns:
-        `(m, c)` readings, in the unit of `y`.
+        `(m, c)` predicted readings of the m touches, in the unit of `y`.
     """
     mean_x, mean_y = x.mean(0), y.mean(0)
     return (at - mean_x) @ np.linalg.solve(_system(x, penalty), (x - mean_x).T @ (y - mean_y)) + mean_y
@@ -252,7 +252,7 @@ def predict_with_best_option(
     """Predict with the option that has the smallest squared error on held-out groups of the training touches.
 
     Args:
-        method: Function such that `method(x, y, at, option)` predicts.
+        method: Function such that `method(x, y, at, option)` predicts readings at features `at`.
         options: Options to choose from.
         x: Features of the training touches.
         y: Readings of the training touches.
@@ -260,7 +260,7 @@ def predict_with_best_option(
         at: Features of the touches to predict.
 
     Returns:
-        `(m, c)` readings, in the unit of `y`.
+        `(m, c)` predicted readings of the m touches, in the unit of `y`.
     """
     return method(x, y, at, best_option(method, options, x, y, assign_folds(groups))[0])
 

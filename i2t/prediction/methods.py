@@ -267,13 +267,13 @@ def fit_predictor(
 
 
 def views_of(dataset: Dataset) -> np.ndarray:
-    """Return views if they were recorded, otherwise patches.
+    """Return a data set's views (patches with their surroundings) if they were recorded, otherwise its patches.
 
     Args:
         dataset: Data set of n touches.
 
     Returns:
-        `(n, w, w)` views (m).
+        `(n, w, w)` views (m), w pixels along an edge.
     """
     view = dataset.touches.view
     centre = view.shape[-1] // 2

@@ -76,7 +76,7 @@ def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int | fl
         k: Number of neighbours, an integer; all touches if there are fewer.
 
     Returns:
-        `(m, 3 chips)` mean readings, in the unit of `y`.
+        `(m, 3 chips)` predicted readings of the m touches, in the unit of `y`.
     """
     near, _ = near_rows(x, at, k)
     return near @ y / near.sum(1, keepdims=True)

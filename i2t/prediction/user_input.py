@@ -128,7 +128,7 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
     """Check the depth patches of a user.
 
     Args:
-        patch: Depths (p, p) or (n, p, p), in m behind the nearest point.
+        patch: Depths (p, p) or (n, p, p), in m behind the nearest point, for p pixels along an edge.
         reach: Depth (m) at which patches are clipped.
 
     Returns:
@@ -174,8 +174,8 @@ def checked_views(view: Any, patches: Float[np.ndarray, "n p p"], reach: float) 
     """Check the views that a user gives with patches.
 
     Args:
-        view: Depths (w, w) or (n, w, w) in m, with pixels of the patches' size; negative where the object stands out in
-            front of the patch's nearest point, NaN where the rim is unknown.
+        view: Depths (w, w) or (n, w, w) in m, for w pixels along an edge, each of the size of the patches' pixels;
+            negative where the object stands out in front of the patch's nearest point, NaN where the rim is unknown.
         patches: The patches, each the middle of its view.
         reach: Depth (m) at which the patches are clipped.
 
@@ -336,7 +336,7 @@ def checked_valid(valid: Any, shape: tuple[int, ...]) -> Bool[np.ndarray, "n p p
     """Check the mask of seen pixels that a user gives.
 
     Args:
-        valid: Booleans (p, p) or (n, p, p).
+        valid: Booleans (p, p) or (n, p, p), for p pixels along an edge.
         shape: Shape of the patches, (p, p) or (n, p, p).
 
     Returns:

@@ -347,7 +347,8 @@ class TouchEnvironment:
             pads: The pads of the environment.
 
         Returns:
-            `(t, c)` readings (uT). Those of future touches are meaningless and do not affect the others.
+            `(t, c)` readings (uT) of the episode's t touches. Those of future touches are meaningless and do not affect
+            the others.
         """
         return read_session(
             jax.random.wrap_key_data(state.sensor_key), state.outcomes.reading, state.outcomes.T_w_t,

@@ -216,7 +216,7 @@ def believe(
     label: str,
     touches_at_a_time: int = 320,
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Compute posteriors over the objects along episodes with their own sites, with a progress bar.
+    """Compute posteriors over the objects along e episodes of t touches with their own sites, with a progress bar.
 
     Touches are predicted for a few episodes at a time, once at each touched site, so that memory does not grow with the
     number of episodes.

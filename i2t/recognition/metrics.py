@@ -133,7 +133,7 @@ def compare_paired(
     """Compare two methods on the same episodes.
 
     Args:
-        hit: `(e, t)` scores of the first method from `hits`.
+        hit: `(e, t)` scores of the first method from `hits`, for t touches of each of e episodes.
         other: `(e, t)` scores of the second method on the same episodes, from `hits`.
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
@@ -313,7 +313,7 @@ def values_of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> F
         truth: (episodes,) true classes.
 
     Returns:
-        `(e, t)` values of the true classes.
+        `(episodes, touches)` values of the true classes.
 
     Raises:
         ValueError: Shapes do not fit, or `truth` contains an invalid class.

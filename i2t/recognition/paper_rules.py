@@ -209,7 +209,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     """Compute beliefs by each of the paper's rules from distances.
 
     Args:
-        distance: Distance of each touch from each object.
+        distance: `(e, t, objects)` distance from each object of each of the t touches of e episodes.
 
     Returns:
         `(e, t, objects)` beliefs after each touch, by rule.
@@ -229,7 +229,7 @@ def paper_rules(
         predictors: Predictors of readings, by name.
         reading_std: Standard deviation (uT) of each channel in the training data.
         surfaces: Surfaces of the objects.
-        episodes: Record of the episodes.
+        episodes: Record of e episodes of t touches.
 
     Returns:
         `(e, t, objects)` beliefs after each touch, by source (the predictors' names and "proprioception") and rule,

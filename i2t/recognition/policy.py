@@ -207,7 +207,7 @@ def choose_informative_site(
     Args:
         key: Random key of the candidates and of their simulated outcomes.
         belief: The belief after the touches so far.
-        table: Predicted touches, (sites, objects, k).
+        table: Predicted touches, (sites, objects, k) for k particles of each object.
         likelihood: The distribution of measurements about predictions.
         touched: Mask of the sites that must not be chosen again.
         safe: Whether a touch of each site is safe on each object.

@@ -208,7 +208,7 @@ class ObjectRecognizer:
         return self.table.reading.shape[-1]
 
     def init(self, prior: Float[Array | np.ndarray, " objects"] | None = None) -> RecognizerState:
-        """Return the state before the first touch.
+        """Return the recogniser's state before the first touch.
 
         Args:
             prior: Probabilities of the known objects given that it is one of them; equal by default.

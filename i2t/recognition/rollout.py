@@ -181,7 +181,7 @@ def rollout(
         pad: Index of the pad of each episode; the first pad by default.
 
     Returns:
-        Episodes, and the `(e, t, o)` posteriors over the objects after each touch.
+        Record of e episodes of t touches, and the `(e, t, o)` posteriors over the o objects after each touch.
     """
     key_world, key_policy = jax.random.split(key)
     episodes = begin_episodes(key_world, environment, params, truth, pad)

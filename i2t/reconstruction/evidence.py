@@ -64,7 +64,7 @@ class Sweep(NamedTuple):
         """Bound the signed distance of points to the object's surface from below by their depth in the swept space.
 
         Args:
-            points: Points (m) in the object's frame.
+            points: `(q, 3)` points (m) in the object's frame.
 
         Returns:
             `(q,)` lower bounds (m), -inf for points that were not swept.
@@ -87,7 +87,7 @@ class SeenThrough(NamedTuple):
         """Bound the signed distance of points to the object's surface from below by 0 in front of the seen surfaces.
 
         Args:
-            points: Points (m) in the object's frame.
+            points: `(q, 3)` points (m) in the object's frame.
 
         Returns:
             `(q,)` lower bounds (m), -inf for points that the camera did not look through.
@@ -202,8 +202,8 @@ def with_free_patch(touch: SurfaceEvidence, depth: Float[np.ndarray, "e e"]) -> 
 
     Args:
         touch: Evidence of the touch from `contact_evidence`.
-        depth: `(e, e)` free depths (m) beyond the pad's plane over the patch's window; row i along tool y. Only four
-            fifths of each count as free.
+        depth: Square image of free depths (m) beyond the pad's plane over the patch's window; row i along tool y. Only
+            four fifths of each count as free.
 
     Returns:
         Evidence of the touch with these free points.

@@ -345,7 +345,7 @@ def predict(
     Args:
         model: The model of the posterior.
         posterior: Posterior from `regress`.
-        points: Points (m), or indices of points of the model's grid, which is faster.
+        points: `(q, 3)` points (m), or `(q,)` indices of points of the model's grid, which is faster.
         spread: Whether to compute standard deviations, which cost more than means.
 
     Returns:
@@ -373,8 +373,8 @@ def posterior_covariance(
     Args:
         model: The model of the posterior.
         posterior: Posterior from `regress`.
-        a: First points (m).
-        b: Second points (m).
+        a: `(p, 3)` first points (m).
+        b: `(q, 3)` second points (m).
 
     Returns:
         `(p, q)` covariances (m^2).

@@ -103,7 +103,7 @@ class LoadedPresses(NamedTuple):
             rows: Row numbers, or a mask.
 
         Returns:
-            `(k, 3)` position and load of these rows, in standard deviations over all presses.
+            `(k, 3)` position and load of these k rows, in standard deviations over all presses.
         """
         both = np.column_stack([self.position, self.load])
         return (both / np.maximum(both.std(0), 1e-9))[rows]

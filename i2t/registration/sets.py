@@ -62,7 +62,7 @@ def depth_noise(patches: Float[np.ndarray, "n p p"], *, minimum: float = 20e-6) 
     surfaces (Immerkaer, "Fast noise variance estimation", 1996, with a median in place of the mean).
 
     Args:
-        patches: `(n, p, p)` depths (m) as the camera measured them.
+        patches: `(n, p, p)` depths (m) of n patches of p x p pixels, as the camera measured them.
         minimum: Smallest standard deviation (m) to return.
 
     Returns:

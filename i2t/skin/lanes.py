@@ -98,7 +98,7 @@ def convolve(
 
     Args:
         matrices: Matrices of the kernel from `convolution`.
-        quadrants: `(2, h, 2, h, lanes)` cells of each lane.
+        quadrants: `(2, h, 2, h, lanes)` cells of each lane, from `to_quadrants`.
         grid: Grid of cells and waves.
 
     Returns:
@@ -157,7 +157,7 @@ def convolve_vectors(
 
     Args:
         matrices: Matrices of the kernel from `vector_convolution`.
-        quadrants: `(2, 2, h, 2, h, lanes)` components along x and y of each lane.
+        quadrants: `(2, 2, h, 2, h, lanes)` vectors of each lane: components along x and y, each from `to_quadrants`.
         grid: Grid of cells and waves.
 
     Returns:

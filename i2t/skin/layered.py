@@ -49,7 +49,7 @@ def stack_motion(
     Args:
         sheets: Layers from the surface down, each bonded to the next, and the last to the base.
         wavenumbers: Wavenumbers (1/m), >= 0.
-        depths: `(d,)` depths below the surface (m), from 0 to the thickness of the stack.
+        depths: d depths below the surface (m), from 0 to the thickness of the stack.
 
     Returns:
         The motion of each wave at each depth. A uniform pressure (wavenumber 0) has no slope, so its `along` and `turn`

@@ -106,7 +106,7 @@ def move(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[Ar
     """Displace and rotate magnets, each about its own centre.
 
     Args:
-        magnets: The magnets at rest.
+        magnets: The k magnets at rest.
         displacement: `(k, 3)` displacements (m) in tool axes.
         rotation: `(k, 3)` rotation vectors (rad) in tool axes.
 
@@ -130,7 +130,7 @@ def response(
 
     Args:
         board: The board that measures the field.
-        magnets: The magnets at rest.
+        magnets: The k magnets at rest.
         displacement: `(k, 3)` displacements (m) in tool axes.
         rotation: `(k, 3)` rotation vectors (rad) in tool axes.
         nodes: Number of nodes of the integral around each magnet.

@@ -309,7 +309,7 @@ def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Fl
         spread: Factor on the assumed variation of the patches' length; 0 gives 2.5 mm.
 
     Returns:
-        `(m, m, 3)` magnetization map with a root mean square of 1.
+        `(m, m, 3)` magnetization map with a root mean square of 1, m cells along an edge.
     """
     key_length, key_patches, key_common, key_axes, key_places = jax.random.split(key, 5)
     length = 2.5e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))

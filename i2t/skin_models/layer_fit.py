@@ -83,9 +83,9 @@ def fit_layer(
     """Find the most probable parameters of an elastic magnetic layer, given presses, and their 95 % ranges.
 
     Args:
-        unit_features: Function from coordinates of the prior to `(n, c, k)` readings (uT) of the weights on a layer
-            with gains and map strengths of 1. The weights are those of the map's patches, in three equal parts, then
-            three of the uniform part.
+        unit_features: Function from coordinates of the prior to `(n, c, k)` readings (uT) of n presses for each of k
+            weights, on a layer with gains and map strengths of 1. The weights are those of the map's patches, in three
+            equal parts, then three of the uniform part.
         readings: `(n, c)` readings of the presses (uT).
         prior: Prior of the parameters.
 

@@ -407,7 +407,7 @@ def magnetization_map(
 
     Args:
         layer: Strengths and length of the magnetization's patches.
-        weights: `(k,)` weights in the order of `weight_features`.
+        weights: k weights in the order of `weight_features`.
         window: Edge of the pad (m).
 
     Returns:

@@ -72,7 +72,7 @@ def bayesian_linear_regression(
     """Regress readings on weights of prior variance 1, and leave out groups of presses, in closed form.
 
     Args:
-        features: `(n, c, k)` readings of each weight.
+        features: `(n, c, k)` readings of n presses for each of k weights.
         readings: `(n, c)` readings of the presses, in the features' unit.
         noise_std: Standard deviation of a reading's noise, in the same unit.
         group: `(n,)` number of each press's group, from 0; by default each press is a group of its own.

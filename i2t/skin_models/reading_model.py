@@ -196,7 +196,7 @@ def interpolate_reading(
     constant from there.
 
     Args:
-        reading: `(l, c)` readings (uT) at `loads`.
+        reading: `(l, c)` readings (uT) at the l `loads`.
         variance: `(l,)` relative variances at `loads`.
         loads: `(l,)` ascending loads (N).
         force: The requested load (N); zero or less means no touch.

@@ -113,7 +113,7 @@ def embed(
 
     Args:
         x: Features of the touches.
-        others: Features of other points, such as cluster means.
+        others: Features of m other points, such as cluster means.
         seed: Seed of t-SNE.
 
     Returns:

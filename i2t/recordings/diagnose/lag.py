@@ -56,7 +56,7 @@ def lag_between(
     """Test whether readings belong to any kind of labels of an earlier or later row.
 
     Args:
-        labels: `(n, k)` labels of the rows, in any units.
+        labels: `(n, k)` values of k labels, such as position and force, in each row, in any units.
         readings: `(n, c)` readings of the same rows, in uT.
         config: Thresholds of the test.
 

@@ -51,7 +51,7 @@ def smooth_r2(
     """Compute the share of variance that a smooth function of the labels explains in leave-one-out prediction.
 
     Args:
-        labels: `(n, k)` labels of the rows, in any units. Constant columns are ignored.
+        labels: `(n, k)` values of k labels in each row, in any units. Constant columns are ignored.
         values: `(n, c)` values to explain.
         lengths: Length scales to try, in standard deviations of the labels.
         noises: Noise variances to try, relative to the signal's.
