@@ -47,7 +47,7 @@ class CleaningReport:
 
     @property
     def watertight(self) -> bool:
-        """Whether the surface is closed."""
+        """Whether the cleaned surface is closed."""
         return self.open_edges == 0
 
     def __str__(self) -> str:
@@ -67,7 +67,7 @@ class CleaningReport:
 
 
 class CleanMesh(NamedTuple):
-    """A mesh after cleaning."""
+    """A mesh after cleaning, with the dropped pieces and a report on the cleaning."""
 
     mesh: Mesh
     obstacles: Mesh  # pieces that were dropped but still obstruct the arm

@@ -161,7 +161,7 @@ class Method(ABC):
 
     @abstractmethod
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit to the training touches.
+        """Fit the method to the training touches.
 
         Args:
             key: Random key.
@@ -174,7 +174,7 @@ class Method(ABC):
 
 
 def find_method(name: str) -> Method:
-    """Find a method by its name.
+    """Find a method of predicting readings by its name.
 
     Args:
         name: A key of `METHODS`, or the module and class of another method, such as "my_package.module:Mine".
@@ -201,7 +201,7 @@ def find_method(name: str) -> Method:
 
 
 def find_methods(names: Sequence[str]) -> tuple[Method, ...]:
-    """Find methods by their names.
+    """Find methods of predicting readings by their names.
 
     Args:
         names: Names as for `find_method`; a repeated name counts once.

@@ -64,7 +64,7 @@ class TouchBatch(NamedTuple):
     pressure_model: PressureModelConfig | None = None  # configuration of that prediction
 
     def rows(self, which: np.ndarray) -> "TouchBatch":
-        """Select some of the touches.
+        """Select some of the batch's touches.
 
         Args:
             which: (n,) mask, or indices of touches.

@@ -68,7 +68,7 @@ class SingleTouchEnv(gymnasium.Env):
         return _as_dict(obs), {}
 
     def step(self, action: dict[str, Any]) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Make one touch.
+        """Make one touch, a step of the episode.
 
         Args:
             action: Site of the touch and predicted object, an element of `action_space`.

@@ -314,7 +314,7 @@ class ObjectRecognizer:
         return SiteObservation(site.number, touch)
 
     def update(self, state: RecognizerState, observation: SiteObservation) -> tuple[RecognizerState, RecognitionInfo]:
-        """Update the state with a touch.
+        """Update the belief and the touched sites with one touch.
 
         Args:
             state: The state before the touch.

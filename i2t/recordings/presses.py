@@ -27,7 +27,7 @@ class Presses(NamedTuple):
     session: np.ndarray | None = None  # (n,) names of the sessions
 
     def rows(self, which: Any) -> "Presses":
-        """Select presses.
+        """Select some of the presses.
 
         Args:
             which: A mask, row numbers or a slice.
@@ -39,7 +39,7 @@ class Presses(NamedTuple):
 
 
 def join_presses(parts: Sequence[Presses]) -> Presses:
-    """Concatenate presses.
+    """Concatenate several sets of presses.
 
     Args:
         parts: At least one part; all have the same columns.

@@ -122,7 +122,7 @@ class SkinRecording:
         return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
 
     def presses(self) -> Presses:
-        """Convert the rows to presses.
+        """Convert the recording's rows to presses.
 
         Returns:
             A press for each row, whose height is minus its travel.
@@ -152,7 +152,7 @@ class SkinRecording:
         return bool(spread > kind.min_range or (kind.binary and len(np.unique(values)) > 1))
 
     def rows(self, chosen: np.ndarray | slice) -> "SkinRecording":
-        """Select rows.
+        """Select some rows of the recording.
 
         Args:
             chosen: `(n,)` mask, row numbers or a slice.

@@ -39,7 +39,7 @@ class Sites(NamedTuple):
 
 @in_one_line
 class TouchSites(NamedTuple):
-    """Safe sites of an object, in its frame."""
+    """n safe touch sites on an object, in its frame: tool poses, points and normals."""
 
     T_o_t: Float[np.ndarray, "n 4 4"]  # pose of the tool at contact, whose z points into the object
     points: Float[np.ndarray, "n 3"]  # m, origin of the tool on the surface

@@ -71,7 +71,7 @@ class Grid:
 
     @property
     def spacing(self) -> float:
-        """Edge of a cell (m)."""
+        """Edge (m) of a cell."""
         return self.window / self.cells
 
     @property

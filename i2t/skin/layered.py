@@ -29,7 +29,7 @@ class Sheet(NamedTuple):
 
     @property
     def shear(self) -> float:
-        """Shear modulus (Pa)."""
+        """Shear modulus (Pa) of the layer."""
         return self.young / (2 * (1 + self.poisson))
 
 

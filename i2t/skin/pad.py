@@ -320,7 +320,7 @@ def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Fl
 
 
 def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
-    """Make a regular magnetization map.
+    """Make a regular magnetization map of a skin.
 
     Args:
         pattern: `poles` (4 x 4, alternating up and down, as in ReSkin's first paper), `uniform` (up) or `magnets` (four
