@@ -18,7 +18,7 @@ Real: TypeAlias = float | int  # a number of a drawing
 
 
 def mesh_from_solid(solid: Manifold) -> Mesh:
-    """Convert a solid to a mesh.
+    """Convert a manifold3d solid to a mesh.
 
     Args:
         solid: The solid, drawn in millimetres.

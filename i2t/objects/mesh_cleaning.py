@@ -21,7 +21,7 @@ from i2t.objects.solids import Mesh
 
 @dataclass(frozen=True)
 class CleaningConfig:
-    """Which vertices are equal, and which pieces are dust."""
+    """Thresholds of mesh cleaning: which vertices are merged, and which pieces are dropped as dust."""
 
     merge_distance: float = 1e-8  # m, distance within which vertices are merged
     # largest area of one dropped grain relative to the largest piece, and of all grains to the mesh
@@ -47,7 +47,7 @@ class CleaningReport:
 
     @property
     def watertight(self) -> bool:
-        """Whether the surface is closed."""
+        """Whether the cleaned surface is closed."""
         return self.open_edges == 0
 
     def __str__(self) -> str:
@@ -67,7 +67,7 @@ class CleaningReport:
 
 
 class CleanMesh(NamedTuple):
-    """A mesh after cleaning."""
+    """A mesh after cleaning, with the dropped pieces and a report on the cleaning."""
 
     mesh: Mesh
     obstacles: Mesh  # pieces that were dropped but still obstruct the arm
@@ -83,7 +83,7 @@ def clean_mesh(
         mesh: The mesh, in metres.
         path: The mesh's name in messages.
         largest_piece: Whether only the connected piece of the largest area is kept.
-        config: Which vertices are equal, and which pieces are dust.
+        config: Thresholds for merging vertices and for dropping small pieces as dust.
 
     Returns:
         The clean mesh, the pieces that were dropped, and the report.

@@ -22,7 +22,7 @@ from i2t.objects.solids import Mesh
 
 @dataclass(frozen=True)
 class OrientationConfig:
-    """Where winding numbers are evaluated, and how much evidence turns a part."""
+    """Options for turning faces outward: where winding numbers are evaluated, and how much evidence turns a part."""
 
     min_points: int = 9  # points on each side of a part
     max_points: int = 64  # points on each side of a part, if there are at most two parts
@@ -43,7 +43,7 @@ def turn_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) ->
 
     Args:
         mesh: The mesh (m), whose faces all have an area.
-        config: Where winding numbers are evaluated, and how much evidence turns a part.
+        config: Options for the evaluation of winding numbers, and for how much evidence turns a part.
 
     Returns:
         The mesh with the same faces in the same order, some of them turned.
@@ -127,7 +127,7 @@ def _parts_to_turn(corners: NDArray, parts: _Parts, config: OrientationConfig) -
     Args:
         corners: `(m, 3, 3)` corners of the faces (m).
         parts: The parts of the faces.
-        config: Where winding numbers are evaluated, and how much evidence turns a part.
+        config: Options for the evaluation of winding numbers, and for how much evidence turns a part.
 
     Returns:
         `(parts,)` mask of the parts to turn.
@@ -265,7 +265,7 @@ def encloses(corners: NDArray, inner: NDArray, config: OrientationConfig = Orien
     Args:
         corners: `(n, 3, 3)` corners of the surface's faces (m).
         inner: `(m, 3, 3)` corners of the other faces (m).
-        config: At how many of the other faces' centres winding numbers are evaluated, and how.
+        config: Options for winding numbers; it limits the number of centres at which they are evaluated.
 
     Returns:
         Whether the winding number at most of these centres is beyond 1/2.

@@ -23,7 +23,7 @@ from i2t.errors import DataError
 def triangulate(
     vertices: NDArray[np.float64], corners: NDArray[np.int64], sizes: NDArray[np.int64], name: Callable[[int], str]
 ) -> NDArray[np.int64]:
-    """Cut polygons into triangles.
+    """Cut polygons in space into triangles, without new vertices.
 
     Args:
         vertices: `(n, 3)` coordinates in any unit.

@@ -32,7 +32,7 @@ class Mesh(NamedTuple):
 
 @in_one_line
 class Object(NamedTuple):
-    """Something to touch, in its own frame: z up, centred in x and y and standing on z = 0 unless read otherwise."""
+    """Object to touch, in its own frame: z up, centred in x and y and standing on z = 0 unless read otherwise."""
 
     name: str
     mesh: Mesh
@@ -97,7 +97,7 @@ def table_transform(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def highest_point(target: Object, T_w_o: NDArray) -> float:
-    """Compute the height that the tool has to clear above an object, including the pieces that are not touched.
+    """Compute the height of an object's highest point, including the pieces that are not touched.
 
     Args:
         target: The object.

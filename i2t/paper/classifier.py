@@ -22,7 +22,7 @@ Layers: TypeAlias = list[dict[str, Array]]  # for each layer "kernel" (inputs, o
 
 @dataclass(frozen=True)
 class Classifier:
-    """Sizes and training options of the classifier."""
+    """Sizes and training options of the paper's classifier, which predicts a stamp's shape from one reading."""
 
     hidden: tuple[int, ...] = (500, 10)
     steps: int = 2400
@@ -40,7 +40,7 @@ def fit(
     inputs: int,
     classes: int,
 ) -> Layers:
-    """Train one member. The function is pure; the caller compiles it.
+    """Train one member of the classifier's ensemble. The function is pure; the caller compiles it.
 
     Args:
         key: Random key.
@@ -68,7 +68,7 @@ def fit(
 
 
 def init(key: Key[Array, ""], sizes: Sequence[int]) -> Layers:
-    """Draw random layers: normal weights of variance 2 / inputs, and biases of 0.
+    """Initialise the classifier's layers: normal weights of variance 2 / inputs, and biases of 0.
 
     The variance suits rectifiers (He et al., "Delving deep into rectifiers", 2015).
 
@@ -87,7 +87,7 @@ def init(key: Key[Array, ""], sizes: Sequence[int]) -> Layers:
 
 
 def logits(layers: Layers, x: Float[Array, "n d"]) -> Float[Array, "n classes"]:
-    """Compute the logits of each class.
+    """Compute the classifier's logits for each reading.
 
     Args:
         layers: Layers of one member.

@@ -26,7 +26,7 @@ TOUCHES = 10  # number of touches of an episode in the paper
 
 
 class LoopResult(NamedTuple):
-    """Results of the paper's loop for e episodes of t touches each."""
+    """Record of the paper's recognition loop in e episodes of t touches each."""
 
     distance: Float[np.ndarray, "e t objects"]  # distance of each touch from each object
     hypothesis: Int[np.ndarray, "e t"]  # object on which each touch was drawn
@@ -44,9 +44,9 @@ def run(
     rule: str = "votes",
     progress: Callable[[int], object] = lambda touches: None,
 ) -> LoopResult:
-    """Run the paper's loop in many episodes side by side.
+    """Run the paper's recognition loop (choose hypothesis and site, touch, update the belief) in e episodes at once.
 
-    With equal keys all methods make the same draws as long as their beliefs are equal.
+    With equal keys all methods of scoring make the same draws as long as their beliefs are equal.
 
     Args:
         key: Random key of hypotheses and sites.
@@ -80,10 +80,10 @@ def run(
 
 
 def beliefs(distance: Float[np.ndarray, "e t objects"], rule: str) -> Float[np.ndarray, "e t objects"]:
-    """Compute the beliefs of a rule from the distances of many episodes.
+    """Compute beliefs over the objects from the distances of touches, by one of the paper's rules.
 
     Args:
-        distance: `(e, t, objects)` distances d_io of each episode.
+        distance: `(e, t, objects)` distances of each touch from each object, for e episodes of t touches.
         rule: Name of one of `RULES`.
 
     Returns:

@@ -22,16 +22,16 @@ from i2t.training import Batch, Losses
 def losses(
     params: Params, cfg: PaperConfig, batch: Batch, weights: Float[Array, " n"]
 ) -> tuple[Float[Array, ""], Losses]:
-    """Compute the mean loss of some touches, in the form of `i2t.training`.
+    """Compute the paper's mean loss L over a minibatch of touches, in the form that `i2t.training` takes.
 
     Args:
         params: Parameters of one member.
-        cfg: Sizes of the network, and the weight w.
+        cfg: Sizes of the network, and the weight of the image error in L.
         batch: Prepared patches x `(n, pixels, pixels)` and standardised readings tau `(n, c)`.
         weights: `(n,)` weights of the touches.
 
     Returns:
-        Weighted mean of L, and weighted means of its parts.
+        Weighted mean of L, and weighted means of its parts (reading error and image error), all dimensionless.
     """
     predicted = jax.vmap(partial(apply, params, cfg))(batch.inputs)
     squared = jax.vmap(squared_error)(predicted.reading, batch.target)
@@ -40,7 +40,7 @@ def losses(
 
 
 def squared_error(predicted: Float[Array, " c"], reading: Float[Array, " c"]) -> Float[Array, ""]:
-    """Compute mean_i (tau_i - tau~_i)^2.
+    """Compute the mean squared error of a predicted reading, mean_i (tau_i - tau~_i)^2.
 
     Args:
         predicted: `(c,)` predicted reading tau~, standardised.
@@ -53,7 +53,7 @@ def squared_error(predicted: Float[Array, " c"], reading: Float[Array, " c"]) ->
 
 
 def image_error(kind: ImageKind, decoded: Float[Array, "n n"], image: Float[Array, "n n"]) -> Float[Array, ""]:
-    """Compute the image error d(x, x~).
+    """Compute the error d(x, x~) of the patch that the auxiliary decoder reconstructs.
 
     Args:
         kind: Kind of the network's input.

@@ -29,7 +29,7 @@ Params: TypeAlias = dict[str, dict[str, Array]]  # {layer: {"kernel": ..., "bias
 
 
 class Prediction(NamedTuple):
-    """Output of the network for one touch."""
+    """Output of the paper's network for one touch: standardised reading, reconstructed patch and latent code."""
 
     reading: Float[Array, " c"]  # predicted reading tau~, standardised
     image: Float[Array, "n n"]  # reconstructed patch x~ (logits for a mask)
@@ -37,7 +37,7 @@ class Prediction(NamedTuple):
 
 
 class PaperNetwork(nn.Module):
-    """The paper's network, as a Flax module."""
+    """The paper's network from a depth patch or contact mask to a reading, as a Flax module."""
 
     cfg: PaperConfig
 
@@ -63,7 +63,7 @@ def encode(cfg: PaperConfig, x: Float[Array, " values"]) -> Float[Array, " b"]:
 
 
 def decode(cfg: PaperConfig, z: Float[Array, " values"]) -> Float[Array, " units"]:
-    """Compute the hidden layer before the reading, inside a Flax module.
+    """Compute the decoder's hidden layer, from which the reading is predicted, inside a Flax module.
 
     Args:
         cfg: Sizes of the network.

@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 def distances(
     readings: Float[Array, "n c"], predicted: Float[Array, "n objects c"], std: Float[Array, " c"]
 ) -> Float[Array, "n objects"]:
-    """Compute the distances between measured and predicted readings.
+    """Compute the distances between measured readings and those predicted for each object.
 
     Args:
         readings: `(n, c)` measured readings (uT).
@@ -27,7 +27,7 @@ def distances(
         std: `(c,)` standard deviations (uT) of the channels in the training data.
 
     Returns:
-        `(n, objects)` Euclidean distances in standard deviations.
+        `(n, objects)` Euclidean distances in standard deviations; a smaller one favours the object.
     """
     return jnp.linalg.norm((readings[:, None] - predicted) / std[None, None], axis=-1)
 

@@ -48,19 +48,20 @@ def view_of_heights(
     noise: float = 0.0,
     lowest: Float[Array, ""] | float = -jnp.inf,
 ) -> PatchView:
-    """Compute a patch and its surroundings from heights.
+    """Compute a depth patch and its surroundings from heights along tool z.
 
     Args:
-        z: `(w, w)` heights (m) along tool z from the tool origin, +inf where nothing is seen. The patch is the central
-            48 x 48 pixels.
+        z: `(w, w)` heights (m) along tool z from the tool origin, growing away from the skin; +inf where nothing is
+            seen. The patch is the central 48 x 48 of the w x w pixels.
         nearest: Height (m) from which depths are measured, by default that of the patch's nearest pixel. If it is +inf,
             depths are measured from the tool origin.
         reach: Depth (m) at which the view is clipped.
-        noise: Largest protrusion (m) that is taken for the camera's noise and reads 0.
-        lowest: Height (m) of the nearest surface anywhere; smaller heights are noise and are raised to it.
+        noise: A pixel in front of `nearest` by at most this much (m) is taken for camera noise and gets depth 0.
+        lowest: Smallest possible height (m), that of the surface nearest to the tool; smaller heights are noise and are
+            raised to it.
 
     Returns:
-        The patch, and its surroundings as `(w, w)` depths (m).
+        The patch, and with its surroundings as `(w, w)` depths (m); negative in front of `nearest`.
     """
     nearest = jnp.min(centre(z, PATCH_PIXELS)) if nearest is None else nearest
     start = jnp.where(jnp.isfinite(nearest), nearest, 0)
@@ -72,7 +73,7 @@ def view_of_heights(
 
 
 def view_of_noisy_heights(z: Float[Array, "w w"], *, filter_pixels: int = 5, min_surface_pixels: int = 10) -> PatchView:
-    """Compute a view of the default size from the heights of a noisy camera.
+    """Compute a patch with its surroundings, w pixels along an edge, from the heights of a noisy camera.
 
     The nearest pixel of a noisy image is not its nearest surface. That surface is the lowest mean over small squares of
     pixels, where each mean includes only pixels on the square's nearest surface (a sigma filter; Lee, CVGIP 24, 1983).
@@ -128,7 +129,7 @@ def complete_views(view: Float[np.ndarray, "n w w"], patch: Float[np.ndarray, "n
         patch: Depths (m) of the patches in the middle of the views.
 
     Returns:
-        `(n, w, w)` copy of the views; the surroundings of cropped views stay NaN.
+        `(n, w, w)` copy of the views of w x w pixels; the surroundings of cropped views stay NaN.
     """
     views = np.array(view)
     middle = centre(views, patch.shape[-1])

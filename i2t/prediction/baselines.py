@@ -53,7 +53,7 @@ _CONFIG = BaselineConfig()
 
 @in_one_line
 class TouchFeatures(NamedTuple):
-    """Map from a touch to a vector."""
+    """Map from a touch to a feature vector: principal components of its image, and scaled measurements."""
 
     image_mean: Float[np.ndarray, " pixels"]  # mean training image: m, or N for contact pressures
     basis: Float[np.ndarray, "k pixels"]
@@ -64,7 +64,7 @@ class TouchFeatures(NamedTuple):
 
 @dataclass(frozen=True)
 class MeanReading(TouchModel):
-    """The mean of the training readings, for every touch."""
+    """Model that predicts the mean of the training readings for every touch."""
 
     mean: Float[np.ndarray, " c"]  # uT, mean of the training readings
     spread: Float[np.ndarray, " c"]  # uT, standard deviation of the training readings
@@ -108,7 +108,7 @@ class OnFeatures(TouchModel):
 
 @dataclass(frozen=True)
 class NearestTouches(OnFeatures):
-    """The mean reading of the nearest training touches."""
+    """Model that predicts the mean reading of the training touches with the nearest features."""
 
     points: Float[np.ndarray, "n d"]
     readings: Float[np.ndarray, "n c"]  # uT, readings of the training touches
@@ -124,7 +124,7 @@ class NearestTouches(OnFeatures):
 
 @dataclass(frozen=True)
 class RidgeOnImages(OnFeatures):
-    """Linear regression with a squared penalty."""
+    """Model that predicts readings by ridge regression on the features of a touch."""
 
     centre: Float[np.ndarray, " d"]
     weights: Float[np.ndarray, "d c"]  # uT, weights of the features
@@ -173,7 +173,7 @@ def image_components(images: Float[np.ndarray, "n h w"]) -> Components:
 
 
 def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -> TouchFeatures:
-    """Build the map from touches to vectors.
+    """Build the map from touches to feature vectors.
 
     Args:
         components: Components of the training touches' images (`image_components`).
@@ -189,7 +189,7 @@ def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -
 def features_of(
     features: TouchFeatures, images: Float[np.ndarray, "n h w"], measured: Float[np.ndarray, "n m"]
 ) -> Float[np.ndarray, "n d"]:
-    """Convert touches to vectors.
+    """Convert touches to feature vectors.
 
     Args:
         features: The map from touches to vectors.
@@ -234,7 +234,7 @@ def ridge(
         penalty: Penalty on the squared weights, in units of the mean squared error.
 
     Returns:
-        `(m, c)` readings, in the unit of `y`.
+        `(m, c)` predicted readings of the m touches, in the unit of `y`.
     """
     mean_x, mean_y = x.mean(0), y.mean(0)
     return (at - mean_x) @ np.linalg.solve(_system(x, penalty), (x - mean_x).T @ (y - mean_y)) + mean_y
@@ -252,7 +252,7 @@ def predict_with_best_option(
     """Predict with the option that has the smallest squared error on held-out groups of the training touches.
 
     Args:
-        method: Function such that `method(x, y, at, option)` predicts.
+        method: Function such that `method(x, y, at, option)` predicts readings at features `at`.
         options: Options to choose from.
         x: Features of the training touches.
         y: Readings of the training touches.
@@ -260,7 +260,7 @@ def predict_with_best_option(
         at: Features of the touches to predict.
 
     Returns:
-        `(m, c)` readings, in the unit of `y`.
+        `(m, c)` predicted readings of the m touches, in the unit of `y`.
     """
     return method(x, y, at, best_option(method, options, x, y, assign_folds(groups))[0])
 
@@ -356,7 +356,7 @@ def _plain(values: np.ndarray) -> np.ndarray:
 
 
 class Mean(Method):
-    """The mean reading."""
+    """Baseline method that predicts the mean reading of the training touches."""
 
     title = "mean reading"
     baseline = True
@@ -367,7 +367,7 @@ class Mean(Method):
 
 
 class Nearest(Method):
-    """The mean reading of the nearest patches."""
+    """Baseline method that predicts the mean reading of the training touches with the nearest patches."""
 
     title = "k nearest patches"
     baseline = True
@@ -417,49 +417,49 @@ class Nearest(Method):
 
 
 class NearestMeasured(Nearest):
-    """The mean reading of the touches nearest in patch and measurements."""
+    """Baseline method that predicts the mean reading of the training touches nearest in patch and measurements."""
 
     title = "k nearest patches + measured"
     measured = True
 
 
 class NearestPressure(Nearest):
-    """The mean reading of the nearest predicted contact pressures."""
+    """Baseline method that predicts the mean reading of the training touches nearest in predicted contact pressure."""
 
     title = "k nearest predicted pressures"
     on_pressure = True
 
 
 class NearestPressureMeasured(NearestPressure):
-    """The mean reading of the touches nearest in predicted contact pressure and measurements."""
+    """Baseline method that predicts the mean reading of the nearest predicted contact pressures and measurements."""
 
     title = "k nearest predicted pressures + measured"
     measured = True
 
 
 class Ridge(Nearest):
-    """Ridge regression on patches."""
+    """Baseline method that predicts readings by ridge regression on patches."""
 
     title = "ridge on PCA"
     fit_points = staticmethod(_fit_ridge)
 
 
 class RidgeMeasured(Ridge):
-    """Ridge regression on patches and measurements."""
+    """Baseline method that predicts readings by ridge regression on patches and measurements."""
 
     title = "ridge on PCA + measured"
     measured = True
 
 
 class RidgePressure(Ridge):
-    """Ridge regression on predicted contact pressures."""
+    """Baseline method that predicts readings by ridge regression on predicted contact pressures."""
 
     title = "ridge on PCA of predicted pressure"
     on_pressure = True
 
 
 class RidgePressureMeasured(RidgePressure):
-    """Ridge regression on predicted contact pressures and measurements."""
+    """Baseline method that predicts readings by ridge regression on predicted contact pressures and measurements."""
 
     title = "ridge on PCA of predicted pressure + measured"
     measured = True

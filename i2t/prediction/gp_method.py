@@ -16,7 +16,7 @@ from i2t.skin_models.pressure_gp import GP, ContactPressure, PressureModel, Pres
 
 @dataclass(frozen=True)
 class GPModel(TouchModel):
-    """A Gaussian process on predicted contact pressure.
+    """Model that predicts readings by a Gaussian process on predicted contact pressure.
 
     Attributes:
         gp: The fitted Gaussian process.
@@ -38,12 +38,12 @@ class GPModel(TouchModel):
 
 
 class GaussianProcess(Method):
-    """A Gaussian process whose hyperparameters are chosen on held-out groups of the training touches."""
+    """Method that fits a `GPModel`, with hyperparameters chosen on held-out groups of the training touches."""
 
     title = "Gaussian process on predicted contact pressure"
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit, as in `Method.fit`; this method needs predicted pressures."""
+        """Fit, as in `Method.fit`; return None if the touches lack predicted contact pressures."""
         if touches.pressure is None or touches.pressure_model is None:
             return None
         fitted = fit_gp(key, touches.pressure, touches.dataset.touches.reading, split)

@@ -55,16 +55,16 @@ Shared = TypeVar("Shared")
 
 @dataclass(frozen=True)
 class TrainingTouches:
-    """Input of every method.
+    """Touches and options to which every method of predicting readings is fitted.
 
     Attributes:
         dataset: All touches, including those for validation and test; `Split` tells them apart.
-        measured: Those of force, nearest and travel that were measured at every touch.
+        measured: Names of the measurements (force, nearest, travel) that every touch has.
         pressure_model: Configuration of the predicted contact pressure; None if neither force nor travel is recorded.
         pressure: Contact pressures of all touches; None without a pressure model.
         paper: Sizes and loss of the paper's network.
         training: Configuration of the training of networks.
-        shared: Values that methods compute once and share (`once`).
+        shared: Values that methods compute once and share (`cached`).
     """
 
     dataset: Dataset
@@ -93,7 +93,7 @@ class TrainingTouches:
         return value
 
     def batch(self, rows: np.ndarray) -> TouchBatch:
-        """Select touches in the form that predictors take.
+        """Select some of the data set's touches in the form that predictors take.
 
         Args:
             rows: (n,) mask of touches.
@@ -145,7 +145,7 @@ class Method(ABC):
     """Method that is fitted to touches and predicts readings.
 
     Attributes:
-        title: Name of its rows in tables.
+        title: Name of the method in tables of results.
         baseline: Whether it is a baseline that all other methods have to beat.
 
     Example:
@@ -161,7 +161,7 @@ class Method(ABC):
 
     @abstractmethod
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit to the training touches.
+        """Fit the method to the training touches.
 
         Args:
             key: Random key.
@@ -174,7 +174,7 @@ class Method(ABC):
 
 
 def find_method(name: str) -> Method:
-    """Find a method by its name.
+    """Find a method of predicting readings by its name.
 
     Args:
         name: A key of `METHODS`, or the module and class of another method, such as "my_package.module:Mine".
@@ -201,7 +201,7 @@ def find_method(name: str) -> Method:
 
 
 def find_methods(names: Sequence[str]) -> tuple[Method, ...]:
-    """Find methods by their names.
+    """Find methods of predicting readings by their names.
 
     Args:
         names: Names as for `find_method`; a repeated name counts once.
@@ -267,13 +267,13 @@ def fit_predictor(
 
 
 def views_of(dataset: Dataset) -> np.ndarray:
-    """Return views if they were recorded, otherwise patches.
+    """Return a data set's views (patches with their surroundings) if they were recorded, otherwise its patches.
 
     Args:
         dataset: Data set of n touches.
 
     Returns:
-        `(n, w, w)` views (m).
+        `(n, w, w)` views (m), w pixels along an edge.
     """
     view = dataset.touches.view
     centre = view.shape[-1] // 2

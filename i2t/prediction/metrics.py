@@ -11,7 +11,7 @@ import numpy as np
 
 
 class Score(NamedTuple):
-    """Accuracy of predicted readings."""
+    """Accuracy of predicted readings: explained variance R2 (1 is perfect), errors in uT, and cosine similarity."""
 
     r2: float  # R2 pooled over all channels
     r2_median: float  # median of the channels' R2
@@ -67,7 +67,7 @@ def _three(values: Iterable[float]) -> tuple[float, float, float]:
 
 
 def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int | float) -> np.ndarray:
-    """Average the readings of the k nearest training touches, and of all that are as near as the k-th.
+    """Predict readings as the mean over the k nearest training touches, and all that are as near as the k-th.
 
     Args:
         x: (n, d) features of the training touches.
@@ -76,7 +76,7 @@ def nearest_neighbours(x: np.ndarray, y: np.ndarray, at: np.ndarray, k: int | fl
         k: Number of neighbours, an integer; all touches if there are fewer.
 
     Returns:
-        `(m, 3 chips)` mean readings, in the unit of `y`.
+        `(m, 3 chips)` predicted readings of the m touches, in the unit of `y`.
     """
     near, _ = near_rows(x, at, k)
     return near @ y / near.sum(1, keepdims=True)

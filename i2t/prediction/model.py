@@ -37,14 +37,14 @@ Condition: TypeAlias = Literal["force", "nearest", "travel"]
 
 
 class Inputs(NamedTuple):
-    """Inputs of a network for one touch."""
+    """Inputs of a network for one touch: the image, and values measured at contact."""
 
     image: Float[Array, "n n"]  # a patch in m, or another image by `PaperConfig.input`
     conditions: Float[Array, " k"]  # conditions in the order of `ModelConfig.conditions`: N, m, m
 
 
 class MemberPrediction(NamedTuple):
-    """Prediction of one member for one touch, in standardised units."""
+    """Output of one member of an ensemble of networks for one touch, in standardised units."""
 
     reading: Float[Array, " c"]
     log_variance: Float[Array, " c"] | None  # predicted log variance of the reading; None unless heteroscedastic
@@ -54,7 +54,7 @@ class MemberPrediction(NamedTuple):
 
 @in_one_line
 class Normalisation(NamedTuple):
-    """Scales between physical units and the network's."""
+    """Means and standard deviations that convert readings and conditions to a network's standardised units."""
 
     reading: Standard  # uT
     conditions: Standard  # in the order of `ModelConfig.conditions`
@@ -63,7 +63,7 @@ class Normalisation(NamedTuple):
 
 @dataclass(frozen=True)
 class ModelConfig(PaperConfig):
-    """Options of a network, in addition to the paper's."""
+    """Options of a network that predicts readings, in addition to those of the paper's network."""
 
     auxiliary: bool = True  # whether there is an auxiliary decoder
     heteroscedastic: bool = False
@@ -86,7 +86,7 @@ class ModelConfig(PaperConfig):
 
 
 class Network(nn.Module):
-    """One member on one example."""
+    """One network of an ensemble, from the inputs of one touch to a reading, as a Flax module."""
 
     cfg: ModelConfig
 
@@ -123,7 +123,7 @@ def init(key: Key[Array, ""], cfg: ModelConfig) -> Params:
 
 
 def apply(params: Params, cfg: PaperConfig, inputs: Inputs | Array) -> MemberPrediction:
-    """Predict one example with one member, all in the network's units.
+    """Predict the reading of one touch with one member, all in the network's standardised units.
 
     Args:
         params: Parameters of one member.
@@ -144,7 +144,7 @@ def apply(params: Params, cfg: PaperConfig, inputs: Inputs | Array) -> MemberPre
 def losses(
     params: Params, cfg: ModelConfig, batch: Batch, weights: Float[Array, " n"]
 ) -> tuple[Float[Array, ""], Losses]:
-    """Compute the mean loss of some examples and its parts.
+    """Compute a network's mean loss over a minibatch of touches, and its parts.
 
     The epoch is chosen by the likelihood itself (beta 0), because the weights of beta, which help the gradients, would
     reward any small variance.
@@ -175,7 +175,9 @@ def losses(
 def gaussian(
     reading: Float[Array, " k"], log_variance: Float[Array, " k"], target: Float[Array, " k"], beta: float
 ) -> Float[Array, ""]:
-    """Compute the beta-weighted negative log likelihood per value. The weights are constant for its gradient.
+    """Compute the beta-weighted negative log likelihood of a reading, averaged over its k values.
+
+    The gradient treats the weights as constants.
 
     Args:
         reading: Predicted standardised reading.
@@ -205,7 +207,7 @@ def learner(cfg: PaperConfig) -> Learner:
 
 
 def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
-    """Refuse touches that are unsuitable for training.
+    """Refuse a set of touches that is unsuitable for training a network.
 
     Args:
         batch: `Inputs` and readings in physical units.
@@ -235,7 +237,7 @@ def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
 
 
 def conditions_of(cfg: PaperConfig) -> tuple[Condition, ...]:
-    """List the conditions that a network takes in addition to the image.
+    """List the measured conditions (force, nearest, travel) that a network takes in addition to the image.
 
     Args:
         cfg: Configuration of the network.

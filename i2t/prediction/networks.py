@@ -29,7 +29,7 @@ from i2t.types import Touches
 
 @dataclass(frozen=True)
 class PatchNetwork(TouchModel):
-    """A network on depth patches.
+    """Model that predicts readings by an ensemble of networks on depth patches.
 
     Attributes:
         params: Parameters with members as axis 0.
@@ -62,7 +62,7 @@ class PatchNetwork(TouchModel):
 
 @dataclass(frozen=True)
 class PressureNetwork(PatchNetwork):
-    """A network on predicted contact pressure.
+    """Model that predicts readings by an ensemble of networks on predicted contact pressure.
 
     Attributes:
         pressure: Configuration of the predicted contact pressure.
@@ -79,22 +79,23 @@ ModelFactory: TypeAlias = Callable[[Params, PaperConfig, Normalisation], PatchNe
 
 
 class NetworkMethod(Method):
-    """A network whose epoch is chosen on the validation touches."""
+    """Method that trains networks to predict readings and keeps the epoch that is best on the validation touches."""
 
     @abstractmethod
     def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, ModelFactory] | None:
-        """Configure the network.
+        """Configure the network for a data set.
 
         Args:
-            touches: All touches.
+            touches: All n touches.
 
         Returns:
-            Configuration, `(n, p, p)` input images of all touches, and the function that makes the model from
-            parameters, configuration and normalisation; None if the touches lack an input of the network.
+            Configuration, `(n, p, p)` input images of all touches (p pixels along an edge), and the function that makes
+            the model from parameters, configuration and normalisation; None if the touches lack an input of the
+            network.
         """
 
     def fit(self, key: Key[Array, ""], touches: TrainingTouches, split: Split) -> Predictor | None:
-        """Fit the network that the touches allow.
+        """Fit the network to the training touches.
 
         Args:
             key: Random key of the initial weights and minibatches.
@@ -137,7 +138,7 @@ class NetworkMethod(Method):
 
 
 class PaperDepth(NetworkMethod):
-    """The paper's network on depths, as in the paper's text."""
+    """Method that trains the paper's network on depth patches, as in the paper's text."""
 
     title = "paper's network, depth"
     input: ClassVar[ImageKind] = "depth"
@@ -150,19 +151,19 @@ class PaperDepth(NetworkMethod):
 
 
 class PaperMask(PaperDepth):
-    """The paper's network on contact masks, as in the paper's published code."""
+    """Method that trains the paper's network on contact masks, as in the paper's published code."""
 
     title = "paper's network, mask"
     input = "mask"
 
 
 class PaperDepthForce(PaperDepth):
-    """The paper's network on depths and the measured force of each touch, which the paper does not use."""
+    """Method that trains the paper's network on depth patches and measured forces, which the paper does not use."""
 
     title = "paper's network and measured force, depth"
 
     def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, ModelFactory] | None:
-        """Configure the network, as in `NetworkMethod.network`; it needs measured forces."""
+        """Configure the network, as in `NetworkMethod.network`; return None without measured forces."""
         if "force" not in touches.measured or (plain := super().network(touches)) is None:
             return None
         cfg, images, make_model = plain
@@ -170,14 +171,14 @@ class PaperDepthForce(PaperDepth):
 
 
 class PaperMaskForce(PaperDepthForce):
-    """The paper's network on contact masks and the measured force of each touch."""
+    """Method that trains the paper's network on contact masks and measured forces, which the paper does not use."""
 
     title = "paper's network and measured force, mask"
     input = "mask"
 
 
 class OnPressure(NetworkMethod):
-    """An ensemble of networks on predicted contact pressure and measured conditions, each predicting its variance."""
+    """Method that trains an ensemble on predicted contact pressure, force and travel; members predict a variance."""
 
     title = "network on predicted contact pressure"
     cfg = ModelConfig(
@@ -186,7 +187,7 @@ class OnPressure(NetworkMethod):
     )  # fmt: skip
 
     def network(self, touches: TrainingTouches) -> tuple[PaperConfig, np.ndarray, ModelFactory] | None:
-        """Configure the network, as in `NetworkMethod.network`; it needs predicted pressures."""
+        """Configure the network, as in `NetworkMethod.network`; return None without predicted contact pressures."""
         if touches.pressure is None or touches.pressure_model is None:
             return None
         images = np.asarray(touches.pressure.pressure)

@@ -49,7 +49,7 @@ Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # 
 
 @dataclass(frozen=True, repr=False)
 class Predictor:
-    """Predicts readings; get one from `load_predictor`.
+    """Trained model that predicts a skin's reading from a depth patch, or from a mesh and a pose (`load_predictor`).
 
     Attributes:
         model: The model that predicts.
@@ -83,7 +83,7 @@ class Predictor:
 
     @property
     def largest_force(self) -> float | None:
-        """Largest force (N) of the training touches, without its sign; None if it is unknown."""
+        """Largest absolute force (N) of the training touches; None if it is unknown."""
         limits = (self.metadata or {}).get("force_range")
         forces = [abs(force) for force in limits if isinstance(force, int | float)] if isinstance(limits, list) else []
         return max(forces, default=None)
@@ -339,27 +339,28 @@ def load_predictor(directory: Path | str) -> Predictor:
 
 
 def std_scale(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
-    """Compute the factor on the standard deviations that gives errors unit variance.
+    """Compute the factor on predicted standard deviations that makes them match the errors.
 
     Args:
         readings: Readings (uT) of touches outside the training set.
         prediction: Predictions of the same touches.
 
     Returns:
-        Root mean square of the errors in predicted standard deviations.
+        Root mean square of the errors, each divided by its predicted standard deviation; 1 is calibrated, and more
+        is overconfident.
     """
     return float(np.sqrt(np.mean(((readings - prediction.mean) / prediction.std) ** 2)))
 
 
 def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
-    """Compute the fraction of values in the predicted 90 % range.
+    """Compute the fraction of measured values that lie in their predicted central 90 % interval.
 
     Args:
         readings: Readings (uT) of touches outside the training set.
         prediction: Predictions of the same touches.
 
     Returns:
-        Fraction between 0 and 1.
+        Fraction between 0 and 1; 0.9 is calibrated.
     """
     return float(np.mean(np.abs(readings - prediction.mean) < STDS_WITHIN_90 * prediction.std))
 

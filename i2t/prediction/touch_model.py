@@ -52,7 +52,7 @@ class Reading(NamedTuple):
 
 @in_one_line
 class TouchBatch(NamedTuple):
-    """Views and conditions of n touches, without their readings; NaN for unknown values."""
+    """Inputs for predicting n readings: patches, views and values measured at contact; NaN for unknown values."""
 
     patch: np.ndarray  # (n, p, p) m, behind the nearest surface point
     view: np.ndarray  # (n, w, w) m, the view, or the patch if there is none
@@ -64,7 +64,7 @@ class TouchBatch(NamedTuple):
     pressure_model: PressureModelConfig | None = None  # configuration of that prediction
 
     def rows(self, which: np.ndarray) -> "TouchBatch":
-        """Select some of the touches.
+        """Select some of the batch's touches.
 
         Args:
             which: (n,) mask, or indices of touches.
@@ -76,7 +76,7 @@ class TouchBatch(NamedTuple):
         return self._replace(**{name: select_rows(getattr(self, name), which) for name in names})
 
     def pressures(self, cfg: PressureModelConfig) -> ContactPressure:
-        """Return the contact pressures, predicting them if they are missing or have another configuration.
+        """Return the touches' contact pressures, predicting them if they are missing or have another configuration.
 
         Args:
             cfg: Configuration of the predicted contact pressure.
@@ -92,10 +92,10 @@ class TouchBatch(NamedTuple):
         """Stack values measured at contact, which every touch must have.
 
         Args:
-            names: Those of force, nearest and travel that are needed.
+            names: Names of the k values, each of "force", "nearest" and "travel".
 
         Returns:
-            `(n, k)` values in that order (N, m, m).
+            `(n, k)` values in the order of the names: force in N, nearest and travel in m.
 
         Raises:
             ValueError: A touch lacks one of them.
@@ -107,21 +107,21 @@ class TouchBatch(NamedTuple):
 
 
 def stacked(touches: Touches | TouchBatch, names: Sequence[str]) -> np.ndarray:
-    """Stack values measured at contact.
+    """Stack values measured at contact, NaN where one is unknown.
 
     Args:
         touches: n touches.
-        names: Those of force, nearest and travel that are needed.
+        names: Names of the k values, each of "force", "nearest" and "travel".
 
     Returns:
-        `(n, k)` values in that order (N, m, m).
+        `(n, k)` values in the order of the names: force in N, nearest and travel in m.
     """
     values = [getattr(touches, name) for name in names]
     return np.stack(values, -1) if values else np.zeros((len(touches.patch), 0))
 
 
 class TouchModel(ABC):
-    """Model of the readings of touches. A subclass is a frozen dataclass.
+    """Model that predicts the readings of touches. A subclass is a frozen dataclass.
 
     Example:
         @dataclass(frozen=True)
@@ -161,7 +161,7 @@ class TouchModel(ABC):
 
 
 def to_disk(model: TouchModel) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Convert a model to trees of arrays and JSON values.
+    """Convert a model to arrays and JSON values, for saving to disk.
 
     Args:
         model: The model to save.
@@ -170,7 +170,7 @@ def to_disk(model: TouchModel) -> tuple[dict[str, Any], dict[str, Any]]:
         Arrays by field (32 bits, or booleans), and a dict of the class and all other fields.
 
     Raises:
-        ValueError: A field cannot be saved.
+        ValueError: A field of the model is neither an array nor convertible to JSON.
     """
     arrays, settings = {}, {}
     for field in fields(model):  # type: ignore[arg-type]

@@ -56,14 +56,14 @@ class SeenTouches(NamedTuple):
 
 
 def seen_touches(patch: Any, *, nearest: Any = None, view: Any = None, valid: Any = None) -> SeenTouches:
-    """Take the depths and their accompanying data from any object that holds depth patches.
+    """Extract the depths and their accompanying data from any object that holds depth patches.
 
     Args:
         patch: Depths, a `Patch`, a `PatchView`, a `DepthPatch`, a `DepthView`, a `TouchBatch`, the view of a collection
             (`i2t.collect.touch.SeenPatch`), or a list of them.
-        nearest: Replacement for the patch's own value; None keeps that value.
-        view: Replacement for the patch's own value; None keeps that value.
-        valid: Replacement for the patch's own value; None keeps that value.
+        nearest: Signed distance (m) of the nearest point from the tool origin; None takes the patch's own.
+        view: Depths (m) of the patch with its surroundings; None takes the patch's own.
+        valid: Mask of the pixels that were seen; None takes the patch's own.
 
     Returns:
         Depths with their accompanying data.
@@ -104,7 +104,7 @@ def _parts(patch: Any) -> SeenTouches:
 
 
 def check_size_of_patches(seen: SeenTouches, window: float, reach: float) -> None:
-    """Refuse patches of another square or depth than those on which the model was trained.
+    """Refuse patches of another window or reach than those on which the model was trained.
 
     Args:
         seen: The patches.
@@ -128,7 +128,7 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
     """Check the depth patches of a user.
 
     Args:
-        patch: Depths (p, p) or (n, p, p), in m behind the nearest point.
+        patch: Depths (p, p) or (n, p, p), in m behind the nearest point, for p pixels along an edge.
         reach: Depth (m) at which patches are clipped.
 
     Returns:
@@ -174,8 +174,8 @@ def checked_views(view: Any, patches: Float[np.ndarray, "n p p"], reach: float) 
     """Check the views that a user gives with patches.
 
     Args:
-        view: Depths (w, w) or (n, w, w) in m, with pixels of the patches' size; negative where the object stands out in
-            front of the patch's nearest point, NaN where the rim is unknown.
+        view: Depths (w, w) or (n, w, w) in m, for w pixels along an edge, each of the size of the patches' pixels;
+            negative where the object stands out in front of the patch's nearest point, NaN where the rim is unknown.
         patches: The patches, each the middle of its view.
         reach: Depth (m) at which the patches are clipped.
 
@@ -211,7 +211,7 @@ def checked_views(view: Any, patches: Float[np.ndarray, "n p p"], reach: float) 
 def checked_column(
     name: str, values: Any, n: int, default: float | None, *, unknown: bool = False
 ) -> Float[np.ndarray, " n"]:
-    """Check a quantity of which each of n touches has one value.
+    """Check a user's values of a quantity, one for each of n touches.
 
     Args:
         name: Name of the quantity, for messages.
@@ -336,7 +336,7 @@ def checked_valid(valid: Any, shape: tuple[int, ...]) -> Bool[np.ndarray, "n p p
     """Check the mask of seen pixels that a user gives.
 
     Args:
-        valid: Booleans (p, p) or (n, p, p).
+        valid: Booleans (p, p) or (n, p, p), for p pixels along an edge.
         shape: Shape of the patches, (p, p) or (n, p, p).
 
     Returns:

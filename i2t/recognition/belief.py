@@ -45,7 +45,7 @@ MIN_PROBABILITY = 1e-30  # probability below which probabilities are treated as 
 
 @in_one_line
 class TouchObservation(NamedTuple):
-    """Measurements at a touch of a site."""
+    """Measurements of one touch at a site: reading, force, travel of the tool, and whether it met anything."""
 
     reading: Float[Array, " c"]  # uT, change of the reading
     force: Float[Array, ""]  # N
@@ -55,7 +55,7 @@ class TouchObservation(NamedTuple):
 
 @in_one_line
 class Particles(NamedTuple):
-    """Pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
+    """k pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
 
     twist: Float[Array, "k 6"]  # m, twist of each pose particle
     covariance: Float[Array, "k 6 6"]  # m^2, covariance of the pose about each particle
@@ -63,7 +63,7 @@ class Particles(NamedTuple):
 
 @in_one_line
 class Belief(NamedTuple):
-    """Belief after some touches of an episode."""
+    """Belief over objects and their poses (k particles each) after some touches of an episode."""
 
     log_weight: Float[Array, "objects k"]  # log probability of object, particle and all touches so far
     mean: Float[Array, "objects k 6"]  # m, mean twist about each particle
@@ -73,7 +73,7 @@ class Belief(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Log densities of one touch under each particle, and the particle's normal distribution after the touch."""
+    """Log densities of one touch under each pose particle, and the particle's normal distribution after the touch."""
 
     tactile: Float[Array, "..."]  # log density of the reading
     spatial: Float[Array, "..."]  # log density of the position
@@ -90,13 +90,14 @@ def sample_particles(
     *,
     std_ratio: float = 0.5,
 ) -> Particles:
-    """Draw pose particles from a normal prior; the first one is the believed pose itself.
+    """Draw pose particles of an object from a normal prior; the first one is the believed pose itself.
 
     The draws are quasi-random (scrambled Sobol sequence; Owen, J. Complexity 14, 1998) and made on the host. Particles
     and the normal distributions about them together have the prior's variance.
 
     Args:
-        prior: Covariance (m^2) of the twist, which may be singular, or the standard deviations (m) of its six parts.
+        prior: Covariance (m^2) of the object's twist, which may be singular, or the standard deviations (m) of its six
+            parts.
         count: Number of particles.
         seed: Seed of the sequence.
         std_ratio: Standard deviation about each particle, relative to the prior's.
@@ -149,7 +150,7 @@ def update(belief: Belief, observation: TouchObservation, predicted: PredictedTo
     Args:
         belief: The belief before the touch.
         observation: The measurements of the touch.
-        predicted: The predicted touch for each object and particle, (objects, k).
+        predicted: The predicted touch for each object and each of its k particles, (objects, k).
         likelihood: The distribution of measurements about predictions.
 
     Returns:
@@ -240,11 +241,11 @@ def evidence(
 def reading_log_density(
     error: Float[Array, " c"], variance: Float[Array, ""], likelihood: Likelihood
 ) -> Float[Array, ""]:
-    """Compute the log density of an error of the reading: a multivariate Student's t in whitened coordinates.
+    """Compute the log density of a reading's error: a multivariate Student's t in whitened coordinates.
 
     Args:
         error: Measured minus predicted reading (uT).
-        variance: The GP's own variance at the touch, relative to its scale.
+        variance: The reading model's own variance at the touch, relative to the square of a channel's signal.
         likelihood: Whitening, inflation and degrees of freedom.
 
     Returns:

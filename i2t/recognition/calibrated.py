@@ -25,13 +25,16 @@ from i2t.types import Array
 
 
 class TemperatureScaling(NamedTuple):
-    """Temperature of an episode's posterior, `initial` * (1 + growth * (t - 1)) after t touches."""
+    """Temperature scaling of beliefs: log probabilities after t touches are divided by a temperature that grows with t.
+
+    The temperature is `initial` * (1 + `growth` * (t - 1)).
+    """
 
     initial: float = 1.0
     growth: float = 0.0
 
     def temperature(self, touches: Array | float) -> Any:
-        """Compute the divisor of log probabilities.
+        """Compute the temperature, by which log probabilities are divided.
 
         Args:
             touches: Number of touches of the episode so far, at least 1.
@@ -61,11 +64,11 @@ TEMPERATURE_SCALING = TemperatureScaling(1.88, 0.22)
 
 
 def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, smoothing: float = 0.0) -> TemperatureScaling:
-    """Fit the temperature with the smallest log loss of these beliefs over all touches.
+    """Fit the temperature that minimises the log loss of beliefs over all touches of validation episodes.
 
     Args:
-        p: Beliefs of validation episodes.
-        truth: The true classes.
+        p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
+        truth: `(e,)` indices of the true classes.
         smoothing: Fraction of the episodes as in `fit_temperature_to_sets`.
 
     Returns:
@@ -118,7 +121,7 @@ def calibrated_beliefs(
     """Calibrate beliefs of whole episodes by temperature scaling, without changing the order of the classes.
 
     Args:
-        p: Beliefs after each touch.
+        p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
         temperature: The fitted temperature.
 
     Returns:
@@ -137,7 +140,7 @@ def _logs(p: Float[Array, "*shape"]) -> Float[np.ndarray, "*shape"]:
 def with_unknown_prior(
     p: Float[Array, "*shape objects"], p_unknown: Float[Array, "*shape"], old: float, new: float
 ) -> tuple[Float[Array, "*shape objects"], Float[Array, "*shape"]]:
-    """Move beliefs to another prior probability of unknown objects, by Bayes' rule.
+    """Convert beliefs to another prior probability of unknown objects, by Bayes' rule.
 
     Args:
         p: Probabilities of the known objects.
@@ -163,8 +166,9 @@ def with_unknown_prior(
 
 
 class PlattScaling(NamedTuple):
-    """Logit calibration of the unknown class. Its log odds L after t touches become
-    `offset` + `slope` / (1 + `growth` (t - 1)) L.
+    """Platt calibration of the probability that an object is unknown.
+
+    The log odds L after t touches become `offset` + `slope` / (1 + `growth` (t - 1)) L.
     """
 
     offset: float
@@ -188,8 +192,8 @@ def fit_platt(p_unknown: Float[Array, "e t"], unknown: Bool[Array, " e"]) -> Pla
     """Fit the calibration of the unknown class with the smallest log loss over all touches.
 
     Args:
-        p_unknown: Probability of the unknown class in validation episodes.
-        unknown: Whether the object was unknown.
+        p_unknown: `(e, t)` probability of the unknown class after each of t touches in e validation episodes.
+        unknown: `(e,)` True where the object was unknown.
 
     Returns:
         Offset, slope and growth of the fitted calibration.
@@ -226,7 +230,7 @@ def _minimise(loss: Callable[[np.ndarray], float], starts: Sequence[np.ndarray],
 def apply_platt(
     p: Float[Array, "e t objects"], p_unknown: Float[Array, "e t"], scaling: PlattScaling
 ) -> tuple[Float[Array, "e t objects"], Float[Array, "e t"]]:
-    """Calibrate the unknown class of beliefs; the objects share the rest in the same proportions.
+    """Calibrate the probability of the unknown class; the known objects share the rest in the same proportions.
 
     Args:
         p: Probabilities of the known objects.

@@ -53,7 +53,7 @@ PadTree = TypeVar("PadTree", Pad, PadResponse)
 @traced_floats
 @dataclass(frozen=True)
 class EnvironmentConfig:
-    """The rules of an environment."""
+    """Rules of a recognition environment: errors, press limits, number of touches and costs."""
 
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=PressLimits)
@@ -66,14 +66,14 @@ class EnvironmentConfig:
     @property
     def press_errors(self) -> SimulationErrors:
         """Errors of a press, without those of the sensor. Environments that differ only in the sensor's errors share
-        compiled programs, even if whole numbers in these errors differ.
+        compiled programs, even if integers in the sensor's errors differ.
         """
         none = SimulationErrors.error_free()
         return replace(self.errors, noise=none.noise, faults=none.faults)
 
 
 class TouchOutcome(NamedTuple):
-    """The end of a touch, as read by an ideal skin."""
+    """Outcome of a simulated touch at the end of its press, as read by an ideal skin without errors or memory."""
 
     reading: Float[Array, "*batch c"]  # uT
     force: Float[Array, "*batch"]  # N, measured force
@@ -82,7 +82,7 @@ class TouchOutcome(NamedTuple):
 
 
 class TabulatedTouches(NamedTuple):
-    """Touches of every pad on every object in every placement at every site, as read by an ideal skin."""
+    """Simulated touches of every pad on every object in every placement at every site, as read by an ideal skin."""
 
     reading: Float[Array, "pads objects placements sites c"]  # uT
     force: Float[Array, "pads objects placements sites"]  # N
@@ -92,7 +92,7 @@ class TabulatedTouches(NamedTuple):
 
 
 class OutcomeTable(NamedTuple):
-    """Touches that were simulated once, to be looked up."""
+    """Table of touches simulated in advance, from which an environment looks up the outcome of a touch."""
 
     touches: TabulatedTouches
     T_w_o: Float[Array, "placements 4 4"]  # true poses of the objects
@@ -152,7 +152,7 @@ class EnvironmentParams(NamedTuple):
 
 
 class TouchAction(NamedTuple):
-    """Site of the next touch, and the predicted object."""
+    """Action of an agent: the site of the next touch, and its prediction of the object."""
 
     touch: Int[Array, ""]  # index of the site to touch
     # logits of the objects, as predicted by the agent; None for the environment's own posterior
@@ -160,7 +160,7 @@ class TouchAction(NamedTuple):
 
 
 class EnvironmentObservation(NamedTuple):
-    """Observation after a touch."""
+    """Observation of an agent after a touch: measurements, refusal, remaining touches, and the posterior."""
 
     reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
@@ -173,7 +173,7 @@ class EnvironmentObservation(NamedTuple):
 
 
 class EpisodeState(NamedTuple):
-    """An episode of t touches. Rows of future touches are zero."""
+    """State of an episode of t touches: object, pad, errors, touches so far, and belief. Future touches are zero."""
 
     object: Int[Array, "*e"]
     pad: Int[Array, "*e"]
@@ -190,7 +190,7 @@ class EpisodeState(NamedTuple):
 
 @dataclass(frozen=True)
 class TouchEnvironment:
-    """An environment of active touch; all methods are pure and work on one episode.
+    """Environment for recognising objects by simulated touches; all methods are pure and work on one episode.
 
     Example:
         environment, params = make_environment(("star", "hexagon", "cylinder"), pads=4)
@@ -315,7 +315,7 @@ class TouchEnvironment:
     def touch(
         self, key: Key[Array, ""], state: EpisodeState, site: Int[Array, ""], params: EnvironmentParams
     ) -> TouchOutcome:
-        """Press at a site, or look up the press.
+        """Simulate a press at a site, or look it up in the environment's table.
 
         Args:
             key: Random key of the arm's errors.
@@ -340,14 +340,15 @@ class TouchEnvironment:
         return TouchOutcome(pressed.reading, pressed.force, pressed.T_w_t, pressed.code != ReturnCode.AIR)
 
     def read(self, state: EpisodeState, pads: Pad) -> Float[Array, "t c"]:
-        """Read all touches of an episode with a sensor that has errors and memory.
+        """Compute the readings of all touches of an episode by a simulated sensor with errors and memory.
 
         Args:
             state: The episode.
             pads: The pads of the environment.
 
         Returns:
-            `(t, c)` readings (uT). Those of future touches are meaningless and do not affect the others.
+            `(t, c)` readings (uT) of the episode's t touches. Those of future touches are meaningless and do not affect
+            the others.
         """
         return read_session(
             jax.random.wrap_key_data(state.sensor_key), state.outcomes.reading, state.outcomes.T_w_t,
@@ -362,7 +363,7 @@ class TouchEnvironment:
             params: The objects and pads of the environment.
 
         Returns:
-            Measurements of the t touches.
+            Measurements of the t touches on axis 0.
         """
         advance = advance_along_approach(params.T_w_site[state.site], state.outcomes.T_w_t)
         return TouchObservation(self.read(state, params.pads), state.outcomes.force, advance, state.outcomes.contact)
@@ -442,20 +443,20 @@ def record(state: EpisodeState, site: Int[Array, ""], outcome: TouchOutcome) -> 
 
 
 def advance_along_approach(T_w_site: Poses, T_w_t: Poses) -> Poses:
-    """Compute distances from sites to the ends of presses, along the approach.
+    """Compute the travel from sites to the ends of presses, along the approach.
 
     Args:
         T_w_site: Poses of the sites, `(..., 4, 4)`.
         T_w_t: Poses of the tool at the ends, `(..., 4, 4)`.
 
     Returns:
-        `(...)` distances (m).
+        `(...)` distances (m), positive where the press went beyond its site along the tool's z axis.
     """
     return ((T_w_t[..., :3, 3] - T_w_site[..., :3, 3]) * T_w_site[..., :3, 2]).sum(-1)
 
 
 def cross_entropy(prediction: Float[Array, " o"], which: Int[Array, ""]) -> Float[Array, ""]:
-    """Compute the loss of a prediction; rewards are its negative.
+    """Compute the cross-entropy of a predicted object; rewards are its negative.
 
     Args:
         prediction: Logits of the objects.

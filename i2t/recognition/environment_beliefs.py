@@ -44,7 +44,7 @@ def with_beliefs(
     particles: int = 64,
     calibration_placements: int = 3,
 ) -> EnvironmentParams:
-    """Give an environment a posterior over its objects.
+    """Add to an environment the predictions from which it computes its posterior over the objects.
 
     Args:
         key: Random key of the touches on which errors of predictions are measured.

@@ -54,7 +54,7 @@ class Episodes(NamedTuple):
 
 
 class MeasuredTouches(NamedTuple):
-    """Measurements and poses of n touches."""
+    """Readings, forces and tool poses of n touches."""
 
     T_w_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at the ends of the presses, as the arm reports them
     reading: Float[np.ndarray, "n c"]  # uT
@@ -132,12 +132,12 @@ def posteriors(
     likelihood: Likelihood,
     particles: Particles,
 ) -> Float[Array, "e t objects"]:
-    """Compute posteriors over the objects after each touch of each episode.
+    """Compute posteriors over the objects after each of the t touches of each of e episodes.
 
     Args:
         site: Row of the table for each touch.
         observations: Measurements, (e, t).
-        table: Predicted touches, (sites, objects, k).
+        table: Predicted touches, (sites, objects, k) for k particles of each object.
         likelihood: The distribution of measurements about predictions.
         particles: Pose particles of each object.
 
@@ -162,17 +162,17 @@ def run_belief(
     particles: Particles,
     kinds: Sequence[str] = tuple(EVIDENCE),
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Compute posteriors over the objects along episodes, from each kind of evidence.
+    """Compute posteriors over the objects along e episodes of t touches, from each kind of evidence.
 
     Args:
-        table: Predicted touches, (sites, objects, k).
+        table: Predicted touches, (sites, objects, k) for k particles of each object.
         episodes: Record of the episodes.
         likelihood: The distribution of measurements about predictions.
         particles: Pose particles of each object.
         kinds: Kinds of evidence, keys of `EVIDENCE`.
 
     Returns:
-        `(e, t, objects)` probabilities by kind of evidence.
+        `(e, t, objects)` probabilities of the objects after each touch, by kind of evidence.
     """
     table, particles = put_on_all_devices((table, particles))
     rows = (jnp.asarray(episodes.site), episodes.observations)
@@ -198,7 +198,7 @@ def select_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
 
 
 class BeliefModel(NamedTuple):
-    """A belief's model of a pad, and the kinds of evidence that it uses."""
+    """Reading model and likelihood of a pad from which a belief is computed, and the kinds of evidence to use."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood
@@ -216,7 +216,7 @@ def believe(
     label: str,
     touches_at_a_time: int = 320,
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
-    """Compute posteriors over the objects along episodes with their own sites, with a progress bar.
+    """Compute posteriors over the objects along e episodes of t touches with their own sites, with a progress bar.
 
     Touches are predicted for a few episodes at a time, once at each touched site, so that memory does not grow with the
     number of episodes.
@@ -226,13 +226,13 @@ def believe(
         sites: Pool of the touched sites.
         episodes: Record of the episodes.
         particles: Pose particles of each object.
-        models: Models of some pads for the same loads, by a suffix of the results' names.
+        models: Models of some pads for the same loads, by a suffix for the names of the results.
         overtravel: Distance (m) beyond a site after which a press gives up.
         label: Purpose of the touches, for the bar.
         touches_at_a_time: Maximum number of touches that are predicted together, on every object in every pose.
 
     Returns:
-        `(e, t, objects)` probabilities by kind of evidence and suffix.
+        `(e, t, objects)` probabilities of the objects after each touch, by kind of evidence and suffix.
     """
     count, touches = episodes.site.shape
     per_batch = max(min(touches_at_a_time // touches, count), 1)

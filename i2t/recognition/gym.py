@@ -28,7 +28,7 @@ except ImportError as error:
 
 
 class SingleTouchEnv(gymnasium.Env):
-    """One episode at a time."""
+    """Gymnasium environment for recognising an object by simulated touches; a step is one touch, without batching."""
 
     metadata = {"render_modes": []}  # noqa: RUF012
 
@@ -53,7 +53,7 @@ class SingleTouchEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        """Begin an episode.
+        """Begin an episode with a random object and pad.
 
         Args:
             seed: Seed of the episode; the same seed gives the same episode.
@@ -68,10 +68,10 @@ class SingleTouchEnv(gymnasium.Env):
         return _as_dict(obs), {}
 
     def step(self, action: dict[str, Any]) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Make one touch.
+        """Make one touch, a step of the episode.
 
         Args:
-            action: An element of the action space.
+            action: Site of the touch and predicted object, an element of `action_space`.
 
         Returns:
             Observation, reward, whether the episode ended, whether it was truncated (never), and info.
@@ -87,7 +87,7 @@ class SingleTouchEnv(gymnasium.Env):
 
 
 def observation_space(params: EnvironmentParams) -> gymnasium.Space:
-    """Describe the observations.
+    """Build the Gymnasium space of observations.
 
     Args:
         params: The objects and pads of the environment.
@@ -115,13 +115,13 @@ def observation_space(params: EnvironmentParams) -> gymnasium.Space:
 
 
 def action_space(params: EnvironmentParams) -> Any:
-    """Describe the actions.
+    """Build the Gymnasium space of actions.
 
     Args:
         params: The objects and pads of the environment.
 
     Returns:
-        Space of dictionaries with "action" and "prediction".
+        Space of dictionaries with "action", the site to touch, and "prediction", the logits of the objects.
     """
     logits = spaces.Box(-np.inf, np.inf, (params.objects,), np.float32)
     return spaces.Dict({"action": spaces.Discrete(params.sites), "prediction": logits})

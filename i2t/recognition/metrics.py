@@ -46,10 +46,10 @@ def to_json(values: Any) -> Any:
 
 
 def decision_shares(p: Float[Array, "*shape c"]) -> Float[Array, "*shape c"]:
-    """Compute the share of the decision that each class has.
+    """Compute each class's share of the decision for the most probable class.
 
     Args:
-        p: Beliefs.
+        p: Beliefs, probabilities of the c classes on the last axis.
 
     Returns:
         `(*shape, c)` shares: 1 for the most probable class, equal parts for ties, so that the order of the classes does
@@ -61,14 +61,14 @@ def decision_shares(p: Float[Array, "*shape c"]) -> Float[Array, "*shape c"]:
 
 
 def hits(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Score the correctness of each decision.
+    """Score whether each decision, the most probable class, is right.
 
     Args:
-        p: Beliefs.
-        truth: The true classes.
+        p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
+        truth: `(e,)` indices of the true classes.
 
     Returns:
-        `(e, t)` scores: 1 or 0, and 1/n if the truth ties with n - 1 others.
+        `(e, t)` scores: 1 if right, 0 if wrong, and 1/n if the true class ties with n - 1 others.
 
     Raises:
         ValueError: Shapes do not fit, or `truth` contains an invalid class.
@@ -80,8 +80,8 @@ def accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters: Clu
     """Estimate the fraction of right decisions after each touch.
 
     Args:
-        p: Beliefs.
-        truth: The true classes.
+        p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
+        truth: `(e,)` indices of the true classes.
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
@@ -94,8 +94,8 @@ def mean_accuracy(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, clusters
     """Estimate the fraction of right decisions, averaged over touches 1 to t.
 
     Args:
-        p: Beliefs.
-        truth: The true classes.
+        p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
+        truth: `(e,)` indices of the true classes.
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
@@ -109,8 +109,8 @@ def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "
     """Count the decisions for each true class.
 
     Args:
-        p: Beliefs at the decision.
-        truth: The true classes.
+        p: `(e, c)` probabilities of c classes at the decision in e episodes.
+        truth: `(e,)` indices of the true classes.
 
     Returns:
         `(c, c)` counts: rows are the true classes, columns the decisions.
@@ -121,7 +121,7 @@ def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "
 
 
 class PairedComparison(NamedTuple):
-    """Differences between two methods on the same episodes."""
+    """Differences in accuracy between two methods on the same episodes; positive if the first one is better."""
 
     last: Estimate  # difference of the accuracies after the last touch
     mean: Estimate  # difference of the accuracies averaged over touches
@@ -133,8 +133,8 @@ def compare_paired(
     """Compare two methods on the same episodes.
 
     Args:
-        hit: `hits` of the first method.
-        other: `hits` of the second method.
+        hit: `(e, t)` scores of the first method from `hits`, for t touches of each of e episodes.
+        other: `(e, t)` scores of the second method on the same episodes, from `hits`.
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
@@ -166,7 +166,7 @@ def confidence(p: Float[Array, "*shape c"]) -> Float[Array, "*shape"]:
 
 
 class CalibrationError(NamedTuple):
-    """Expected calibration error, and its distribution for calibrated decisions of the same confidences."""
+    """Expected calibration error (0 is perfect), and its distribution for calibrated decisions of equal confidences."""
 
     error: float
     chance: float  # mean calibration error of decisions that are right as often as predicted
@@ -206,11 +206,11 @@ def calibration_error(
 
 
 def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Compute minus the natural logarithm of the probability of the truth, which is at least `PROBABILITY_FLOOR`.
+    """Compute minus the natural logarithm of the true class's probability, which is at least `PROBABILITY_FLOOR`.
 
     Args:
-        p: Beliefs.
-        truth: The true classes.
+        p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
+        truth: `(e,)` indices of the true classes.
 
     Returns:
         `(e, t)` losses (nats) after each touch.
@@ -222,7 +222,7 @@ def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, 
 
 
 class Stopping(NamedTuple):
-    """Decisions at the first touch after which the belief is as confident as requested, or else after the last one."""
+    """Errors and touches of episodes that stop once the belief is as confident as requested, or after the last."""
 
     requested_error: float
     error: Estimate  # fraction of wrong decisions
@@ -234,16 +234,16 @@ class Stopping(NamedTuple):
 
 
 def stopping(p: Float[Array, "e t c"], truth: Int[Array, " e"], error: float, *, clusters: Clusters = ()) -> Stopping:
-    """Stop as soon as the probability of the most probable class is at least 1 - `error`.
+    """Score episodes that stop as soon as the probability of the most probable class is at least 1 - `error`.
 
     Args:
-        p: Beliefs.
-        truth: The true classes.
+        p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
+        truth: `(e,)` indices of the true classes.
         error: Requested probability of a wrong decision.
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        Fractions of stopped and of wrong episodes, and numbers of touches.
+        Fractions of stopped episodes and of wrong decisions, and the mean number of touches, with intervals.
     """
     confidences, hit = confidence(p), hits(p, truth)
     confident = confidences >= 1 - error
@@ -271,12 +271,12 @@ def auroc(p_unknown: Shaped[Array, "e t"], unknown: Bool[Array, " e"], *, cluste
     episode without one; equal probabilities count half.
 
     Args:
-        p_unknown: Probability of the unknown class.
-        unknown: Whether the object was unknown.
+        p_unknown: `(e, t)` probability of the unknown class after each of t touches in e episodes.
+        unknown: `(e,)` True where the object was unknown.
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        `(t,)` areas with intervals.
+        `(t,)` areas with intervals; 1 is perfect, 0.5 is chance.
 
     Raises:
         ValueError: Episodes with or without an unknown object are missing.
@@ -313,7 +313,7 @@ def values_of_truth(values: Shaped[Array, "..."], truth: Int[Array, "..."]) -> F
         truth: (episodes,) true classes.
 
     Returns:
-        `(e, t)` values of the true classes.
+        `(episodes, touches)` values of the true classes.
 
     Raises:
         ValueError: Shapes do not fit, or `truth` contains an invalid class.

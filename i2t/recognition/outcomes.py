@@ -38,7 +38,7 @@ from i2t.types import Surface
 
 
 class PredictedContact(NamedTuple):
-    """Predicted contact of a layer with an object, the same for every pad with that layer."""
+    """Predicted contact of a skin's elastic layer with an object at l loads, the same for every pad with that layer."""
 
     hit: Bool[Array, ""]  # whether the skin meets the object before the press gives up
     approach_distance: Float[Array, ""]  # m, from the site to first contact; the overtravel without contact
@@ -48,7 +48,7 @@ class PredictedContact(NamedTuple):
 
 
 class PredictedTouch(NamedTuple):
-    """A predicted touch at the l loads of the `LinearReadingModel`."""
+    """Predicted outcome of a touch: contact, indentation and reading at the l loads of the `LinearReadingModel`."""
 
     hit: Bool[Array, ""]  # whether the skin meets the object before the press gives up
     approach_distance: Float[Array, ""]  # m, travel from the site to first contact; the overtravel without contact
@@ -80,7 +80,7 @@ def predict_contact(
         layer: The pressed layer.
 
     Returns:
-        Contact, distance to it and its Jacobian, indentations and newtons; zeros without contact.
+        Contact, distance to it and its Jacobian, indentations (m) and forces on cells (N); zeros without contact.
     """
     (T_o_t, distance, hit), jacobian = approach(surface, T_w_o, twist, T_w_site, overtravel)
     pressed, indentation = surface_pressure(layer_pad(layer), surface, T_o_t, loads)

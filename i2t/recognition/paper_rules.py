@@ -56,7 +56,7 @@ Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]] 
 
 @in_one_line
 class PaperEpisodes(NamedTuple):
-    """Episodes in which a method ran the paper's loop.
+    """Record of e episodes in which a method ran the paper's recognition loop.
 
     Example:
         results = i2t.run_paper_loop(keys, {"mine": predictor}, surfaces, pad, reading_std=std, episodes=24)
@@ -68,7 +68,7 @@ class PaperEpisodes(NamedTuple):
     distance: Float[np.ndarray, "e t objects"]  # of each touch from each object, by the method
 
     def beliefs(self, rule: str = "votes") -> Float[np.ndarray, "e t objects"]:
-        """Compute the beliefs of a rule.
+        """Compute the beliefs over the objects by one of the paper's rules.
 
         Args:
             rule: Name of one of `i2t.paper.rules.RULES`.
@@ -79,13 +79,13 @@ class PaperEpisodes(NamedTuple):
         return loop.beliefs(self.distance, rule)
 
     def hits(self, rule: str = "votes") -> Float[np.ndarray, "e t"]:
-        """Score the decisions of a rule.
+        """Score whether the decisions by one of the paper's rules are right.
 
         Args:
             rule: Name of one of `i2t.paper.rules.RULES`.
 
         Returns:
-            `(e, t)` scores after each touch: 1 or 0, and 1/n if the true object ties with n - 1 others.
+            `(e, t)` scores after each touch: 1 if right, 0 if wrong, and 1/n if the true object ties with n - 1 others.
         """
         return hits(self.beliefs(rule), self.truth)
 
@@ -130,7 +130,7 @@ def at_median_force(predictor: Predictor) -> Predictor:
 def reading_scorers(
     predictors: Mapping[str, Predictor], surfaces: Sequence[Surface], reading_std: Float[np.ndarray, " c"]
 ) -> dict[str, Scorer]:
-    """Make a scorer by readings for each predictor.
+    """Make for each predictor a function that scores touches by the distances of readings from each object's.
 
     Args:
         predictors: Predictors of readings, by name.
@@ -153,7 +153,7 @@ def reading_distances(
     touches: MeasuredTouches,
     reading_std: Float[np.ndarray, " c"],
 ) -> dict[str, Float[np.ndarray, "n objects"]]:
-    """Compute distances of readings from those predicted on each object. An empty view predicts a reading of zero.
+    """Compute distances of measured readings from those predicted on each object; an empty view predicts zero.
 
     Args:
         predictors: Predictors of readings, by name, which share the rendered views.
@@ -162,7 +162,7 @@ def reading_distances(
         reading_std: Standard deviation (uT) of each channel in the training data.
 
     Returns:
-        `(n, objects)` distances in standard deviations, by the predictors' names.
+        `(n, objects)` distances of the n touches in standard deviations, by the predictors' names.
     """
     # Rendered views have no noise to smooth away.
     ready = {
@@ -186,7 +186,7 @@ def reading_distances(
 
 
 def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
-    """Compute distances of contacts from each object's surface: proprioception.
+    """Compute distances of the tool's contacts from each object's surface, the score of proprioception.
 
     Args:
         surfaces: Surfaces of the objects.
@@ -209,7 +209,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     """Compute beliefs by each of the paper's rules from distances.
 
     Args:
-        distance: Distance of each touch from each object.
+        distance: `(e, t, objects)` distance from each object of each of the t touches of e episodes.
 
     Returns:
         `(e, t, objects)` beliefs after each touch, by rule.
@@ -229,7 +229,7 @@ def paper_rules(
         predictors: Predictors of readings, by name.
         reading_std: Standard deviation (uT) of each channel in the training data.
         surfaces: Surfaces of the objects.
-        episodes: Record of the episodes.
+        episodes: Record of e episodes of t touches.
 
     Returns:
         `(e, t, objects)` beliefs after each touch, by source (the predictors' names and "proprioception") and rule,

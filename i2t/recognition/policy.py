@@ -36,7 +36,7 @@ NO_SITE = -1  # index of the chosen site if no site is allowed
 
 
 class InformationGain(NamedTuple):
-    """Expected information of a touch (nats)."""
+    """Expected information (nats) that a touch of each site gives about the object and its pose."""
 
     object: Float[Array, "..."]  # expected information about the object
     object_and_pose: Float[
@@ -77,7 +77,7 @@ def expected_information_gain(
     Args:
         key: Random key of the simulated outcomes.
         belief: The belief after the touches so far.
-        table: Predicted touches, (sites, objects, k).
+        table: Predicted touches, (sites, objects, k) for k particles of each object.
         likelihood: The distribution of measurements about predictions.
         skin_change: Change of the reading (uT) at which a press ends.
         num_draws: Number of simulated outcomes of each site; static.
@@ -117,13 +117,13 @@ def simulate_observation(
     skin_change: float | Float[Array, ""],
     force: float | Float[Array, ""],
 ) -> TouchObservation:
-    """Simulate the measurement of a touch.
+    """Simulate the measurements of a touch from its prediction, with random errors.
 
     Args:
         predicted: The touch as predicted for a particle.
         twist: Displacement (m) of the object from the particle.
-        noise: c + 2 numbers: whitened errors of the reading (Student's t with the likelihood's degrees of freedom), the
-            error of the position (m), and the standard normal error of the indentation.
+        noise: c + 2 numbers: whitened errors of the reading's c values (Student's t with the likelihood's degrees of
+            freedom), the error of the position (m), and the standard normal error of the indentation.
         likelihood: Likelihood that scales the errors of the reading and of the indentation.
         skin_change: Change of the reading (uT) at which the press ends.
         force: Force (N) at which the press ends in any case.
@@ -145,7 +145,7 @@ def simulate_observation(
 def safe_sites_mask(
     belief: Belief, safe: Bool[Array, "sites objects"], max_unsafe_probability: float = 0.05
 ) -> Bool[Array, " sites"]:
-    """Find the sites that are safe on the possible objects.
+    """Find the sites that are probably safe, given the belief about the object.
 
     Args:
         belief: The belief after the touches so far.
@@ -207,7 +207,7 @@ def choose_informative_site(
     Args:
         key: Random key of the candidates and of their simulated outcomes.
         belief: The belief after the touches so far.
-        table: Predicted touches, (sites, objects, k).
+        table: Predicted touches, (sites, objects, k) for k particles of each object.
         likelihood: The distribution of measurements about predictions.
         touched: Mask of the sites that must not be chosen again.
         safe: Whether a touch of each site is safe on each object.

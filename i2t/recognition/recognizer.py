@@ -55,7 +55,7 @@ UNKNOWN_SCALING = calibrated.PlattScaling(0.40, 0.65, 0.18)
 
 @dataclass(frozen=True)
 class RecognizerConfig:
-    """Settings of a recogniser's choices and stopping.
+    """Settings of an `ObjectRecognizer`: choice of sites, stopping, unknown objects and safety limits.
 
     Raises:
         ValueError: The prior of an unknown object is not a probability, or it has no surrogates.
@@ -90,7 +90,7 @@ class RecognizerConfig:
 
 @in_one_line
 class ChosenSite(NamedTuple):
-    """A site to be touched."""
+    """Site that the recogniser chose for the next touch, with the pose of the tool."""
 
     number: int  # index of the site
     T_w_t: Float[np.ndarray, "4 4"]  # pose of the tool at which the skin just touches the believed surface
@@ -98,7 +98,7 @@ class ChosenSite(NamedTuple):
 
 @in_one_line
 class SiteObservation(NamedTuple):
-    """Measurements at a touch of a site."""
+    """Measurements of one touch, with the index of its site."""
 
     number: int  # index of the site
     touch: TouchObservation
@@ -106,7 +106,7 @@ class SiteObservation(NamedTuple):
 
 @in_one_line
 class RecognizerState(NamedTuple):
-    """Belief, and the sites touched so far."""
+    """State of a recognition: the belief over objects and poses, and the sites touched so far."""
 
     belief: Belief  # belief over objects and their poses
     touched: Bool[np.ndarray, " sites"]  # True for sites that were touched or excluded
@@ -117,7 +117,7 @@ class RecognizerState(NamedTuple):
 
 @in_one_line
 class RecognitionInfo(NamedTuple):
-    """Calibrated belief after a touch."""
+    """Calibrated probabilities of the objects after a touch, and the most probable object."""
 
     # probabilities of the known objects, in the order of `ObjectRecognizer.names`
     probability: Float[np.ndarray, " objects"]
@@ -127,7 +127,7 @@ class RecognitionInfo(NamedTuple):
 
 
 class ObjectRecognizer:
-    """Recognises one of several objects, touch by touch.
+    """Recognises which of several known objects a robot touches, choosing each touch by its belief.
 
     Example:
         recognizer = i2t.ObjectRecognizer(jax.random.key(0), pad_model, {"mug": mug, "bowl": bowl})
@@ -208,7 +208,7 @@ class ObjectRecognizer:
         return self.table.reading.shape[-1]
 
     def init(self, prior: Float[Array | np.ndarray, " objects"] | None = None) -> RecognizerState:
-        """Return the state before the first touch.
+        """Return the recogniser's state before the first touch.
 
         Args:
             prior: Probabilities of the known objects given that it is one of them; equal by default.
@@ -248,13 +248,13 @@ class ObjectRecognizer:
         return None
 
     def stop_reason(self, state: RecognizerState) -> str | None:
-        """Give the reason to stop touching.
+        """Explain why no more touches are needed.
 
         Args:
             state: The state after the touches so far.
 
         Returns:
-            Phrase, or None as long as touches are needed.
+            Phrase with the reason, or None as long as touches are needed.
         """
         config = self.config
         enough = state.touches >= max(1, min(config.min_touches, config.max_touches))
@@ -294,7 +294,7 @@ class ObjectRecognizer:
         Raises:
             ValueError: The force is not finite or is larger than a skin withstands, the pose is not a rigid motion or
                 its origin is more than 0.1 m from the site, or the reading has a wrong number of values.
-            TypeError: One of them does not consist of real numbers.
+            TypeError: The force, pose or reading does not consist of real numbers.
         """
         validation.number("force", validation.forces("force", force, measured=True), "newtons along tool z")
         T = validation.pose("T_w_t", T_w_t)
@@ -314,7 +314,7 @@ class ObjectRecognizer:
         return SiteObservation(site.number, touch)
 
     def update(self, state: RecognizerState, observation: SiteObservation) -> tuple[RecognizerState, RecognitionInfo]:
-        """Update the state with a touch.
+        """Update the belief and the touched sites with one touch.
 
         Args:
             state: The state before the touch.
@@ -406,7 +406,7 @@ class ObjectRecognizer:
         return met[: len(self.names)]
 
     def warm_up(self) -> None:
-        """Choose and update once in advance, so that no compilation delays an arm."""
+        """Compile by choosing a site and updating once in advance, so that no compilation delays an arm."""
         state = self.init()
         blank = TouchObservation(jnp.zeros(self.channels), jnp.float32(1.0), jnp.float32(0.0), jnp.asarray(False))
         for step in range(2):  # after a first touch the belief has other types

@@ -34,7 +34,7 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
         dataset: Recorded touches.
         rows: (n,) mask of the touches that may be used.
         meshes: Meshes of objects that the catalogue lacks or has in another form.
-        made_from: The run or data set, for messages about the pad model.
+        made_from: Name of the run or data set of the touches, for messages about the pad model.
 
     Returns:
         Presses with contact, measured force and travel, on objects with a mesh. Their poses are those of the tool in
@@ -105,7 +105,7 @@ def _is_known(name: str, meshes: Mapping[str, Mesh]) -> bool:
 
 
 def describe(pad: KnownPad) -> str:
-    """Describe a pad model in one line.
+    """Describe a pad model in one line: skin, source, touches, objects and accuracy.
 
     Args:
         pad: The pad model.
@@ -134,7 +134,7 @@ def to_json(pad: KnownPad) -> dict[str, object]:
 
 
 def with_placement(errors: SimulationErrors, object_covariance: np.ndarray) -> SimulationErrors:
-    """Set the uncertainty of the placement to that of a rig, averaged over the axes.
+    """Set the simulated placement errors of objects to a rig's pose uncertainty, averaged over the axes.
 
     Args:
         errors: Errors of the simulated world.

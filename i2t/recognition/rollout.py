@@ -47,7 +47,7 @@ SitePolicy: TypeAlias = Callable[[Array, EpisodeState, EnvironmentParams], Array
 
 
 class RunningEpisodes(NamedTuple):
-    """Episodes in parallel, with all touches so far; arrays on the host."""
+    """States of e episodes that run in parallel, with their environment and all touches so far; arrays on the host."""
 
     environment: TouchEnvironment
     params: EnvironmentParams
@@ -64,7 +64,7 @@ def begin_episodes(
     truth: Int[np.ndarray, " e"],
     pad: Int[np.ndarray, " e"] | None = None,
 ) -> RunningEpisodes:
-    """Place an object in every episode.
+    """Begin episodes by placing an object, with random errors, in each.
 
     Args:
         key: Random key of all random events in the episodes.
@@ -181,7 +181,7 @@ def rollout(
         pad: Index of the pad of each episode; the first pad by default.
 
     Returns:
-        Episodes, and the `(e, t, o)` posteriors over the objects after each touch.
+        Record of e episodes of t touches, and the `(e, t, o)` posteriors over the o objects after each touch.
     """
     key_world, key_policy = jax.random.split(key)
     episodes = begin_episodes(key_world, environment, params, truth, pad)

@@ -36,7 +36,7 @@ from i2t.types import Surface, in_one_line
 
 @dataclass(frozen=True)
 class SiteDraws:
-    """Batches in which safe sites are drawn."""
+    """Sizes of the batches in which safe touch sites are drawn."""
 
     sites: int = 256  # number of sites drawn at a time
     candidates_per_site: int = 2  # number of candidates for each site; about half of the candidates are safe
@@ -49,7 +49,7 @@ _DRAWS = SiteDraws()
 
 @in_one_line
 class SitePool(NamedTuple):
-    """Safe sites of some objects.
+    """Safe touch sites of some objects: tool poses, and the object on which each was drawn.
 
     Example:
         sites = i2t.SitePool(T_w_t, np.zeros(len(T_w_t), int))  # all drawn on the first object
@@ -73,12 +73,12 @@ class SitePool(NamedTuple):
 
 
 class SitePools(NamedTuple):
-    """Several pools with equal numbers of safe sites of each object."""
+    """Safe touch sites in separate pools, each with the same number of sites of every object."""
 
     T_w_t: Float[np.ndarray, "pools objects sites 4 4"]
 
     def joined(self) -> SitePool:
-        """Join all pools.
+        """Join all pools into one.
 
         Returns:
             Pool of all sites; site i of object o in pool p is row (p * objects + o) * sites + i.
@@ -138,10 +138,10 @@ def place_surfaces(surfaces: Sequence[Surface], T_w_o: Float[Array | np.ndarray,
 
 
 def pose_particles(errors: SimulationErrors, count: int, seed: int) -> Particles:
-    """Draw poses in which an object may stand.
+    """Draw the poses in which an object may stand, by the errors of its placement.
 
     Args:
-        errors: Errors, whose placement is used.
+        errors: Errors of the simulated world, of which those of placement are used.
         count: Number of particles.
         seed: Seed of the quasi-random sequence.
 
@@ -211,7 +211,7 @@ def predict_outcomes(
 
     Args:
         surfaces: Surfaces of the objects.
-        twist: Twists (m) of the pose particles.
+        twist: Twists (m) of the k pose particles.
         T_w_site: Poses of the sites.
         reading_models: Reading models of some pads, for the same loads.
         overtravel: Distance (m) beyond a site after which a press gives up.

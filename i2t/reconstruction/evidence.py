@@ -27,7 +27,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class EvidenceConfig:
-    """Sampling and uncertainties of the evidence of touches and views."""
+    """Sampling and uncertainties of the evidence that touches and views give about a surface."""
 
     pad_edge: int = 7  # number of points along each edge of the pad, one of which met the surface
     swept_edge: int = 5  # number of points along each edge of the pad in the swept space behind it
@@ -55,16 +55,16 @@ _CONFIG = EvidenceConfig()
 
 
 class Sweep(NamedTuple):
-    """Space that a pad swept on a straight path to a pose."""
+    """Free space that the pad swept on a straight path to a pose, along the tool's z axis."""
 
     T_o_t: Float[np.ndarray, "4 4"]  # (4, 4) pose of the tool at first contact, or at the end of a sweep through air
     length: float  # m, length of the path to `T_o_t`
 
     def lower_bound(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
-        """Bound the signed distance of points from below by their depth in the swept space.
+        """Bound the signed distance of points to the object's surface from below by their depth in the swept space.
 
         Args:
-            points: Points (m) in the object's frame.
+            points: `(q, 3)` points (m) in the object's frame.
 
         Returns:
             `(q,)` lower bounds (m), -inf for points that were not swept.
@@ -76,7 +76,7 @@ class Sweep(NamedTuple):
 
 
 class SeenThrough(NamedTuple):
-    """Space between a camera and the surfaces that it saw."""
+    """Free space between a depth camera and the surfaces that it saw."""
 
     # m, depth image: +inf where there is no surface, NaN where the camera measured nothing
     depth: Float[np.ndarray, "h w"]
@@ -84,10 +84,10 @@ class SeenThrough(NamedTuple):
     T_o_c: Float[np.ndarray, "4 4"]
 
     def lower_bound(self, points: Float[np.ndarray, "q 3"]) -> Float[np.ndarray, " q"]:
-        """Bound the signed distance of points from below by zero in front of the seen surfaces.
+        """Bound the signed distance of points to the object's surface from below by 0 in front of the seen surfaces.
 
         Args:
-            points: Points (m) in the object's frame.
+            points: `(q, 3)` points (m) in the object's frame.
 
         Returns:
             `(q,)` lower bounds (m), -inf for points that the camera did not look through.
@@ -103,7 +103,7 @@ class SeenThrough(NamedTuple):
 
 
 class SurfaceEvidence(NamedTuple):
-    """Evidence of one touch or one view."""
+    """Evidence of one touch or view about a surface: free space, and points with signed distances (m, inside < 0)."""
 
     region: Sweep | SeenThrough  # free space, which is carved out of the surface exactly
     free: Float[np.ndarray, "f 3"]  # m, points in free space
@@ -202,8 +202,8 @@ def with_free_patch(touch: SurfaceEvidence, depth: Float[np.ndarray, "e e"]) -> 
 
     Args:
         touch: Evidence of the touch from `contact_evidence`.
-        depth: Free depths (m) beyond the pad's plane over the patch's window; row i along tool y. Only four fifths of
-            each count as free.
+        depth: Square image of free depths (m) beyond the pad's plane over the patch's window; row i along tool y. Only
+            four fifths of each count as free.
 
     Returns:
         Evidence of the touch with these free points.

@@ -43,7 +43,7 @@ AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
 @dataclass(frozen=True)
 class ExplorationConfig:
-    """Options for sites and approaches."""
+    """Options for choosing the next touch of an unknown object: policy, safe sites and approach."""
 
     policy: PolicyName = "reduction"
     # limits of safe sites; by default, the paper's collection on a table
@@ -62,7 +62,7 @@ class ExplorationConfig:
 
 
 class SiteProposals(NamedTuple):
-    """Sites on the estimated surface."""
+    """n proposed touch sites on the estimated surface, with the surface's uncertainty and safety of each."""
 
     T_o_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at contact, its z into the object
     std: Float[np.ndarray, " n"]  # m, standard deviation of the surface at the sites
@@ -70,7 +70,7 @@ class SiteProposals(NamedTuple):
 
 
 class TouchChoice(NamedTuple):
-    """Next touch, and the sites among which it was chosen."""
+    """Tool pose of the next touch, its score, and the sites among which it was chosen."""
 
     T_o_t: Float[np.ndarray, "4 4"] | None  # (4, 4) pose of the tool at the chosen site; None if no site is safe
     score: float  # the policy's score of the site; NaN if no site is safe
@@ -85,7 +85,7 @@ def choose_touch(
     seed: int = 0,
     estimate: SurfaceEstimate | None = None,
 ) -> TouchChoice:
-    """Choose the next touch.
+    """Choose the next touch of an unknown object, at a safe site on its estimated surface.
 
     Args:
         model: The prior knowledge of the surface.
@@ -117,7 +117,7 @@ def choose_touch(
 
 
 def propose_sites(estimate: SurfaceEstimate, rng: np.random.Generator, *, config: ExplorationConfig) -> SiteProposals:
-    """Draw sites over the estimated surface.
+    """Propose touch sites at random over the estimated surface.
 
     Args:
         estimate: The estimated surface.

@@ -38,7 +38,7 @@ from i2t.types import Pad, Surface
 
 @dataclass(frozen=True)
 class LibraryConfig:
-    """Loads and tilts of a library's presses, and the batches in which it is computed."""
+    """Loads and tilts of the presses in a library of patches, and the batches in which it is computed."""
 
     # N, loads of the presses, from below that of a 25 uT press to the force at which a press ends
     loads: tuple[float, ...] = (0.25, 0.8, 2.5, 8.0)
@@ -54,7 +54,7 @@ _CONFIG = LibraryConfig()
 
 
 class FirstContacts(NamedTuple):
-    """First contacts with one shape, and the patches there."""
+    """n first contacts of the tool with one shape, and the patch of the shape's surface at each."""
 
     T_o_t: Float[Array, "n 4 4"]  # (4, 4) tool pose at first contact
     patch: Float[Array, "n p p"]  # m, depth beyond the plane of contact, clipped to the reach
@@ -81,7 +81,7 @@ def build_library(
         limits: Limits of safe sites; None takes any point of the surface.
 
     Returns:
-        Library on the host.
+        Library of the patches and their presses, on the host.
 
     Raises:
         ValueError: No shape is given, or no shape can be touched.
@@ -141,7 +141,7 @@ def library_from_contacts(contacts: FirstContacts, objects: np.ndarray) -> Patch
         objects: (n,) index of the shape of each contact.
 
     Returns:
-        Library on the host.
+        Library of the patches and their presses, on the host.
     """
     pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), _CONFIG.loads)
     return PatchLibrary(
@@ -158,12 +158,12 @@ def library_from_contacts(contacts: FirstContacts, objects: np.ndarray) -> Patch
 def press_batches(
     pad: Pad, heights: Float[np.ndarray, "n g g"], loads: Sequence[float] | Float[np.ndarray, " l"]
 ) -> tuple[Float[np.ndarray, "n l g g"], Float[np.ndarray, "n l"]]:
-    """Press a pad onto many surfaces with each of some loads, in batches of one size, so that it compiles once.
+    """Press a pad onto n surfaces with each of l loads, in batches of one size, so that it compiles once.
 
     Args:
         pad: The skin.
-        heights: Heights (m) of the surfaces over cells of 1 mm, beyond the plane of first contact.
-        loads: Loads (N).
+        heights: `(n, g, g)` heights (m) of the surfaces over g x g cells of 1 mm, beyond the plane of first contact.
+        loads: `(l,)` normal forces (N).
 
     Returns:
         `(n, l, g, g)` pressures (Pa) and `(n, l)` indentations (m) past first contact, on the host.

@@ -41,7 +41,7 @@ from i2t.skin.contact import cells_in_contact
 
 
 class PatchLibrary(NamedTuple):
-    """Patches of many shapes, and their presses by a pad of nominal stiffness; the same for every pad."""
+    """n patches of many shapes, and presses of a nominal layer onto each at l loads; the same for every pad."""
 
     patch: Float[Any, "n p p"]  # m, depth beyond the plane of first contact, clipped to the reach
     # m, depth beyond the plane of first contact over the cells of the pad, not clipped (+inf where there is no surface)
@@ -54,8 +54,9 @@ class PatchLibrary(NamedTuple):
 
 
 class PatchLikelihood(NamedTuple):
-    """Errors of a press about the predicted one. The values are close to those that `experiments.reconstruct patch`
-    chooses on validation objects.
+    """Sizes of the errors of a measured press about the predicted one, for inference of the patch.
+
+    The values are close to those that `experiments.reconstruct patch` chooses on validation objects.
     """
 
     # m/m, standard deviation of the slant of the press's motion along x and y (1 degree)
@@ -73,7 +74,7 @@ class PatchLikelihood(NamedTuple):
 
 
 class PressModel(NamedTuple):
-    """Readings of one pad at each patch of a library under each of its loads.
+    """Predicted readings of one pad at each of a library's n patches under each of its l loads.
 
     Readings are turned to the axes in which the sensor's noise is independent. Their axis comes first in memory, and
     that of the patches last, because every touch needs all patches.
@@ -89,7 +90,7 @@ class PressModel(NamedTuple):
 
 
 class PatchPosterior(NamedTuple):
-    """Posterior over patches. The k samples have equal weights; `weight` has a value for each patch of the library."""
+    """Posterior over the patches of a library, given a press, with k equally weighted samples."""
 
     weight: Float[Array, " n"]  # weights of the library's patches; they sum to 1
     rows: Int[Array, " k"]  # rows of the samples in the library
@@ -112,7 +113,7 @@ def infer_patch(
     library: PatchLibrary,
     samples: int = 256,
 ) -> PatchPosterior:
-    """Infer the posterior over local surfaces from one press.
+    """Infer the local surface that one press met, as a posterior over the patches of a library.
 
     Args:
         reading: Readings (uT) at the one stop of a press, (c,), or at several, (s, c), in the board's order and axes.
@@ -195,10 +196,10 @@ def log_likelihood(
 def posterior_weights(
     log_likelihood: Float[Array, " n"], likelihood: PatchLikelihood, stops: Int[Array, ""] | int = 1
 ) -> Float[Array, " n"]:
-    """Turn log likelihoods into weights of the library's patches, tempered and mixed with the prior.
+    """Convert log likelihoods to posterior weights of the library's patches, tempered and mixed with the prior.
 
     Args:
-        log_likelihood: Log likelihood of each patch.
+        log_likelihood: `(n,)` log likelihood of the press under each patch.
         likelihood: The temperature and the fraction of the prior.
         stops: Number of stops of the press.
 
@@ -217,10 +218,10 @@ def summarize(
     blur: Float[Array, ""] | float = 0.0,
     samples: int = 256,
 ) -> PatchPosterior:
-    """Summarise the surfaces of weighted patches.
+    """Summarise a posterior over patches: mean patch, samples, contact probabilities and centre of pressure.
 
     Args:
-        weight: Weights of the patches, which sum to 1.
+        weight: `(n,)` weights of the patches, which sum to 1.
         force: Force (N) of the last stop, which selects the load of the contacts.
         library: The patches.
         blur: Smoothing (pixels) of the probabilities of masks.
@@ -257,8 +258,8 @@ def systematic_samples(weight: Float[Array, " n"], samples: int) -> Int[Array, "
     Graph. Stat. 5, 1996).
 
     Args:
-        weight: Weights that sum to 1.
-        samples: Number of indices; static.
+        weight: `(n,)` weights that sum to 1.
+        samples: Number k of indices; static.
 
     Returns:
         `(k,)` ascending indices, with repetitions where a weight is large.

@@ -31,7 +31,7 @@ from i2t.types import Board, Pad
 
 @dataclass(frozen=True)
 class FrictionConfig:
-    """Accuracy of the friction, and of the effect of a slanted press."""
+    """Accuracy with which friction and the effect of a slanted press are computed."""
 
     tolerance: float = 3e-2  # tolerance relative to the largest displacement, for 1 % of a reading
     max_steps: int = 15

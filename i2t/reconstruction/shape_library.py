@@ -29,7 +29,7 @@ STANCES = np.stack(
 
 
 class ShapeLibrary(NamedTuple):
-    """Signed distances of k shapes. With their turns there are 8 k shapes, ordered by turn."""
+    """Signed distances (inside < 0) of k shapes on a grid of g points. With turns there are 8 k shapes, by turn."""
 
     grid: VoxelGrid
     steps: Int8[np.ndarray, "g k"]  # signed distances in units of `STEP_M`, clipped to 127
@@ -47,7 +47,7 @@ class ShapeLibrary(NamedTuple):
             turn: Index of the turn in `TURNS`.
 
         Returns:
-            `(n, k)` signed distances (m) at the nearest grid points.
+            `(n, k)` signed distances (m) of the k shapes at the nearest grid points, negative inside.
         """
         last = np.array(self.grid.shape) - 1
         index = np.clip(np.rint((points @ TURNS[turn].T - self.grid.low) / self.grid.spacing), 0, last).astype(int)
@@ -60,7 +60,7 @@ class ShapeLibrary(NamedTuple):
             shapes: Indices of the shapes, turns included.
 
         Returns:
-            `(g, m)` signed distances (m).
+            `(g, m)` signed distances (m) of the m shapes at the g points, negative inside.
         """
         turns, columns = np.divmod(shapes, max(self.steps.shape[1], 1))
         distances = np.empty((len(self.steps), len(shapes)), np.float32)

@@ -20,17 +20,17 @@ from i2t.objects.solids import Mesh
 
 
 class VoxelGrid(NamedTuple):
-    """Points in a box in the object's frame: point (i, j, k) is `low + spacing * (i, j, k)`."""
+    """Regular grid of points in the object's frame: point (i, j, k) is `low + spacing * (i, j, k)` (m)."""
 
     low: tuple[float, float, float]  # m, lowest corner of the grid
     spacing: float  # m, distance between the grid's points
     shape: tuple[int, int, int]
 
     def points(self) -> Float[np.ndarray, "g 3"]:
-        """List all points.
+        """List all points of the grid.
 
         Returns:
-            `(g, 3)` points (m), z fastest.
+            `(g, 3)` coordinates (m) of the g points, z fastest.
         """
         axes = [self.low[i] + self.spacing * np.arange(self.shape[i]) for i in range(3)]
         return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3).astype(np.float32)
@@ -110,7 +110,7 @@ def signed_distance_grid(
             the samples.
 
     Returns:
-        `(g,)` signed distances (m), negative inside.
+        `(g,)` signed distances (m) at the grid's g points, negative inside.
     """
     triangles = np.asarray(mesh.vertices, np.float64)[mesh.faces]
     points = grid.points().astype(np.float64)
@@ -150,7 +150,7 @@ def extract_mesh(grid: VoxelGrid, distance: Float[np.ndarray, " g"]) -> Mesh:
 
     Args:
         grid: Grid of the signed distance.
-        distance: `(g,)` signed distances (m), negative inside.
+        distance: `(g,)` signed distances (m) at the grid's g points, negative inside.
 
     Returns:
         Mesh of the surface in metres, faces turned outward; without faces if no point is inside.

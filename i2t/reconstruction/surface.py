@@ -40,7 +40,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class SurfaceConfig:
-    """Assumptions on shapes, and on the errors of evidence."""
+    """Assumptions for estimating an unknown object's surface: shapes, smoothness and errors of the evidence."""
 
     across: int = 32  # number of points of the grid along x and along y
     margin: float = 6e-3  # m, margin of the grid around the shapes
@@ -66,7 +66,7 @@ class SurfaceConfig:
 
 
 class SurfaceModel(NamedTuple):
-    """Prior knowledge of the surface."""
+    """Prior knowledge of an unknown object's surface: a library of k shapes on a grid of g points."""
 
     library: ShapeLibrary
     points: Float[np.ndarray, "g 3"]  # m, points of the library's grid
@@ -79,7 +79,7 @@ class SurfaceModel(NamedTuple):
 
 
 class SurfaceState(NamedTuple):
-    """Evidence of all touches and views so far."""
+    """Evidence of all touches and views of an unknown object so far, with the weights of the library's shapes."""
 
     log_weights: Float[np.ndarray, " k"]  # log weights of the library's shapes, neither normalised nor tempered
     evidence: tuple[SurfaceEvidence, ...]
@@ -87,14 +87,14 @@ class SurfaceState(NamedTuple):
 
 
 class SurfaceInfo(NamedTuple):
-    """Result of an update."""
+    """Fit of the latest touch or view to each shape of the library, and how many shapes remain plausible."""
 
     log_likelihood: Float[np.ndarray, " k"]  # log likelihood of the evidence under each shape of the library
     effective_shapes: float  # effective sample size of the weights
 
 
 class SurfaceEstimate(NamedTuple):
-    """A signed distance on the grid, with its standard deviation."""
+    """Estimated surface: signed distance (m, negative inside) at the grid's g points, with its standard deviation."""
 
     grid: VoxelGrid
     distance: Float[np.ndarray, " g"]  # m, signed distance to the surface
@@ -107,7 +107,7 @@ class SurfaceEstimate(NamedTuple):
 
 
 class SurfacePrior(NamedTuple):
-    """Mean and covariance of the library's weighted shapes on the grid."""
+    """Mean and covariance of the signed distances of the library's m weighted shapes at the grid's g points."""
 
     mean: Float[np.ndarray, " g"]  # m, prior mean of the signed distance
     # m, deviations of the shapes that count, times the square roots of their weights
@@ -115,7 +115,7 @@ class SurfacePrior(NamedTuple):
 
 
 class SurfacePosterior(NamedTuple):
-    """The regression on a state's points, which `predict` evaluates anywhere."""
+    """Posterior of the signed distance, regressed on the n points of all evidence; `predict` evaluates it anywhere."""
 
     prior: SurfacePrior
     points: Float[np.ndarray, "n 3"]  # m, points of the regression
@@ -168,20 +168,20 @@ def surface_model(
 
 
 def init(model: SurfaceModel) -> tuple[SurfaceState, SurfaceInfo]:
-    """Return the state before the first touch.
+    """Return the state of a surface estimate before the first touch.
 
     Args:
         model: The prior knowledge of the surface.
 
     Returns:
-        State without evidence, and its number of effective shapes.
+        State without evidence, and its info with the number of effective shapes.
     """
     shapes = np.zeros(model.library.size)
     return SurfaceState(shapes, (), np.full(len(model.points), -np.inf)), SurfaceInfo(shapes, float(len(shapes)))
 
 
 def update(model: SurfaceModel, state: SurfaceState, evidence: SurfaceEvidence) -> tuple[SurfaceState, SurfaceInfo]:
-    """Add one more touch or view.
+    """Update the surface state with the evidence of one more touch or view.
 
     Args:
         model: The prior knowledge of the surface.
@@ -208,7 +208,7 @@ def update(model: SurfaceModel, state: SurfaceState, evidence: SurfaceEvidence) 
 
 
 def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
-    """Weigh the library, and regress the remainder on the points of all evidence.
+    """Compute the posterior of the signed distance: weigh the library's shapes, and regress the rest on all evidence.
 
     Args:
         model: The prior knowledge of the surface.
@@ -239,7 +239,7 @@ def regress(model: SurfaceModel, state: SurfaceState) -> SurfacePosterior:
 
 
 def weighted_prior(model: SurfaceModel, state: SurfaceState) -> SurfacePrior:
-    """Compute mean and deviations of the library's shapes by their weights.
+    """Compute the weighted mean of the library's shapes, and their deviations from it.
 
     Args:
         model: The prior knowledge of the surface, with the library.
@@ -320,7 +320,7 @@ def condition_on(
         model: The prior knowledge of the surface.
         prior: The prior of the library's shapes.
         points: Points (m).
-        values: Signed distances (m) at the points.
+        values: Signed distances (m) at the points, negative inside.
         std: Standard deviations (m) of the values.
 
     Returns:
@@ -345,11 +345,11 @@ def predict(
     Args:
         model: The model of the posterior.
         posterior: Posterior from `regress`.
-        points: Points (m), or indices of points of the model's grid, which is faster.
+        points: `(q, 3)` points (m), or `(q,)` indices of points of the model's grid, which is faster.
         spread: Whether to compute standard deviations, which cost more than means.
 
     Returns:
-        `(q,)` means and `(q,)` standard deviations (m); the latter are zeros without `spread`.
+        `(q,)` means (negative inside) and `(q,)` standard deviations (m); the latter are zeros without `spread`.
     """
     prior, deviations = _prior_at(model, posterior.prior, points)
     matern = _matern(model, model.points[points] if points.ndim == 1 else points, posterior.points)
@@ -373,8 +373,8 @@ def posterior_covariance(
     Args:
         model: The model of the posterior.
         posterior: Posterior from `regress`.
-        a: First points (m).
-        b: Second points (m).
+        a: `(p, 3)` first points (m).
+        b: `(q, 3)` second points (m).
 
     Returns:
         `(p, q)` covariances (m^2).

@@ -23,7 +23,7 @@ GROUPED_MARK, NO_TIME_MARK = "\ufffe", "\uffff"  # appended to cells that do not
 
 
 def parse_number(text: str) -> float | None:
-    """Read a number.
+    """Parse a text as a number.
 
     Args:
         text: Any text. Unlike in Python, a number has no underscores between digits.
@@ -38,10 +38,10 @@ def parse_number(text: str) -> float | None:
 
 
 def strip_marks(cell: str) -> str:
-    """Remove the marks from a cell.
+    """Remove from a cell the marks that keep it from being read as a number.
 
     Args:
-        cell: A cell with or without a mark.
+        cell: Text of a cell, with or without a mark (`GROUPED_MARK`, `NO_TIME_MARK`) at its end.
 
     Returns:
         The text as it stands in the file.
@@ -50,7 +50,7 @@ def strip_marks(cell: str) -> str:
 
 
 def kind_of_number(text: str) -> str:
-    """Classify a number by what it shows about the decimal sign.
+    """Classify a number by what it shows about a table's decimal sign (point or comma).
 
     Args:
         text: The text of a cell.
@@ -89,7 +89,7 @@ def count_kinds(rows: Iterable[Sequence[str]], columns: Sequence[int], counters:
 
 
 def decimal_sign(counts: Counter[str], delimiter: str) -> str:
-    """Decide which sign is decimal, by the numbers of a table.
+    """Decide from a table's numbers whether the point or the comma is the decimal sign.
 
     Args:
         counts: The number of cells of each kind of `kind_of_number`.
@@ -128,7 +128,7 @@ class DecimalSigns:
         self._final = False
 
     def with_decimal_point(self, text: str, line: int) -> str:
-        """Write a number with a decimal point.
+        """Rewrite a number of the table with a decimal point.
 
         Args:
             text: The text of a cell.

@@ -21,7 +21,7 @@ from i2t.errors import DataError
 
 @dataclass(frozen=True)
 class ClockConfig:
-    """Thresholds for the clock of a log.
+    """Thresholds for interpreting the time stamps of a recording's rows.
 
     Attributes:
         pause_s: Time between two rows above which the recording paused and the skin may rest elsewhere.
@@ -65,7 +65,7 @@ COUNTER_PERIODS_S = {  # time after which a full counter restarts
 
 
 class ClockVerdict(NamedTuple):
-    """Judgement on the stamps of some rows."""
+    """Which time stamps of n rows are damaged, and at which rows the clock restarts."""
 
     damaged: Bool[np.ndarray, " n"]  # True for time stamps that contradict the rows before and after them
     restarts: Int[np.ndarray, " k"]  # True for rows at which the clock goes back and continues from there
@@ -73,7 +73,7 @@ class ClockVerdict(NamedTuple):
 
 
 class RowClock(NamedTuple):
-    """Timing of the rows of a log."""
+    """Time between the rows of a recorded log, and how the rows' time stamps determine it."""
 
     step: float  # s, time between rows
     by_rows: bool  # whether rows are taken as evenly spaced because the time stamps do not show the spacing
@@ -98,7 +98,7 @@ def has_time_zone(stamp: str) -> bool:
     """Test whether a time stamp needs no time zone or has one.
 
     Args:
-        stamp: Stamp as it stands in the table.
+        stamp: Time stamp as written in the table.
 
     Returns:
         False for a date and time without a zone; else True.
@@ -255,7 +255,7 @@ def require_order(
 
 
 def check_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bool = True) -> ClockVerdict:
-    """Find damaged stamps, and rows at which the clock restarts.
+    """Find damaged time stamps, and rows at which the clock restarts.
 
     A run of stamps is damaged if it stands out: it is later than the row after it and far from the row before it, or
     earlier than the row before it and far from the row after it. Of two such runs the shorter one is damaged. A run
@@ -267,7 +267,7 @@ def check_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
         last: Whether no more rows follow.
 
     Returns:
-        The judgement on these rows.
+        The damaged stamps and the restarts among these rows.
     """
     damaged = np.zeros(len(time), bool)
     restarts: list[int] = []
@@ -307,7 +307,7 @@ def rollover_counter(before: float, after: float) -> str:
 
 
 def even_times(time: Float[np.ndarray, " n"], clock: RowClock, shared: int = 0) -> Float[np.ndarray, " n"]:
-    """Space rows that share the stamp of a coarse clock evenly, from that stamp onwards.
+    """Space rows that share the time stamp of a coarse clock evenly, from that stamp onwards.
 
     Args:
         time: `(n,)` non-decreasing stamps in s.

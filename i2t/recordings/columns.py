@@ -73,7 +73,7 @@ def library_factor(name: str) -> float:
     """Look up the factor from the unit of a column to the unit that the library uses.
 
     Args:
-        name: Our name of the column.
+        name: Name of the column as i2t writes it, ending in its unit.
 
     Returns:
         1e-3 for a length, because the library uses metres; else 1.
@@ -133,10 +133,10 @@ def describe_header(header: list[str]) -> str:
 
 
 def is_library_column(name: str) -> bool:
-    """Test whether a name states a quantity that is read, with its unit.
+    """Test whether a column's name is that of a quantity with its unit that i2t reads.
 
     Args:
-        name: Name of a column as stated.
+        name: Name of a column as spelt in the table's header.
 
     Returns:
         True for i2t's name of the quantity and for other spellings and units.
@@ -150,7 +150,7 @@ def is_used_column(name: str) -> bool:
     """Test whether some reader of tables uses a column.
 
     Args:
-        name: Name of a column as stated.
+        name: Name of the column as spelt in the table's header, or as `library_name` converts it.
 
     Returns:
         True if the column is used.
@@ -162,7 +162,7 @@ def is_usable_column(name: str) -> bool:
     """Test whether some reader of tables uses a column, or would with a unit in the name of a chip's value.
 
     Args:
-        name: Name of a column as stated.
+        name: Name of the column as spelt in the table's header.
 
     Returns:
         True if the column is used, with or without a unit.
@@ -174,10 +174,10 @@ def normalised_name(name: str) -> str:
     """Write a column's name in lower case, with its unit after an underscore: x_mm for X [mm] or x/mm.
 
     Args:
-        name: Name of a column as stated.
+        name: Name of the column as spelt in the table's header.
 
     Returns:
-        The plain name.
+        The name in lower case without spaces or brackets.
     """
     plain = re.sub(r"[\s_]*[\[(]\s*([^\])]*?)\s*[\])]$", r"_\1", name)
     plain = re.sub(r"\s*/\s*([^\s/]+)$", r"_\1", plain)
@@ -188,10 +188,10 @@ def library_name(name: str) -> tuple[str, float]:
     """Find i2t's name of a column, and the factor from its unit to i2t's.
 
     Args:
-        name: Name of a column as stated.
+        name: Name of the column as spelt in the table's header.
 
     Returns:
-        Our name and the factor; the stated name and 1 if the column has no meaning here.
+        i2t's name and the factor; the given name and 1 if i2t does not read the column.
     """
     plain = normalised_name(name)
     if plain == "run":

@@ -23,7 +23,7 @@ MAX_ROW_OFFSET_S = 15e-3
 def match_rows(
     states: Float[np.ndarray, " n"], values: Float[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Match sensor rows with states of the same time.
+    """Match sensor rows with states of the probe at the same time.
 
     Args:
         states: `(n,)` increasing times of the states, in s.
@@ -40,7 +40,7 @@ def match_rows(
 
 
 def baselines(folder: Path, values: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, "n c"] | None:
-    """Compute what was subtracted from each row, from the raw values (`sensor.csv`) in the same folder.
+    """Compute the baseline that was subtracted from each row, from the raw values (`sensor.csv`) in the same folder.
 
     Args:
         folder: Folder of the session.
@@ -62,7 +62,7 @@ def baselines(folder: Path, values: Float[np.ndarray, "n columns"]) -> Float[np.
 
 
 def silent_chips_of(folder: Path, values: Float[np.ndarray, "n columns"]) -> Bool[np.ndarray, "n chips"]:
-    """Find chips that did not answer, from the raw values if the folder has them, else from the differences.
+    """Find chips that did not answer in an eFlesh session, from raw values if the folder has them, or differences.
 
     Args:
         folder: Folder of the session.
@@ -81,7 +81,7 @@ def silent_chips_of(folder: Path, values: Float[np.ndarray, "n columns"]) -> Boo
 def stroke_numbers(
     time: Float[np.ndarray, " n"], z: Float[np.ndarray, " n"], *, min_pause_s: float = 0.5
 ) -> Int[np.ndarray, " n"]:
-    """Number the strokes down and up of a `normal` or `shear` session; a stroke begins at the top after a pause.
+    """Number the strokes of the probe in a `normal` or `shear` session of eFlesh; each begins at the top after a pause.
 
     Args:
         time: `(n,)` times in s.
@@ -97,7 +97,7 @@ def stroke_numbers(
 
 
 def load_of_states(states: Float[np.ndarray, "n columns"]) -> Float[np.ndarray, " n"]:
-    """Convert the readings of the scale to newtons.
+    """Convert the loads in the states of an eFlesh session, read by a scale in grams, to newtons.
 
     Args:
         states: `(n, columns)` states as recorded. The fifth column, if there is one, is the load in grams, -1 if it was

@@ -14,7 +14,7 @@ from i2t.files.reading import read_bytes as read_file
 
 
 def data_error(path: Path, problem: str) -> DataError:
-    """Create the error about a file that is not as its author wrote it.
+    """Create the error about a damaged file.
 
     Args:
         path: Path of the file.

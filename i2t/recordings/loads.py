@@ -14,7 +14,7 @@ ASSUMED_TRAVEL_M = 2e-3  # m, travel of every press if neither travel nor force 
 
 
 def loaded_presses(dataset: Dataset, load: Literal["auto", "travel", "force"]) -> LoadedPresses:
-    """Select the presses of one tip on one skin whose position and load are known.
+    """Select, from touches of one object (the tip) with one skin, the presses with a known position and load.
 
     Presses that failed or did not meet the skin are left out.
 
@@ -27,8 +27,8 @@ def loaded_presses(dataset: Dataset, load: Literal["auto", "travel", "force"]) -
         The presses with their rows in the data set, and a note on each irregularity.
 
     Raises:
-        ValueError: No press has a known position and load, no force pushes, or the data set holds several skins or
-            objects.
+        ValueError: No press has a known position and load, no force is above 0 N, or the data set holds several skins
+            or objects.
     """
     dataset, corrected = corrected_dataset(dataset)
     touches = dataset.touches

@@ -13,7 +13,7 @@ ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"
 
 @dataclass
 class ReadingLog:
-    """Notes on a recording for a person, each listed once. Damage raises an error unless it may be skipped."""
+    """Notes on a recording that is being read, each listed once. Damage raises an error unless it may be skipped."""
 
     skip_bad: bool
     lines: list[str] = field(default_factory=list)
@@ -25,7 +25,7 @@ class ReadingLog:
     silent_chips: Counter[int] = field(default_factory=Counter)  # number of rows in which each chip did not answer
 
     def info(self, line: str) -> None:
-        """Note a sentence unless it has been noted before.
+        """Add a sentence to the notes unless they contain it.
 
         Args:
             line: Sentence to note.
@@ -34,13 +34,13 @@ class ReadingLog:
             self.lines.append(line)
 
     def skip(self, error: DataError) -> None:
-        """Raise an error, or note what is left out because of it.
+        """Raise an error about damage, or note what is left out because of it.
 
         Args:
             error: Error about the source.
 
         Raises:
-            DataError: The error itself, unless `skip_bad` is set.
+            DataError: The given error, unless `skip_bad` is set.
         """
         if not self.skip_bad:
             raise error
@@ -53,7 +53,7 @@ class ReadingLog:
             error: Error about the row.
 
         Raises:
-            DataError: The error itself, unless `skip_bad` is set.
+            DataError: The given error, unless `skip_bad` is set.
         """
         if not self.skip_bad:
             raise error
@@ -75,7 +75,7 @@ class ReadingLog:
         return answered
 
     def require_answers(self, source: object, remedy: str = "check the board's cable, and record again") -> None:
-        """Refuse a source in which some chip is silent in every row.
+        """Refuse a source in which every row was left out because some chip did not answer.
 
         Args:
             source: Name of the source, for the message.
@@ -119,7 +119,7 @@ class ReadingLog:
 def require_ambient(
     source: object, silent: Bool[np.ndarray, "n chips"], silent_ambient: Bool[np.ndarray, "n chips"], remedy: str
 ) -> None:
-    """Refuse a source that lacks the ambient field of a chip with readings.
+    """Refuse a source in which a chip has readings but no ambient field.
 
     Args:
         source: Name of the file, for the message.

@@ -14,7 +14,7 @@ LoadName: TypeAlias = Literal["travel", "force", "none"]
 
 
 class Presses(NamedTuple):
-    """n presses in the order of time; a column that was not recorded is None, and a missing value is NaN."""
+    """n presses of a tip on a skin, in the order of time; an unrecorded column is None, and a missing value NaN."""
 
     position: Float[np.ndarray, "n 2"]  # m, position of the tip's axis on the skin, along the skin's edges
     # uT, readings with three channels for each chip; NaN for a chip that did not answer
@@ -27,7 +27,7 @@ class Presses(NamedTuple):
     session: np.ndarray | None = None  # (n,) names of the sessions
 
     def rows(self, which: Any) -> "Presses":
-        """Select presses.
+        """Select some of the presses.
 
         Args:
             which: A mask, row numbers or a slice.
@@ -39,7 +39,7 @@ class Presses(NamedTuple):
 
 
 def join_presses(parts: Sequence[Presses]) -> Presses:
-    """Concatenate presses.
+    """Concatenate several sets of presses.
 
     Args:
         parts: At least one part; all have the same columns.
@@ -53,7 +53,7 @@ def join_presses(parts: Sequence[Presses]) -> Presses:
 
 
 def dataset_presses(dataset: Dataset) -> Presses:
-    """Convert the touches of a data set to presses.
+    """Convert the touches of a data set to presses of its object, the tip, on the skin.
 
     A height is minus the travel. Without travel it is the distance at which the tip stopped before the skin, if known.
 
@@ -75,7 +75,7 @@ def dataset_presses(dataset: Dataset) -> Presses:
 
 
 class LoadedPresses(NamedTuple):
-    """n presses by position and one load, as the models that predict readings take them."""
+    """n presses with position, one load (travel or force) and reading, as models of a tip on a skin take them."""
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # load of each press: travel in m, or force in N; constant if unknown
@@ -103,7 +103,7 @@ class LoadedPresses(NamedTuple):
             rows: Row numbers, or a mask.
 
         Returns:
-            `(k, 3)` position and load of these rows, in standard deviations over all presses.
+            `(k, 3)` position and load of these k rows, in standard deviations over all presses.
         """
         both = np.column_stack([self.position, self.load])
         return (both / np.maximum(both.std(0), 1e-9))[rows]

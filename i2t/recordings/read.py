@@ -60,7 +60,7 @@ MAX_STREAM_STEP_S = 0.5  # s, largest time between rows of a stream
 
 
 class TargetKind(NamedTuple):
-    """Kind of target that a head predicts."""
+    """Unit, scale and type of a target, a quantity that a head predicts from readings."""
 
     unit: str
     scale: float  # factor from the library's unit to `unit`
@@ -122,7 +122,7 @@ class SkinRecording:
         return np.zeros(len(self), bool) if values is None else np.isfinite(values).all(1)
 
     def presses(self) -> Presses:
-        """Convert the rows to presses.
+        """Convert the recording's rows to presses.
 
         Returns:
             A press for each row, whose height is minus its travel.
@@ -152,7 +152,7 @@ class SkinRecording:
         return bool(spread > kind.min_range or (kind.binary and len(np.unique(values)) > 1))
 
     def rows(self, chosen: np.ndarray | slice) -> "SkinRecording":
-        """Select rows.
+        """Select some rows of the recording.
 
         Args:
             chosen: `(n,)` mask, row numbers or a slice.
@@ -263,7 +263,7 @@ def from_dataset(dataset: Dataset, name: str = "data set") -> list[SkinRecording
 
 
 def is_stream(recording: SkinRecording) -> bool:
-    """Test whether rows follow each other quickly, as samples of one contact do.
+    """Test whether a recording's rows follow each other quickly, as samples of one contact do.
 
     Args:
         recording: Recording of one skin.

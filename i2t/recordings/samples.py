@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 
 def first_samples(follows: Bool[np.ndarray, " m"]) -> Int[np.ndarray, " k"]:
-    """Find the rows that begin a contact.
+    """Find the first row of each contact in m + 1 samples.
 
     Args:
         follows: Mask over the rows from the second on: whether the row belongs to the contact of the row before.

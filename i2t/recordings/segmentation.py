@@ -32,7 +32,7 @@ MAD_TO_STD = 1.4826  # standard deviations of a normal variable in one median ab
 
 @dataclass(frozen=True)
 class SegmentationConfig:
-    """Definition of a press.
+    """Thresholds by which a continuous recording is divided into presses.
 
     Attributes:
         begin_distance: Distance from rest, in standard deviations, above which a press begins.
@@ -81,7 +81,7 @@ class SegmentationConfig:
 
 
 class SegmentedPresses(NamedTuple):
-    """k presses in a recording of n rows."""
+    """Beginnings, ends and steady readings of the k presses in a continuous recording of n rows."""
 
     start: Int[np.ndarray, " k"]  # first row of each press
     end: Int[np.ndarray, " k"]  # row after the last row of each press
@@ -94,7 +94,7 @@ class SegmentedPresses(NamedTuple):
 
 
 class SegmentedPress(NamedTuple):
-    """One press; row numbers count from the first row of the recording."""
+    """One press in a continuous recording; row numbers count from the recording's first row."""
 
     start: int  # first row of the press
     end: int  # row after the last row of the press
@@ -113,7 +113,7 @@ class SegmentedPress(NamedTuple):
 
 
 class SegmentationRules(NamedTuple):
-    """Definition of a press in rows of one recording; blocks are groups of rows that are averaged."""
+    """Thresholds for presses in rows of one recording, by its rate and noise; a block is a group of averaged rows."""
 
     noise_std: Float[np.ndarray, " c"]  # uT, standard deviation of a row's noise
     step: float  # s, time between rows
@@ -133,7 +133,7 @@ class SegmentationRules(NamedTuple):
 
 
 class OpenRecording(NamedTuple):
-    """State of a recording that more rows may be added to."""
+    """State of the search for presses in a recording to which more rows may be added."""
 
     rules: SegmentationRules
     first: int  # row of the recording that is the first of the kept rows
@@ -152,7 +152,7 @@ class OpenRecording(NamedTuple):
 def segment_presses(
     time: ArrayLike, readings: ArrayLike, *, config: SegmentationConfig = SegmentationConfig()
 ) -> SegmentedPresses:
-    """Find the presses in a recording.
+    """Find the presses in a continuous recording of a skin, with the steady reading of each.
 
     Args:
         time: `(n,)` increasing times of the rows, in s.
@@ -235,7 +235,7 @@ def extend_recording(
         recording: State after the rows before.
         time: `(n,)` times of the new rows, in s.
         readings: `(n, c)` finite values of the new rows, in uT.
-        others: `(n, e)` other columns, such as the tip's position; may hold NaN.
+        others: `(n, e)` values of e other columns, such as the tip's position; may hold NaN.
 
     Returns:
         The new state, and the presses that have ended. Short and weak ones are included; `filter_presses` removes them.

@@ -18,7 +18,7 @@ MIN_TRAVEL_M = 10e-6  # m, travel from which a touch counts as a press
 
 
 def corrected_dataset(dataset: Dataset) -> tuple[Dataset, tuple[str, ...]]:
-    """Correct the signs of forces and travels, and the height from which travel counts.
+    """Correct the signs of a data set's forces and travels, and the height from which its travel counts.
 
     Args:
         dataset: Recorded or simulated touches.

@@ -55,7 +55,7 @@ EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count
 
 
 class TextTable(NamedTuple):
-    """Texts of a table, with i2t's names and units."""
+    """Cells of a table as texts, with columns and units converted to i2t's."""
 
     header: list[str]
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
@@ -63,7 +63,7 @@ class TextTable(NamedTuple):
 
 
 class TableRows(NamedTuple):
-    """A table whose rows are read once, one after the other."""
+    """A table whose rows are read from its file once, one after the other."""
 
     header: list[str]
     rows: Iterator[tuple[int, list[str]]]  # number of the line in the file, and its fields
@@ -77,7 +77,7 @@ def read_text_table(path: Path) -> TextTable:
         path: Path of the file, plain or gzipped.
 
     Returns:
-        The texts of the table, with i2t's names and units.
+        The cells of the table as texts, with columns and units converted to i2t's.
 
     Raises:
         DataError: The file cannot be read, or is not a table.
@@ -93,7 +93,7 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
 
     Args:
         path: Path of the file, plain or gzipped.
-        as_named: Whether to keep the names and units of the columns as stated.
+        as_named: Whether to keep the names and units of the columns as written in the file.
         texts: Names of columns whose cells are kept unchanged. The line of names is the first that has all of them.
 
     Returns:
@@ -148,7 +148,7 @@ def valid_rows(
     bound: float = MAX_TABLE_VALUE,
     remedy: str = "correct it",
 ) -> tuple[list[tuple[int, list[str]]], np.ndarray]:
-    """Read the numbers of rows, and leave out rows with implausible numbers as damaged.
+    """Parse the numbers in a table's rows, and leave out rows with implausible numbers as damaged.
 
     Args:
         path: Path of the file, for messages.

@@ -27,7 +27,7 @@ STUDENT_T_DOF = 4.0  # degrees of freedom of the residuals, a compromise that La
 
 
 class Contacts(NamedTuple):
-    """Contacts with an object at its believed pose, and the faces that the skin may meet at each contact."""
+    """n contacts with an object at its believed pose, each with the k faces that the skin may meet."""
 
     prior_std: Float[Array, "6"]  # m, prior standard deviations of the twist
     weight: Float[Array, " n"]
@@ -36,7 +36,7 @@ class Contacts(NamedTuple):
 
 
 class LinearisedContacts(NamedTuple):
-    """Residuals of contacts after a motion, with their derivatives by z."""
+    """Residuals (m) of n contacts with the object moved by the twist z, with their derivatives by z."""
 
     residual: Float[Array, " n"]  # m, gap between skin and object along the surface's normal
     jacobian: Float[Array, "n 6"]  # m, derivative of the residual by the twist, for one standard deviation of the prior
@@ -103,7 +103,7 @@ def contacts_of(
     candidate_faces: int,
     candidate_stds: float = 3.0,
 ) -> Contacts:
-    """Describe contacts with an object at its believed pose.
+    """Collect contacts with an object at its believed pose, for estimating its true pose.
 
     Args:
         surface: The object, in its own frame.
@@ -128,7 +128,7 @@ def contacts_of(
 
 
 def linearise(z: Float[Array, "6"], contacts: Contacts, half_edge: float | Array) -> LinearisedContacts:
-    """Compute the residuals of all contacts and their derivatives.
+    """Compute the gap between skin and object at each contact, with the object moved by a twist, and its derivatives.
 
     Args:
         z: Twist of the object, in standard deviations of the prior.
@@ -136,7 +136,8 @@ def linearise(z: Float[Array, "6"], contacts: Contacts, half_edge: float | Array
         half_edge: Half the edge (m) of the skin's face.
 
     Returns:
-        The `(n,)` residuals (m) with their derivatives. Contacts without weight have no effect.
+        The `(n,)` residuals (m), gaps along the surface's normal, and their `(n, 6)` derivatives by z (m for each
+        standard deviation). Both are 0 for contacts without weight.
     """
     linearise_each = jax.vmap(_linearise_contact, (None, 0, 0, None))
     seen = linearise_each(contacts.prior_std * z, contacts.T_t_o, contacts.corners, half_edge)
@@ -162,7 +163,7 @@ def _linearise_contact(
 def cost(
     z: Float[Array, "6"], linearised: LinearisedContacts, weight: Float[Array, " n"], scale: Float[Array, ""]
 ) -> Float[Array, ""]:
-    """Compute minus the logarithm of the posterior density.
+    """Compute minus the logarithm of the posterior density of an object's pose, given contacts.
 
     Args:
         z: Twist of the object, in standard deviations of the prior.
@@ -203,7 +204,7 @@ def t_weights(residual: Float[Array, "*n"]) -> Float[Array, "*n"]:
 def normal_equations(
     z: Float[Array, "6"], linearised: LinearisedContacts, weight: Float[Array, " n"], scale: Float[Array, ""]
 ) -> tuple[Float[Array, "6 6"], Float[Array, "6"]]:
-    """Compute the Gauss-Newton matrix and the gradient of the posterior.
+    """Compute the Gauss-Newton matrix and the gradient of `cost`.
 
     Args:
         z: Twist of the object, in standard deviations of the prior.
@@ -243,7 +244,7 @@ def candidates(
     half_edge: float | Array,
     count: int,
 ) -> Float[Array, "3 3 k"]:
-    """Choose the faces that may come nearest when the object moves sideways and turns.
+    """Choose the faces that may come nearest to the skin when the object moves sideways and turns.
 
     Args:
         surface: The object.

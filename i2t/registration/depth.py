@@ -34,7 +34,7 @@ STD_PER_MAD = 1.4826  # ratio of the standard deviation of a normal distribution
 
 @dataclass(frozen=True)
 class DepthRegistrationConfig:
-    """Options of a pose search by depth image.
+    """Options of the search for an object's pose in a depth image.
 
     Example:
         config = i2t.DepthRegistrationConfig(final_reach=5e-3)  # for a noisy camera
@@ -161,7 +161,8 @@ def camera_covariance(
     """Add the uncertainty of the camera's pose to that of an object, which moves with the camera that located it.
 
     Args:
-        covariance: `(6, 6)` covariance (m^2) of the object's twist, such as from `register_by_depth`.
+        covariance: `(6, 6)` covariance (m^2) of the object's twist (translation, then rotation as arc length), such as
+            from `register_by_depth`.
         T_c_o: Pose of the object in the camera's frame.
         translation_std: Standard deviation (m) of the camera's position along each axis.
         rotation_std: Standard deviation (rad) of the camera's orientation about each axis.

@@ -30,7 +30,7 @@ from i2t.types import Array as AnyArray
 
 
 class HandEye(NamedTuple):
-    """The pose of the camera in all sessions.
+    """Offset of the camera from its hand-eye calibration, common to several sessions, with its uncertainty.
 
     Example:
         hand_eye = pool_hand_eye(list(estimates.values()))
@@ -44,15 +44,15 @@ class HandEye(NamedTuple):
 
 
 def pool_hand_eye(estimates: Sequence[SessionEstimate], *, config: SessionRegistrationConfig | None = None) -> HandEye:
-    """Pool the estimates of a camera that was mounted in the same way in all sessions.
+    """Pool the sessions' estimates of the offset of a camera that stayed mounted from session to session.
 
     Args:
         estimates: Estimates of sessions by `register_session`.
         config: The configuration with which they were registered, for its prior of the camera.
 
     Returns:
-        The camera's offset. Where sessions differ by more than their covariances allow, the covariance is widened by
-        the ratio (Birge, "The calculation of errors by the method of least squares", 1932).
+        The camera's offset with its covariance. Where sessions differ by more than their covariances allow, the
+        covariance is widened by the ratio (Birge, "The calculation of errors by the method of least squares", 1932).
 
     Raises:
         ValueError: There is no estimate.

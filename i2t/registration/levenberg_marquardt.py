@@ -25,7 +25,7 @@ from jaxtyping import Array, Float
 
 @dataclass(frozen=True)
 class Damping:
-    """Bounds of the damping, relative to D, and its factors after a step."""
+    """Bounds of the Levenberg-Marquardt damping, relative to the matrix's diagonal, and its factors after a step."""
 
     smallest: float = 1e-3
     largest: float = 1e6
@@ -49,7 +49,7 @@ class LeastSquares(NamedTuple):
 def levenberg_marquardt(
     problem: LeastSquares, x0: Float[Array, " p"], scales: Float[Array, " steps"], *, damping: Damping = Damping()
 ) -> tuple[Float[Array, " p"], Any]:
-    """Minimise a robust sum of squares.
+    """Minimise a robust sum of squares by Levenberg-Marquardt, with one scale of the loss for each step.
 
     Args:
         problem: The problem.

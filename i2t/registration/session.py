@@ -58,7 +58,7 @@ from i2t.types import Surface, Touches, in_one_line
 @traced_floats
 @dataclass(frozen=True)
 class SessionRegistrationConfig:
-    """Errors of a lab before a session, as standard deviations, and options of the search.
+    """Expected errors of object, camera and arm, as standard deviations, and options of a session's registration.
 
     Example:
         config = i2t.SessionRegistrationConfig(hand_eye=3e-3, depth_noise=0.5e-3)  # a camera that was mounted by eye
@@ -100,7 +100,7 @@ class SessionRegistrationConfig:
 
 @in_one_line
 class SessionEstimate(NamedTuple):
-    """The constant errors of one session, with their uncertainty.
+    """Estimated poses of the object and the camera in one session, with their uncertainty and residuals.
 
     Example:
         estimate = i2t.register_session(touches, surface)

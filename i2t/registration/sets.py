@@ -62,7 +62,7 @@ def depth_noise(patches: Float[np.ndarray, "n p p"], *, minimum: float = 20e-6) 
     surfaces (Immerkaer, "Fast noise variance estimation", 1996, with a median in place of the mean).
 
     Args:
-        patches: `(n, p, p)` depths (m) as the camera measured them.
+        patches: `(n, p, p)` depths (m) of n patches of p x p pixels, as the camera measured them.
         minimum: Smallest standard deviation (m) to return.
 
     Returns:
@@ -79,7 +79,7 @@ def depth_noise(patches: Float[np.ndarray, "n p p"], *, minimum: float = 20e-6) 
 def with_registered_views(
     dataset: Dataset, surfaces: Mapping[str, Surface], estimates: Mapping[int, SessionEstimate]
 ) -> Dataset:
-    """Replace the views of registered sessions by renderings of their objects at the estimated poses.
+    """Replace the camera views of registered sessions by renderings of their objects at the estimated poses.
 
     Args:
         dataset: The touches that were registered.

@@ -46,7 +46,7 @@ from i2t.types import Surface
 @traced_floats
 @dataclass(frozen=True)
 class TouchRegistrationConfig:
-    """Options of a pose search by touches.
+    """Options of the search for an object's pose from touches.
 
     Example:
         config = i2t.TouchRegistrationConfig(num_starts=40)  # for a poorly known pose
@@ -76,7 +76,7 @@ def register_by_touch(
     config: TouchRegistrationConfig = TouchRegistrationConfig(),
     often: bool = False,
 ) -> PoseEstimate:
-    """Estimate the mean pose of an object that was touched at known tool poses.
+    """Estimate an object's pose (posterior mean) and its covariance from touches at known tool poses.
 
     Args:
         key: A JAX key for the starts and the draws.

@@ -9,7 +9,7 @@ WORD_BITS = 32
 
 
 def as_uint32(value: int) -> np.uint32:
-    """Convert a number to the type of words.
+    """Convert a number to a 32-bit word.
 
     Args:
         value: Number from 0 to 2^32 - 1.
@@ -21,7 +21,7 @@ def as_uint32(value: int) -> np.uint32:
 
 
 def popcount(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """Count the set bits of words.
+    """Count the set bits of 32-bit words.
 
     Args:
         words: Words of any shape.
@@ -33,7 +33,7 @@ def popcount(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
 
 
 def lowest_set_bit(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
-    """Find the lowest set bit of words.
+    """Find the lowest set bit of each 32-bit word.
 
     Args:
         words: Words of any shape.
@@ -45,7 +45,7 @@ def lowest_set_bit(words: UInt[Array, "*n"]) -> Int[Array, "*n"]:
 
 
 def bitwise_or_reduce(words: list[Array]) -> Array:
-    """Unite sets.
+    """Compute the union of bit sets.
 
     Args:
         words: Arrays of words, all of one shape.
@@ -60,7 +60,7 @@ def bitwise_or_reduce(words: list[Array]) -> Array:
 
 
 def pack_bits(flags: Array, axis: int = -1) -> Array:
-    """Pack flags into words.
+    """Pack flags into 32-bit words.
 
     Args:
         flags: Booleans with the 32 bits of a word along one axis.

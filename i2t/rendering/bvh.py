@@ -19,7 +19,7 @@ EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of an empty box, which nothing meet
 
 @dataclass(frozen=True)
 class ClusterSizes:
-    """Number of faces in a cluster, by the size of the mesh and of its faces."""
+    """Number of faces in a renderer's cluster, by the size of the mesh and of its faces."""
 
     fine: int = 2  # number of faces of a cluster in meshes of up to `max_fine_faces` faces
     coarse: int = 4  # number of faces of a cluster in larger meshes
@@ -50,7 +50,7 @@ def build_bvh(triangles: np.ndarray) -> Surface:
 
 
 def pad_to_same_size(surfaces: Sequence[Surface], faces: int = 1) -> list[Surface]:
-    """Bring surfaces to the size class of the largest.
+    """Pad surfaces to the size class (number of faces) of the largest.
 
     Args:
         surfaces: Surfaces from `build_bvh`.

@@ -117,7 +117,7 @@ def cast_dense(
     listed: int,
     with_faces: bool,
 ) -> Hits:
-    """Find the first hits.
+    """Find the first hits of parallel rays on meshes of many small faces.
 
     Args:
         boxes: Centres and half extents (m) of the clusters of all meshes; a row is a group.

@@ -55,7 +55,7 @@ from i2t.types import Surface
 
 @dataclass(frozen=True)
 class PassSizes:
-    """Sizes of the passes in which the clusters of a pose are drawn."""
+    """Sizes of the passes in which the renderer draws the clusters of faces that a pose needs."""
 
     groups: int = 64  # number of groups listed in a pass
     groups_per_chunk: int = 8  # number of groups whose boxes are tested together

@@ -36,7 +36,7 @@ Hits: TypeAlias = tuple[Array, ...]
 
 
 class ToolView(NamedTuple):
-    """Map of points to the tool frame, `linear (p - origin) + offset`. The last axes are those of the poses."""
+    """Map of points p to the tool frame, `linear (p - origin) + offset` (m). The last axes are those of the poses."""
 
     linear: Float[Array, "3 3"]
     origin: Float[Array, "3"]
@@ -70,13 +70,13 @@ class PixelGrid:
         self.low, self.high = first[:, 0] - self.pitch / 20, first[:, -1] + self.pitch / 20
 
     def images(self, tiles: Array) -> Array:
-        """Assemble images from tiles.
+        """Assemble images from square tiles of pixels.
 
         Args:
-            tiles: `(p, tiles, pixels of a tile)` values.
+            tiles: `(p, tiles, pixels of a tile)` values for p poses.
 
         Returns:
-            `(p, n, n)` images.
+            `(p, n, n)` images of n pixels along an edge.
         """
         whole = tiles.reshape(-1, self.side, self.side, self.edge, self.edge).swapaxes(2, 3)
         return whole.reshape(len(tiles), self.side * self.edge, -1)[:, : self.pixels, : self.pixels]
@@ -98,7 +98,7 @@ class PixelGrid:
 
 
 class FaceClusters(NamedTuple):
-    """The faces of all meshes; a row is a cluster."""
+    """The faces of all meshes to render, in clusters of equal size; a row is a cluster."""
 
     rows: Float[Array, "clusters size*9"]
     mesh: Int[Array, " p"]  # index of each pose's mesh
@@ -107,7 +107,7 @@ class FaceClusters(NamedTuple):
 
 
 class ClusterList(NamedTuple):
-    """Clusters that each pose needs, as bits of the groups that it listed."""
+    """Clusters of faces that each pose needs for drawing, as bits of the groups of 32 clusters that it lists."""
 
     ids: Int[Array, "p groups"]
     words: UInt[Array, "p groups"]
@@ -191,7 +191,7 @@ def draw_clusters(
 
 
 def empty_scratch(poses: int, size: int, slots: int, grid: PixelGrid, dtype: DTypeLike) -> Scratch:
-    """Make the table before the first pass.
+    """Create the empty scratch table of clusters, before the first pass of drawing.
 
     Args:
         poses: Number of poses that are drawn together.
@@ -386,7 +386,7 @@ def broadcast_view(view: ToolView, axes: int) -> ToolView:
 
 
 def empty_buffers(poses: int, grid: PixelGrid, dtype: DTypeLike, with_faces: bool) -> Hits:
-    """Make the hits before anything is drawn.
+    """Create the buffers of hits before anything is drawn.
 
     Args:
         poses: Number of poses.
@@ -455,7 +455,7 @@ def _draw(
 def face_terms(
     corners: Sequence[Array], shown: Bool[Array, "..."], half: float, axis: int, holds: Bool[Array, ""]
 ) -> tuple[Array, ...]:
-    """Compute the numbers of faces in the tool frame with which pixels are drawn.
+    """Compute the edge functions and planes of faces in the tool frame, from which pixels are drawn.
 
     Args:
         corners: Coordinates x, y and z (m), each with the three corners of a face along `axis`.
@@ -465,8 +465,8 @@ def face_terms(
         holds: A condition that is true at run time (see `fusion_barrier`).
 
     Returns:
-        A, B and C of the edges, the slopes of the faces' planes along x and y, the height of the plane at the origin,
-        and that of the lowest corner.
+        A, B and C of the edge functions, the slopes of the faces' planes along x and y, the height of the plane at the
+        origin, and that of the lowest corner.
     """
     x, y, _ = corners
     (xa, xb, xc), (ya, yb, yc), (za, zb, zc) = (

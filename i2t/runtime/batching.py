@@ -161,8 +161,8 @@ def map_rows_on_devices(
             rows do not depend on each other.
         rows: Positional arguments whose arrays all have the rows as axis 0.
         shared: Positional arguments that follow.
-        multiple: Number by which the size of a part is divisible. A function that processes this number of rows at a
-            time then always processes the same rows together.
+        multiple: Number of rows of which the size of each part is a multiple. A function that processes this number of
+            rows at a time then always processes the same rows together.
         static: Keyword arguments that are not arrays.
 
     Returns:
@@ -201,7 +201,7 @@ def size_classes(n: int, sizes: tuple[int, ...] = (64, 8, 1)) -> Iterator[np.nda
 
 
 def put_on_all_devices(values: PyTree) -> PyTree:
-    """Put arrays on all devices, for arguments that several calls of `map_on_devices` share.
+    """Copy arrays to all devices, for arguments that several calls of `map_on_devices` share.
 
     Args:
         values: Arrays on the host or on any device; those on all devices stay.

@@ -29,7 +29,8 @@ def use_compile_cache() -> Path | None:
     """Let JAX cache compiled programs from now on, in this process and in those that it starts.
 
     Returns:
-        The folder. None if nothing is cached: the cache is off, the folder cannot be written to, or JAX's own is set.
+        The cache's folder. None if nothing is cached because the cache is off or its folder cannot be written to, or if
+        JAX's own cache is set.
 
     Example:
         i2t.use_compile_cache()

@@ -62,7 +62,7 @@ class _Lines(_Bar):
         return f"{state['prefix'] or 'progress'}: {self.n:.6g}{total} {state['unit']} in {elapsed}{remaining}"
 
     def close(self) -> None:
-        """Stop writing."""
+        """End the progress and write nothing more."""
         if not self.disable:
             self.disable = True
             self._decr_instances(self)

@@ -46,8 +46,8 @@ def render_view(
         near_plane: Distance (m) from the camera below which triangles are not drawn.
 
     Returns:
-        `(h, w)` depths (m) along the camera's axis, +inf where nothing is seen, and `(h, w)` triangles of the pixels,
-        -1 where nothing is seen.
+        `(h, w)` depths (m) along the camera's axis, +inf where nothing is seen, and `(h, w)` index of the triangle that
+        each pixel shows, -1 where nothing is seen; h and w are the image's height and width in pixels.
 
     Raises:
         ValueError: The camera's lens has distortion.

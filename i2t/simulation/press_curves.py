@@ -24,7 +24,7 @@ from i2t.types import Array, Pad
 
 
 class PressCurve(NamedTuple):
-    """Stops of a press: measurements, and the truth of the simulation."""
+    """Simulated press with s stops: measurements and true contact at each stop."""
 
     reading: Float[Array, "*batch s c"]  # uT, reading at each travel
     force: Float[Array, "*batch s"]  # N, force at each travel

@@ -31,7 +31,7 @@ RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
 
 @in_one_line
 class Sites(NamedTuple):
-    """Touch sites, and whether they passed the checks."""
+    """n touch sites, as tool poses, and whether each passed the safety checks."""
 
     T_w_t: Float[Array, "n 4 4"]  # (4, 4) contact frames in W, m
     safe: Bool[Array, " n"]
@@ -39,7 +39,7 @@ class Sites(NamedTuple):
 
 @in_one_line
 class TouchSites(NamedTuple):
-    """Safe sites of an object, in its frame."""
+    """n safe touch sites on an object, in its frame: tool poses, points and normals."""
 
     T_o_t: Float[np.ndarray, "n 4 4"]  # pose of the tool at contact, whose z points into the object
     points: Float[np.ndarray, "n 3"]  # m, origin of the tool on the surface
@@ -142,7 +142,7 @@ def is_above_table(T_w_t: Float[Any, "4 4"], limits: SiteLimits) -> Bool[Any, ""
 
 
 def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
-    """Make all three checks of a site.
+    """Check that a site is safe: upward enough, unoccluded, and clear of the table.
 
     Args:
         surface: Surface in the world.

@@ -54,7 +54,7 @@ CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (th
 @traced_floats
 @dataclass(frozen=True)
 class SimulationErrors:
-    """Standard deviations of the lab's errors about the true world (metres, radians, newtons).
+    """Sizes of the errors of a simulated lab's placement, camera, arm and sensor (standard deviations; m, rad, N).
 
     Example:
         errors = i2t.SimulationErrors(placement=2e-3, force=0.2)  # the others as in a usual lab
@@ -85,7 +85,7 @@ class SimulationErrors:
         return cls(**{error.name: sensor.get(error.name, 0.0) for error in fields(cls)})
 
     def scaled(self, factor: float) -> "SimulationErrors":
-        """Multiply all pose errors by a factor; those of camera and sensor stay.
+        """Multiply all pose errors by a factor; the errors of depths, forces and readings stay.
 
         Args:
             factor: The factor; 0 removes the errors.
@@ -98,7 +98,7 @@ class SimulationErrors:
 
 
 class SessionErrors(NamedTuple):
-    """Constant errors of one session."""
+    """Constant errors of one session: true poses of the object and of the camera relative to the believed ones."""
 
     T_o_placed: Float[Array, "4 4"]  # true pose of the object relative to the believed one
     T_t_camera: Float[Array, "4 4"]  # true pose of the camera relative to the believed one
@@ -122,11 +122,11 @@ def sample_session_errors(key: Key[Array, ""], errors: SimulationErrors) -> Sess
 
 
 def apply_camera_model(key: Key[Array, ""], z: Float[Array, "w w"], errors: SimulationErrors) -> PatchView:
-    """Compute the view of the depth camera from heights.
+    """Simulate the depth camera's view of a surface, with its errors, from exact heights.
 
     Args:
         key: Random key.
-        z: `(w, w)` heights (m) along tool z.
+        z: `(w, w)` heights (m) along tool z from the tool origin, growing away from the skin.
         errors: Sizes of the camera's errors.
 
     Returns:
@@ -170,7 +170,7 @@ def simulate_touch(
     law: PressLaw | None = press_pad,
     response: PadResponse | None = None,
 ) -> Touches:
-    """Simulate a touch at a site on the believed object: approach along the site's z, press, look.
+    """Simulate a touch with its camera view: approach a site on the believed object along its z axis, and press.
 
     Args:
         key: Random key.

@@ -205,7 +205,7 @@ def board_note(name: str) -> str:
         name: A name as for `make_board`.
 
     Returns:
-        One line; empty if there is nothing to remark.
+        One line of text; empty if there is nothing to remark.
     """
     return {
         "anyskin": "board anyskin: chips turned as its makers' viewer publishes (chip_xy_rotations), not measured "
@@ -330,7 +330,7 @@ def silent_chips(readings: Float[np.ndarray, "n c"], *, differences: bool = Fals
 
     Args:
         readings: `(n, 3 chips)` readings as the board sent them, or differences of such readings, in any unit.
-        differences: Whether something was subtracted.
+        differences: Whether the values are differences, such as readings minus the ambient.
 
     Returns:
         `(n, chips)` mask of the chips that did not answer; false for chips that are already missing (NaN).
@@ -352,7 +352,7 @@ def without_silent_chips(readings: Float[np.ndarray, "n c"], *, differences: boo
 
     Args:
         readings: `(n, 3 chips)` readings as the board sent them, or differences of such readings, in any unit.
-        differences: Whether something was subtracted.
+        differences: Whether the values are differences, such as readings minus the ambient.
 
     Returns:
         `(n, 3 chips)` readings, NaN for chips that did not answer.
@@ -362,7 +362,7 @@ def without_silent_chips(readings: Float[np.ndarray, "n c"], *, differences: boo
 
 
 def mean_finite(values: Float[np.ndarray, "*n"], axis: int) -> Float[np.ndarray, "*m"]:
-    """Average the finite values; those of a missing chip are NaN.
+    """Average values along an axis, ignoring those that are not finite, such as those of a missing chip.
 
     Args:
         values: Any numbers, some of them missing.

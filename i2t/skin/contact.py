@@ -43,7 +43,7 @@ MAX_HEIGHT_M = 1.0  # m, height at which heights are clipped, so that they may b
 
 @dataclass(frozen=True)
 class ContactSolver:
-    """Accuracy and limits of the solver."""
+    """Accuracy and limits of the solver of contacts between skin and object."""
 
     # Largest violation relative to the deepest deflection: about ten roundings of float32. A force shall be accurate
     # to 0.1 %, a hundred times this.
@@ -58,7 +58,7 @@ CONTACT_SOLVER = ContactSolver()
 
 
 class Contact(NamedTuple):
-    """Solution of a contact problem."""
+    """Contact of the skin with an object: pressure, force, indentation, gap, and accuracy of the solution."""
 
     pressure: Float[Array, "n n"]  # Pa, pressure on each cell
     force: Float[Array, ""]  # N, force along -z on the skin
@@ -81,7 +81,7 @@ def solve(
     tolerance: float = CONTACT_SOLVER.tolerance,
     max_steps: int = CONTACT_SOLVER.max_steps,
 ) -> Contact:
-    """Solve the contact at a given indentation.
+    """Solve the frictionless contact of the skin with a rigid surface at a given indentation.
 
     Args:
         pad: The skin.
@@ -89,7 +89,7 @@ def solve(
         indentation: Distance (m) of that nearest point below the resting skin; nothing touches if it is not positive.
         grid: Cells of the pad.
         start: `(n, n)` pressure (Pa) to start from, such as that of a neighbouring indentation.
-        tolerance: Largest violation of the conditions, relative to the deepest deflection.
+        tolerance: Largest violation of the contact conditions, relative to the deepest deflection.
         max_steps: Maximum number of steps; if they do not suffice, `converged` is False.
 
     Returns:
@@ -114,7 +114,7 @@ def solve_force(
     tolerance: float = CONTACT_SOLVER.tolerance,
     max_steps: int = CONTACT_SOLVER.max_steps,
 ) -> Contact:
-    """Solve the contact at a given normal force, among the pressures with this sum.
+    """Solve the frictionless contact of the skin with a rigid surface at a given normal force.
 
     Args:
         pad: The skin.
@@ -122,7 +122,7 @@ def solve_force(
         force: Normal force (N), > 0.
         grid: Cells of the pad.
         start: `(n, n)` pressure (Pa) to start from.
-        tolerance: Largest violation of the conditions, relative to the deepest deflection.
+        tolerance: Largest violation of the contact conditions, relative to the deepest deflection.
         max_steps: Maximum number of steps; if they do not suffice, `converged` is False.
 
     Returns:
@@ -140,7 +140,7 @@ def solve_force(
 def cells_in_contact(
     newtons: Float[Array, "*cells"] | Float[np.ndarray, "*cells"], *, threshold: float = 1e-3
 ) -> Bool[Array, "*cells"] | Bool[np.ndarray, "*cells"]:
-    """Find the cells that bear a noticeable force.
+    """Find the cells of the skin that are in contact, bearing a noticeable force.
 
     Args:
         newtons: Force (N) on each cell of 1 mm.
@@ -276,7 +276,7 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
 
 
 def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
-    """Solve operator(x) = b.
+    """Solve the linear system operator(x) = b by conjugate gradients.
 
     Rounding must not lead out of the subspace on which the operator is positive: components outside never become
     smaller, and the steps grow without bound once nothing else is left. A mask of cells and a projection onto a
@@ -310,7 +310,7 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
 
 
 class ContactState(NamedTuple):
-    """State of a descent on lanes. Values of a whole lane have axes of length 1 for the cells."""
+    """State of `descend` for lanes (contacts side by side). Values of a whole lane have cell axes of length 1."""
 
     point: Array  # a point of the allowed set
     gap: Array  # gradient K x + offset at `point`
@@ -332,7 +332,7 @@ def descend(
     tolerance: float,
     max_steps: int,
 ) -> ContactState:
-    """Minimise x.Kx/2 + x.offset over a convex set by spectral projected gradients, separately for each lane.
+    """Minimise x.Kx/2 + x.offset over a convex set by spectral projected gradients, for each lane (contact) separately.
 
     The result is not differentiable.
 
@@ -416,7 +416,7 @@ def _contact(pad: Pad, state: _Solution, scale: Array, indentation: Array, grid:
 
 
 def safe_divisor(x: Array) -> Array:
-    """Raise a number to one that is safe to divide by.
+    """Raise a number to the smallest positive normal number if it is below it, for use as a divisor.
 
     Args:
         x: Any number.

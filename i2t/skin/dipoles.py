@@ -41,7 +41,7 @@ Dipoles: TypeAlias = Grid | tuple[Grid, ...]
 def dipole_field(
     points: Float[Array, "m 3"], positions: Float[Array, "n 3"], moments: Float[Array, "n 3"]
 ) -> Float[Array, "m 3"]:
-    """Compute the flux density of dipoles.
+    """Compute the magnetic flux density of dipoles.
 
     Args:
         points: `(m, 3)` points (m).
@@ -65,7 +65,7 @@ def response(
     traction: Float[Array, "2 n n"] | None = None,
     first_sheet: int = 0,
 ) -> Float[Array, " c"]:
-    """Compute the noise-free reading under a load: gains times the change of the field, in the chips' axes.
+    """Compute a pad's noise-free reading under a load: gains times the change of the field, in the chips' axes.
 
     Args:
         pad: The skin on its board.
@@ -90,7 +90,9 @@ def response(
 def linear_response(
     pad: Pad, grid: Grid = GRID, *, dipoles: Dipoles | None = None, first_sheet: int = 0
 ) -> Float[Array, "c n n"]:
-    """Compute the derivative of `response` by the pressure at rest, which is exact for small motions of the skin.
+    """Compute a pad's linear response: the derivative at rest of the reading (`response`) by the pressure.
+
+    It is exact for small motions of the skin.
 
     Args:
         pad: The skin on its board.
@@ -211,7 +213,9 @@ def _groups(pad: Pad, dipoles: Dipoles, nodes: int, first_sheet: int) -> Iterato
 def sheets(
     pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES
 ) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
-    """Compute the dipoles at rest. A cell of `dipoles` has the magnetization of the map's cell at its centre.
+    """Compute the sheets of dipoles that represent a pad at rest.
+
+    A cell of `dipoles` has the magnetization of the map's cell at its centre.
 
     Args:
         pad: The skin.
@@ -232,7 +236,7 @@ def sheets(
 
 
 def turn(rotation: Float[Array, "3 ..."], moments: Float[Array, "3 ..."]) -> Float[Array, "3 ..."]:
-    """Turn moments by Cayley's rotation of m by w: m + 4 / (4 + w.w) (w x m + w x (w x m) / 2).
+    """Turn magnetic moments m by Cayley's rotation w: m + 4 / (4 + w.w) (w x m + w x (w x m) / 2).
 
     Args:
         rotation: Rotation w (rad), components first.

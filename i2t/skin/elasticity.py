@@ -71,7 +71,7 @@ class Grid:
 
     @property
     def spacing(self) -> float:
-        """Edge of a cell (m)."""
+        """Edge (m) of a cell."""
         return self.window / self.cells
 
     @property
@@ -92,7 +92,7 @@ FINE_GRID = Grid(80, 128)  # grid for sharp edges, if they matter more than spee
 
 
 class Load(NamedTuple):
-    """Loads on the surface, as coefficients of the series (rows y, columns x), ready for `interior`."""
+    """Loads on the skin's surface, as coefficients of a Fourier series (rows y, columns x), ready for `interior`."""
 
     slopes: Float[Array, "2 k k"]  # Pa/m, slopes of the pressure along x and y
     pressure: Float[Array, "k k"]  # Pa
@@ -101,7 +101,7 @@ class Load(NamedTuple):
 
 
 class TractionWaves(NamedTuple):
-    """Series of a traction, and the parts of its waves."""
+    """Fourier series of a traction on the skin, with each wave's lengthwise part, divergence and curl."""
 
     traction: Float[Array, "2 k k"]  # Pa, traction along x and y of each wave
     lengthwise: Float[Array, "2 k k"]  # Pa, component of each wave along its wave vector
@@ -116,7 +116,7 @@ def load(
     grid: Grid = GRID,
     series: Grid | None = None,
 ) -> Load:
-    """Convert a pressure and a traction to coefficients of a series.
+    """Convert a pressure and a traction on the skin to coefficients of a Fourier series.
 
     Args:
         pad: The skin.
@@ -138,10 +138,10 @@ def load(
 
 
 def traction_waves(traction: Float[Array, "2 k k"], grid: Grid = GRID) -> TractionWaves:
-    """Split a traction's series into the parts along and across each wave.
+    """Split a traction's Fourier series into the parts along and across each wave.
 
     Args:
-        traction: `(2, k, k)` coefficients (Pa) along x and y.
+        traction: `(2, k, k)` coefficients (Pa) of the traction along x and y, for k = `modes` waves along each edge.
         grid: Grid of the series.
 
     Returns:
@@ -173,7 +173,7 @@ def interior(
     Args:
         pad: The skin.
         load: Load on its surface, as coefficients of the series of `grid`.
-        depth: Depth (m), 0 at the surface to h at the base.
+        depth: Depth (m), from 0 at the surface to the layer's thickness at the base.
         grid: Grid of the series.
         coordinates: `(m,)` coordinates (m from the pad's centre) of rows (y) and columns (x) of the points; by default
             the cell centres.
@@ -208,7 +208,7 @@ def interior(
 
 
 def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
-    """Compute G at the grid's wavenumbers: downward displacement of the bonded layer per pressure.
+    """Compute the layer's normal compliance at the grid's wavenumbers: downward displacement per pressure.
 
     Args:
         pad: The skin.
@@ -225,7 +225,7 @@ def compliance(pad: Pad, grid: Grid = GRID) -> Float[Array, "k k"]:
 
 
 def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k k"], Float[Array, "k k"]]:
-    """Compute the tangential displacement of the bonded layer's surface per traction.
+    """Compute the layer's tangential compliance: displacement of its surface along the skin per traction.
 
     Args:
         pad: The skin.
@@ -242,7 +242,7 @@ def tangential_compliance(pad: Pad, grid: Grid = GRID) -> tuple[Float[Array, "k 
 
 
 def tangential_displacement(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Float[Array, "2 n n"]:
-    """Compute the displacement of the surface along the skin under a pressure alone.
+    """Compute the displacement of the skin's surface along x and y under a pressure alone.
 
     Args:
         pad: The skin.
@@ -288,7 +288,7 @@ def clamped_shape(grid: Grid, dtype: jnp.dtype) -> Float[Array, "n n"]:
 def spectrum(
     pressure: Float[Array, "... n n"], grid: Grid = GRID, series: Grid | None = None
 ) -> Float[Array, "... k k"]:
-    """Compute the coefficients of the series that equals a pressure on the pad's cells and zero elsewhere.
+    """Compute the coefficients of the Fourier series that equals a pressure on the pad's cells and zero elsewhere.
 
     Args:
         pressure: `(..., n, n)` pressure (Pa), or any other density.
@@ -306,7 +306,7 @@ def spectrum(
 def evaluate(
     waves: Float[Array, "... k k"], grid: Grid = GRID, coordinates: np.ndarray | None = None
 ) -> Float[Array, "... m m"]:
-    """Evaluate a series at points.
+    """Evaluate a Fourier series over the pad at points.
 
     Args:
         waves: `(..., modes, modes)` coefficients of the series.
@@ -336,7 +336,7 @@ def convolve(kernel: Float[Array, "k k"], pressure: Float[Array, "n n"], grid: G
 
 
 def basis(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate the series' waves along one axis.
+    """Evaluate the waves of the grid's Fourier series along one axis.
 
     Args:
         grid: Grid of the series.
@@ -352,7 +352,7 @@ def basis(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate the series' waves along one axis on the cells of its outer half, by parity.
+    """Evaluate the waves of the grid's Fourier series along one axis on the cells of its outer half, by parity.
 
     Args:
         grid: Grid of cells and waves.

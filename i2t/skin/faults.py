@@ -37,7 +37,7 @@ RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7
 
 @dataclass(frozen=True)
 class FaultModel:
-    """Assumptions of the faults that no session changes."""
+    """Assumptions about a skin's faults that are the same for all boards and sessions."""
 
     # rad, dip of the earth's field below the horizon in central Europe (IGRF-13, 2020)
     earth_dip: float = np.deg2rad(64.0)
@@ -59,7 +59,7 @@ Size: TypeAlias = float | Float[Array, ""]  # size of a fault; traced if `Faults
 @traced_floats
 @dataclass(frozen=True)
 class Faults:
-    """Sizes of the faults of one board and session; zero turns a fault off, and all are off by default.
+    """Sizes of the simulated faults of a skin on one board in one session; 0 turns a fault off, all off by default.
 
     Example:
         errors = i2t.SimulationErrors(faults=i2t.Faults(hysteresis=0.3))  # and no other fault
@@ -80,7 +80,7 @@ class Faults:
 
     @classmethod
     def typical(cls) -> "Faults":
-        """Sizes of real boards in good order, with the ambient measured at every touch."""
+        """Return the sizes of faults of real boards in good order, with the ambient measured at every touch."""
         return cls(
             softening=0.1,
             relaxation=0.05,
@@ -120,7 +120,7 @@ def apply(
     rest: Float[Array, " c"],
     presses_before: Int[Array, ""] | int = 0,
 ) -> Float[Array, "n c"]:
-    """Apply the faults of a sensor to the readings of one session (see the module's docstring).
+    """Apply the faults of a sensor, such as softening, hysteresis, drift and saturation, to readings of one session.
 
     Args:
         key: Random key of the session.
@@ -177,7 +177,7 @@ def _warmed(
 def mullins_softening(
     reading: Float[Array, " c"], presses: Int[Array, ""] | int, size: Size = 0.1
 ) -> Float[Array, " c"]:
-    """Soften a layer with use: at a given force, readings grow towards 1 + `size` times as presses wear the pad.
+    """Apply softening by use: at a given force, readings grow towards 1 + `size` times as presses wear the pad.
 
     This is the Mullins effect: silicones soften only in their first load cycles (Case, White and Kramer, Soft Robotics
     2, 2015; Liao et al., Int. J. Mech. Sci. 206, 2021), which here happen place by place. The default of a tenth is an
@@ -198,8 +198,8 @@ def remaining_stress(seconds: Size, size: Size = 0.05) -> Float[Array, ""]:
     """Compute the share of the layer's stress that is left after a hold: a Prony series with shares of size / 3.
 
     Args:
-        seconds: Duration of the hold.
-        size: Share that relaxes finally.
+        seconds: Duration (s) of the hold.
+        size: Share of the stress that relaxes finally.
 
     Returns:
         A share between 1 - `size` and 1.
@@ -223,9 +223,9 @@ def creep(
 
     Args:
         reading: `(c,)` reading (uT) at the start of the hold.
-        seconds: Duration of the hold.
+        seconds: Duration (s) of the hold.
         size: Share of the stress that relaxes finally.
-        yielding: The share s.
+        yielding: The share s, from 0 for a held indentation to 1 for a held force.
 
     Returns:
         `(c,)` reading (uT) at the end of the hold.
@@ -243,7 +243,7 @@ def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: S
     Args:
         key: Random key of the board.
         readings: `(n, c)` readings (uT) of the session's touches in order.
-        size: The share of the previous press.
+        size: Share of the previous press's reading that the chip adds to the next one; may be negative.
 
     Returns:
         `(n, c)` readings (uT) with hysteresis.
@@ -255,14 +255,14 @@ def apply_hysteresis(key: Key[Array, ""], readings: Float[Array, "n c"], size: S
 
 
 def ambient_field(key: Key[Array, ""], earth: Size = 48.0, room: Size = 10.0) -> Float[Array, "3"]:
-    """Draw the uniform field of a place: the earth's, with its dip and an unknown compass bearing, and the room's.
+    """Draw the uniform ambient field of a place: the earth's, with its dip and a random bearing, and the room's.
 
     48 uT is the value in central Europe (IGRF-13, 2020). Iron in walls, table and robot adds tens of microtesla; 10 uT
     for each component is an assumption, and so is a large distance to the robot's own iron.
 
     Args:
         key: Random key.
-        earth: The earth's field (uT).
+        earth: Strength of the earth's field (uT).
         room: Standard deviation (uT) of each component of the room's field.
 
     Returns:
@@ -276,7 +276,7 @@ def ambient_field(key: Key[Array, ""], earth: Size = 48.0, room: Size = 10.0) ->
 
 @geometry.full_precision
 def ambient(T_w_t: Float[Array, "4 4"], field: Float[Array, "3"], board: Board) -> Float[Array, " c"]:
-    """Compute the reading of a uniform field: one vector for all chips, each in its own axes.
+    """Compute the reading of a uniform ambient field: one vector for all chips, each in its own axes.
 
     Args:
         T_w_t: Pose of the tool.
@@ -298,7 +298,7 @@ def subtract_ambient(values: Float[Array, "n c"], before: Float[Array, "n c"], e
     Args:
         values: `(n, c)` terms (uT) at the reading of each touch of a session.
         before: `(n, c)` terms (uT) at the time of each touch's ambient, whether it is measured or not.
-        every: Touches between measurements of the ambient; 0 if only the first touch has one.
+        every: Number of touches between measurements of the ambient; 0 if only the first touch has one.
 
     Returns:
         `(n, c)` differences (uT).
@@ -365,7 +365,7 @@ def apply_warming(
 def saturate(
     reading: Float[Array, " c"], rest: Float[Array, " c"], range_xy: Size = RANGE_XY_UT, range_z: Size = RANGE_Z_UT
 ) -> Float[Array, " c"]:
-    """Limit a change of field where each axis reaches its full scale.
+    """Limit a reading where the field along each axis reaches the chip's full scale.
 
     16 bits: 2^15 steps of 0.150 uT (x, y) and 0.242 uT (z) at gain 7 and resolution 0 (MLX90393 data sheet, sensitivity
     table; its list of features gives 5 mT as the smallest range).

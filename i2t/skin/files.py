@@ -21,7 +21,7 @@ KIND = "i2t pad"  # kind of file in the header of a saved pad
 
 
 class PadAbout(NamedTuple):
-    """Description of a pad in its file."""
+    """Description of a pad from its file: its skin, the source of its parameters, and its errors of prediction."""
 
     name: str  # name of the skin in data sets
     made_from: str  # a phrase such as ", fitted to 100 real presses"; empty if unknown
@@ -30,7 +30,7 @@ class PadAbout(NamedTuple):
 
 
 def save_pad(path: Path | str, pad: Pad, *, about: dict[str, Any] | None = None) -> None:
-    """Write one pad.
+    """Write one pad, with its board, to a file.
 
     Args:
         path: Path of the file.
@@ -92,7 +92,8 @@ def load_pad_about(path: Path | str) -> PadAbout:
         path: Path of the file.
 
     Returns:
-        The skin's name, the source of the pad and its errors. Without a name in the file, the name is that of the file.
+        The skin's name (the file's name if the file has none), the source of the pad's parameters, and the errors (uT)
+        and R2 of its predicted readings.
 
     Raises:
         SerializationError: The file is missing, damaged or holds no pad.

@@ -54,7 +54,7 @@ class Shear(NamedTuple):
 
 
 def without_traction(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) -> Shear:
-    """Compute the state of a skin under a pressure without traction: pressed without friction, or not yet touched.
+    """Compute the friction state of a skin without traction: pressed without friction, or not yet touched.
 
     Args:
         pad: The skin.
@@ -86,20 +86,20 @@ def shear(
     tolerance: float = 1e-4,
     max_steps: int = CONTACT_SOLVER.max_steps,
 ) -> Shear:
-    """Solve the state of friction after the object has moved along the skin.
+    """Solve the traction and slip of the skin after the object in contact has moved along it.
 
     Args:
         pad: The skin.
         pressure: `(n, n)` pressure (Pa) at the end of the motion.
-        slide: Motion (m) along x and y of the skin since the previous state.
+        slide: Motion (m) of the object along x and y of the skin since the previous state.
         grid: Cells of the pad.
         before: The previous state; by default the untouched skin.
-        tolerance: Largest violation of the conditions, relative to the largest displacement. The default is ten times
-            the rounding error of float32.
+        tolerance: Largest violation of the friction conditions, relative to the largest displacement. The default is
+            ten times the rounding error of float32.
         max_steps: Maximum number of steps; if they do not suffice, `converged` is False.
 
     Returns:
-        The new state.
+        The traction, displacement and slip after the motion.
     """
     kernels = jnp.stack(tangential_compliance(pad, grid)) * pad.young / pad.thickness
     spreading = tangential_displacement(pad, pressure, grid)

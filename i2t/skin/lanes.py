@@ -30,13 +30,14 @@ from i2t.skin.elasticity import Grid, half_waves
 
 
 def to_quadrants(values: Float[Array, "lanes n n"]) -> Float[Array, "2 h 2 h lanes"]:
-    """Split arrays over the pad into quadrants, lanes last.
+    """Split a batch of arrays over the pad into quadrants about its centre, with the batch (the lanes) last.
 
     Args:
         values: `(lanes, n, n)` arrays, rows along y.
 
     Returns:
-        `(2, h, 2, h, lanes)` quadrants, with h = n / 2.
+        `(2, h, 2, h, lanes)` quadrants, with h = n / 2: the halves x > 0 and x < 0, each with h cells counted outwards,
+        then the same along y.
     """
     lanes, n, _ = values.shape
     halves = jnp.transpose(values, (2, 1, 0)).reshape(2, n // 2, 2, n // 2, lanes)
@@ -45,10 +46,10 @@ def to_quadrants(values: Float[Array, "lanes n n"]) -> Float[Array, "2 h 2 h lan
 
 
 def from_quadrants(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "lanes n n"]:
-    """Join quadrants; the inverse of `to_quadrants`.
+    """Join the quadrants of arrays over the pad; the inverse of `to_quadrants`.
 
     Args:
-        quadrants: `(2, h, 2, h, lanes)` quadrants.
+        quadrants: `(2, h, 2, h, lanes)` quadrants from `to_quadrants`.
 
     Returns:
         `(lanes, n, n)` arrays, rows along y.
@@ -73,14 +74,15 @@ def fold(quadrants: Float[Array, "2 h 2 h lanes"]) -> Float[Array, "2 h 2 h lane
 
 
 def convolution(kernel: Float[Array, "k k"], grid: Grid) -> Float[Array, "2 m 2 h h"]:
-    """Compute the matrices T of a kernel.
+    """Compute the matrices by which `convolve` applies a kernel to quadrants.
 
     Args:
-        kernel: `(k, k)` factors, one for each wave.
+        kernel: `(k, k)` factors of the kernel, one for each of k x k waves (k = `grid.modes`).
         grid: Grid of cells and waves.
 
     Returns:
-        `(2, m, 2, h, h)`: one matrix (h, h) for each parity and wave along x and each parity along y.
+        `(2, m, 2, h, h)` matrices: one (h, h) matrix, for the h cells of half an edge, for each parity and each of the
+        m = k / 2 waves along x, and each parity along y.
     """
     waves, weighted = (jnp.asarray(part, kernel.dtype) for part in half_waves(grid))
     half = grid.modes // 2
@@ -92,11 +94,11 @@ def convolution(kernel: Float[Array, "k k"], grid: Grid) -> Float[Array, "2 m 2 
 def convolve(
     matrices: Float[Array, "2 m 2 h h"], quadrants: Float[Array, "2 h 2 h lanes"], grid: Grid
 ) -> Float[Array, "2 h 2 h lanes"]:
-    """Convolve each lane with the kernel of `matrices`, as `i2t.skin.elasticity.convolve`.
+    """Convolve the pressures of many contacts (lanes) with a kernel, as `i2t.skin.elasticity.convolve` does for one.
 
     Args:
         matrices: Matrices of the kernel from `convolution`.
-        quadrants: `(2, h, 2, h, lanes)` cells of each lane.
+        quadrants: `(2, h, 2, h, lanes)` cells of each lane, from `to_quadrants`.
         grid: Grid of cells and waves.
 
     Returns:
@@ -109,18 +111,18 @@ def convolve(
 
 
 def vector_convolution(kernels: Float[Array, "2 k k"], grid: Grid) -> Float[Array, "2 m1 2 n n"]:
-    """Compute the matrices of a vector kernel that has one factor along each wave and another one across it.
+    """Compute the matrices by which `convolve_vectors` applies a kernel to vectors along the skin.
 
     A wave of number m along x with parity b, and with parity a along y, has vectors whose x component has these
     parities and whose y component has the opposite ones, because the derivatives that couple them change both.
 
     Args:
-        kernels: `(2, k, k)` factors along and across each wave.
+        kernels: `(2, k, k)` factors for each of k x k waves: on the vectors' component along the wave, and across it.
         grid: Grid of cells and waves.
 
     Returns:
-        One matrix (2 h, 2 h), of the cells of both components, for each wave number 0 ... modes / 2 and parity along x
-        and each parity along y.
+        `(2, k / 2 + 1, 2, 2 h, 2 h)` matrices: one (2 h, 2 h) matrix, for both components on the h cells of half an
+        edge, for each parity and wave number along x, and each parity along y.
     """
     along, across = (_by_number(kernel, grid) for kernel in kernels)
     waves, weighted = (jnp.asarray(part, kernels.dtype) for part in _numbered_half_waves(grid))
@@ -151,11 +153,11 @@ def vector_convolution(kernels: Float[Array, "2 k k"], grid: Grid) -> Float[Arra
 def convolve_vectors(
     matrices: Float[Array, "2 m1 2 n n"], quadrants: Float[Array, "2 2 h 2 h lanes"], grid: Grid
 ) -> Float[Array, "2 2 h 2 h lanes"]:
-    """Convolve the vectors of each lane with the kernel of `matrices`.
+    """Convolve the vectors of many contacts (lanes) with a kernel.
 
     Args:
         matrices: Matrices of the kernel from `vector_convolution`.
-        quadrants: `(2, 2, h, 2, h, lanes)` components along x and y of each lane.
+        quadrants: `(2, 2, h, 2, h, lanes)` vectors of each lane: components along x and y, each from `to_quadrants`.
         grid: Grid of cells and waves.
 
     Returns:
@@ -186,7 +188,7 @@ def _by_number(kernel: Float[Array, "k k"], grid: Grid) -> Float[Array, "m1 m1"]
 
 
 def cell_axes(values: Float[Array, "*cells lanes"]) -> tuple[int, ...]:
-    """List all axes except that of the lanes.
+    """List all axes of an array except the last one, that of the lanes.
 
     Args:
         values: Array with any axes of cells, lanes last.
@@ -198,7 +200,7 @@ def cell_axes(values: Float[Array, "*cells lanes"]) -> tuple[int, ...]:
 
 
 def lane_sum(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
-    """Sum each lane.
+    """Sum the values of each lane over its cells.
 
     Args:
         values: Array with any axes of cells, lanes last.
@@ -210,7 +212,7 @@ def lane_sum(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"
 
 
 def lane_max(values: Float[Array, "*cells lanes"]) -> Float[Array, "*ones lanes"]:
-    """Find the largest absolute value of each lane.
+    """Find the largest absolute value among the cells of each lane.
 
     Args:
         values: Array with any axes of cells, lanes last.

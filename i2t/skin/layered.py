@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 
 class Sheet(NamedTuple):
-    """One layer of a stack."""
+    """One homogeneous elastic layer in a stack of bonded layers."""
 
     thickness: float  # m
     young: float  # Pa
@@ -29,12 +29,12 @@ class Sheet(NamedTuple):
 
     @property
     def shear(self) -> float:
-        """Shear modulus (Pa)."""
+        """Shear modulus (Pa) of the layer."""
         return self.young / (2 * (1 + self.poisson))
 
 
 class WaveMotion(NamedTuple):
-    """Motion of a stack in each wave, at some depths."""
+    """Displacement and rotation of a stack of elastic layers under waves of pressure, at d depths."""
 
     along: Float[np.ndarray, "d ..."]  # displacement along x (y) per slope of the pressure along x (y), m^2/Pa
     down: Float[np.ndarray, "d ..."]  # displacement along z per pressure, m/Pa
@@ -44,12 +44,12 @@ class WaveMotion(NamedTuple):
 def stack_motion(
     sheets: Sequence[Sheet], wavenumbers: Float[np.ndarray, "..."], depths: Float[np.ndarray, " d"]
 ) -> WaveMotion:
-    """Compute how a stack moves under waves of pressure.
+    """Compute how a stack of bonded elastic layers on a rigid base moves under waves of pressure.
 
     Args:
         sheets: Layers from the surface down, each bonded to the next, and the last to the base.
         wavenumbers: Wavenumbers (1/m), >= 0.
-        depths: `(d,)` depths below the surface (m), from 0 to the thickness of the stack.
+        depths: d depths below the surface (m), from 0 to the thickness of the stack.
 
     Returns:
         The motion of each wave at each depth. A uniform pressure (wavenumber 0) has no slope, so its `along` and `turn`

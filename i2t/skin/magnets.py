@@ -32,7 +32,7 @@ CYLINDER_NODES = 64  # number of nodes of the integral around a magnet
 
 
 class Magnets(NamedTuple):
-    """k hard cylinder magnets."""
+    """k hard cylinder magnets in the tool frame, as in the lattice of an eFlesh skin."""
 
     positions: Float[Array, "k 3"]  # m, positions of the magnets' centres
     # rotations from a magnet's own axes, in which it is magnetised along z, to tool axes
@@ -49,7 +49,7 @@ def cylinder_field(
     magnetization: Float[Array, ""] | float,
     nodes: int = CYLINDER_NODES,
 ) -> Float[Array, "3"]:
-    """Compute the flux density of one cylinder centred at the origin, in the cylinder's own axes, also inside it.
+    """Compute the flux density of one cylinder magnet centred at the origin, in the magnet's own axes, also inside it.
 
     Args:
         point: `(3,)` point (m).
@@ -106,7 +106,7 @@ def move(magnets: Magnets, displacement: Float[Array, "k 3"], rotation: Float[Ar
     """Displace and rotate magnets, each about its own centre.
 
     Args:
-        magnets: The magnets at rest.
+        magnets: The k magnets at rest.
         displacement: `(k, 3)` displacements (m) in tool axes.
         rotation: `(k, 3)` rotation vectors (rad) in tool axes.
 
@@ -126,11 +126,11 @@ def response(
     rotation: Float[Array, "k 3"],
     nodes: int = CYLINDER_NODES,
 ) -> Float[Array, " c"]:
-    """Compute the noise-free reading of magnets moved from rest (see `move`): the change of the field at the chips.
+    """Compute a board's noise-free reading of magnets moved from rest: the change of the field at the chips.
 
     Args:
         board: The board that measures the field.
-        magnets: The magnets at rest.
+        magnets: The k magnets at rest.
         displacement: `(k, 3)` displacements (m) in tool axes.
         rotation: `(k, 3)` rotation vectors (rad) in tool axes.
         nodes: Number of nodes of the integral around each magnet.

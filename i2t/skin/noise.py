@@ -25,7 +25,7 @@ from i2t.types import Board
 @traced_floats
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the sensor's errors (uT); zero turns an error off.
+    """Sizes of the magnetometers' noise and converter steps (uT); zero turns an error off.
 
     Example:
         errors = i2t.SimulationErrors(noise=i2t.Noise(contact_samples=1))  # readings without averaging
@@ -41,11 +41,11 @@ class Noise:
 
     @classmethod
     def none(cls) -> "Noise":
-        """An ideal sensor."""
+        """Return an ideal sensor, without noise and steps."""
         return cls(xy=0.0, z=0.0, common=0.0, step_xy=0.0, step_z=0.0)
 
     def scaled(self, factor: float) -> "Noise":
-        """Scale the noise; the steps of the converter stay.
+        """Scale the noise by a factor; the steps of the converter stay.
 
         Args:
             factor: Factor on the standard deviations.
@@ -56,7 +56,7 @@ class Noise:
         return replace(self, xy=factor * self.xy, z=factor * self.z)
 
     def sigma(self, chips: int) -> Float[Any, " c"]:
-        """Compute the standard deviation of one sample at rest.
+        """Compute the standard deviation of one sample at rest, for each channel of a board.
 
         Args:
             chips: Number of chips of the board.
@@ -67,7 +67,7 @@ class Noise:
         return _of_axes(self.xy, self.z, chips)
 
     def steps(self, chips: int) -> Float[Any, " c"]:
-        """List the steps of the converter.
+        """List the converter's steps for each channel of a board.
 
         Args:
             chips: Number of chips of the board.
@@ -112,7 +112,7 @@ def add_sensor_noise(
 def sample_burst(
     key: Key[Array, ""], reading: Float[Array, " c"], board: Board, noise: Noise, samples: int
 ) -> Float[Array, "s c"]:
-    """Draw raw samples in such quick succession that they differ only in the white noise.
+    """Simulate a burst of raw samples of one reading, so quick that they differ only in the white noise.
 
     Args:
         key: Random key.

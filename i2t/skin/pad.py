@@ -27,7 +27,7 @@ from i2t.types import Board, Pad, in_one_line
 
 @dataclass(frozen=True)
 class NominalSkin:
-    """Properties of a middling ReSkin, and assumptions on how skins differ; see `sample_pad`."""
+    """Properties of a typical ReSkin, and assumptions on how skins differ; see `sample_pad`."""
 
     thickness: float = 2e-3  # m
     chip_gap: float = 1.5e-3  # m, gap from the base to the sensing elements: half of the 1 mm package, glue and film
@@ -50,7 +50,7 @@ MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and a whol
 
 @in_one_line
 class Press(NamedTuple):
-    """Result of a press of the pad.
+    """Result of pressing a pad onto a surface: noise-free reading, force, indentation and pressure.
 
     Example:
         pressed = i2t.press(pad, height, 0.3e-3)
@@ -142,7 +142,7 @@ def friction_response(
     pressure_tolerance: float = 1e-4,
     traction_tolerance: float = 1e-3,
 ) -> Float[Array, " c"]:
-    """Compute friction's part in the reading of a press whose surface slides evenly on its way.
+    """Compute the change of a press's reading by friction, if the surface slides evenly along the skin on its way.
 
     The part is not zero without a slide, because friction also holds material that the pressure would spread; see
     `i2t.skin.friction`. The default tolerances of the intermediate steps change the result by about 5 nT.
@@ -183,7 +183,7 @@ def friction_response(
 def nominal_pad(
     pattern: str = "poles", *, strength: float | Array = NOMINAL_SKIN.magnetization, board: Board | None = None
 ) -> Pad:
-    """Make a middling ReSkin with a known magnetization: a pattern times its strength.
+    """Make a typical ReSkin with a known magnetization: a pattern times its strength.
 
     Args:
         pattern: Name of a `magnetization_pattern`.
@@ -309,7 +309,7 @@ def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Fl
         spread: Factor on the assumed variation of the patches' length; 0 gives 2.5 mm.
 
     Returns:
-        `(m, m, 3)` magnetization map with a root mean square of 1.
+        `(m, m, 3)` magnetization map with a root mean square of 1, m cells along an edge.
     """
     key_length, key_patches, key_common, key_axes, key_places = jax.random.split(key, 5)
     length = 2.5e-3 * jnp.exp(spread * 0.2 * jax.random.normal(key_length))
@@ -320,7 +320,7 @@ def sample_magnetization(key: Key[Array, ""], spread: float | Array = 1.0) -> Fl
 
 
 def magnetization_pattern(pattern: str, cells: int = MAP_CELLS) -> Float[Array, "m m 3"]:
-    """Make a regular magnetization map.
+    """Make a regular magnetization map of a skin.
 
     Args:
         pattern: `poles` (4 x 4, alternating up and down, as in ReSkin's first paper), `uniform` (up) or `magnets` (four

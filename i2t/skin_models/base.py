@@ -35,7 +35,7 @@ Record, Fitted = TypeVar("Record"), TypeVar("Fitted")
 
 @runtime_checkable
 class FittedSkinModel(Protocol[Contact]):
-    """Fitted model of one skin."""
+    """Interface of a fitted model of one skin: it predicts readings of contacts."""
 
     @property
     def leave_one_out(self) -> Float[np.ndarray, "n c"]:
@@ -46,7 +46,7 @@ class FittedSkinModel(Protocol[Contact]):
         """Predict readings of contacts that were not measured.
 
         Args:
-            contact: m contacts, in the model's own form.
+            contact: m contacts in the form that the model takes, such as contact pressures, or positions and loads.
             options: Options of the model.
 
         Returns:
@@ -55,7 +55,7 @@ class FittedSkinModel(Protocol[Contact]):
         ...
 
     def save(self, path: Path | str) -> None:
-        """Write one file, which appears whole or not at all.
+        """Write the model to one file, which appears whole or not at all.
 
         Args:
             path: Path of the file; `.npz` by convention.
@@ -64,7 +64,7 @@ class FittedSkinModel(Protocol[Contact]):
 
 
 class SkinModel(Protocol[Data, Contact]):
-    """Options of a model that is fitted to touches of one skin."""
+    """Interface of the options of a skin model, whose `fit` fits the model to touches of one skin."""
 
     def fit(self, key: Key[Array, ""] | None, data: Data) -> FittedSkinModel[Contact]:
         """Fit the model to touches.
@@ -87,12 +87,12 @@ def load_fitted(
     *,
     ready: Part | None = None,
 ) -> Fitted:
-    """Read a fitted model from its file.
+    """Read a fitted skin model of one kind from its file.
 
     Args:
         path: Path of the file, or the name of a ready model that has this part.
-        kind: Kind of file.
-        form: Type of the NamedTuple in the file.
+        kind: Kind of file, as stored in it.
+        form: Type of the NamedTuple that the file holds.
         build: Function that builds the model from the path, the NamedTuple and the metadata.
         ready: Part of the ready models that `path` may name.
 

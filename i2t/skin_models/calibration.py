@@ -44,7 +44,7 @@ LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
 
 
 class CalibrationRecord(NamedTuple):
-    """Calibration in the form of its file."""
+    """Arrays of a `Calibration`, in the form in which its file stores them."""
 
     gp: PopulationGP
     interval_scaling: Array  # (c,) factor on each channel's standard deviation
@@ -53,15 +53,16 @@ class CalibrationRecord(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Calibration:
-    """Model of the readings of one tip on one skin; make one with `calibrate` or `load_calibration`.
+    """Model that predicts the readings of one skin pressed by one tip; from `calibrate` or `load_calibration`.
 
     Attributes:
         gp: The Gaussian process, conditioned on the presses.
-        interval_scaling: (c,) factors on its standard deviations, so that nine in ten readings lie in the 90 % range.
+        interval_scaling: (c,) factors on the process's standard deviations, so that nine in ten readings lie in the
+            90 % range.
         load_kind: Whether loads are travels (m), forces (N), both or unknown.
         metadata: The caller's own data, in types that JSON can hold.
         previous: Calibration of an earlier session of the same skin; part of the mixture uses its predictions as mean.
-        boards: Name of the board that takes part, if any.
+        boards: Name of the board whose chip positions the model uses, if any.
 
     Example:
         calibration = i2t.load_calibration("eflesh")
@@ -84,12 +85,12 @@ class Calibration:
 
     @property
     def board_shares(self) -> dict[str, float]:
-        """Weights of the board that takes part and of no board, by leave-one-out errors; they sum to 1."""
+        """Weights of kernels with the board's chip positions, by its name, and without ("none"); they sum to 1."""
         return dict(zip(("none", *self.boards), map(float, population.board_shares(self.gp)), strict=True))
 
     @property
     def about_board(self) -> str:
-        """Description of the board with the largest weight, or of its absence."""
+        """Phrase that names the board with the largest weight (or no board), and the weights."""
         shares = self.board_shares
         best = max(shares, key=lambda name: shares[name])
         board = "no board" if best == "none" else best if best == GIVEN_BOARD else f"board {best}"
@@ -109,7 +110,7 @@ class Calibration:
         positions: ArrayLike | None,
         loads: ArrayLike | float | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Predict readings and their uncertainty.
+        """Predict the readings of n presses and their uncertainty.
 
         Args:
             positions: `(n, 2)` or `(2,)` positions of the tip in the tool frame (m); None if the calibration has none.
@@ -135,7 +136,7 @@ class Calibration:
             return population.predict_population(self.gp, table, self._conditioned)
 
     def save(self, path: Path | str) -> None:
-        """Write one file, which appears whole or not at all.
+        """Write the calibration to one file, which appears whole or not at all.
 
         Args:
             path: Path of the file; `.npz` by convention.
@@ -166,7 +167,7 @@ class TipPresses(NamedTuple):
 
 @dataclass(frozen=True)
 class TipModel:
-    """Options of the Gaussian process of one tip.
+    """Options of a calibration, the Gaussian process that predicts the readings of presses with one tip.
 
     Attributes:
         load_kind: Whether loads are travels (m), forces (N), both (first column the travel), or unknown.
@@ -276,7 +277,8 @@ def load_calibration(path: Path | str) -> Calibration:
         The calibrated skin.
 
     Raises:
-        SerializationError: The file is missing, damaged or something else.
+        SerializationError: The file is missing, damaged or not a calibration.
+
     Example:
         mean, std = i2t.load_calibration("skin.npz").predict(positions, travels)
     """

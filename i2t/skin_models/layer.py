@@ -52,12 +52,12 @@ def approach(
     T_w_site: Float[Array, "4 4"],
     overtravel: float | Float[Array, ""],
 ) -> tuple[FirstContact, Float[Array, "6"]]:
-    """Find the first contact of the skin with an object along z of a site.
+    """Find the first contact of the skin with an object on an approach along the z axis of a site.
 
     Args:
         surface: Surface of the object, in its frame.
         T_w_o: Pose of the object.
-        twist: Error of that pose in the world (m and rad), by which the distance is differentiated.
+        twist: Error of the object's pose in the world (m and rad), by which the distance is differentiated.
         T_w_site: Contact pose of the tool.
         overtravel: Distance (m) beyond the site at which the approach gives up.
 

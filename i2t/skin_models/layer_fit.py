@@ -38,7 +38,7 @@ NO_PAD = "no pad explains these presses; check the tip, the unit of the loads an
 
 @dataclass(frozen=True)
 class LayerSearch:
-    """Trust-region search for the layer; lengths are in standard deviations of the prior."""
+    """Options of the search for a layer's parameters; lengths are in standard deviations of the prior."""
 
     max_steps: int = 30  # largest number of steps of the trust region, including rejected ones
     inner_steps: int = 300  # number of L-BFGS steps within each step of the trust region
@@ -60,7 +60,7 @@ _SEARCH = LayerSearch()
 
 @in_one_line
 class LayerPosterior(NamedTuple):
-    """Fitted layer and the ranges of its parameters."""
+    """Most probable parameters of an elastic magnetic layer, and their 95 % ranges."""
 
     layer: LayerParameters  # the most probable parameters
     low: LayerParameters  # lower ends of the 95 % ranges
@@ -69,7 +69,7 @@ class LayerPosterior(NamedTuple):
 
 
 class UnitFeatures(NamedTuple):
-    """Readings of weights on a layer with gains and map strengths of 1, and their derivatives."""
+    """Readings of n presses for each of k magnetization weights, on a layer of unit gains, and their derivatives."""
 
     value: Float[np.ndarray, "n c k"]  # uT, features at the parameters
     changes: Float[np.ndarray, "e n c k"]  # derivatives along the coordinates of SHAPE_PARAMETERS
@@ -80,12 +80,12 @@ def fit_layer(
     readings: Float[np.ndarray, "n c"],
     prior: LayerPrior,
 ) -> LayerPosterior:
-    """Find the most probable layer and the ranges of its parameters.
+    """Find the most probable parameters of an elastic magnetic layer, given presses, and their 95 % ranges.
 
     Args:
-        unit_features: Function from coordinates of the prior to `(n, c, k)` readings (uT) of the weights on a layer
-            with gains and map strengths of 1. The weights are those of the map's patches, in three equal parts, then
-            three of the uniform part.
+        unit_features: Function from coordinates of the prior to `(n, c, k)` readings (uT) of n presses for each of k
+            weights, on a layer with gains and map strengths of 1. The weights are those of the map's patches, in three
+            equal parts, then three of the uniform part.
         readings: `(n, c)` readings of the presses (uT).
         prior: Prior of the parameters.
 
@@ -150,7 +150,7 @@ def fit_layer(
 
 
 def shape_coordinates(prior: LayerPrior) -> Int[np.ndarray, " e"]:
-    """List the coordinates that change features by more than a scale.
+    """List the coordinates of the layer's parameters that change the features by more than a factor.
 
     Args:
         prior: Prior of the parameters.
@@ -173,7 +173,7 @@ def _numbers(prior: LayerPrior) -> LayerParameters:
 def ranges(
     x: Float[np.ndarray, " d"], std: Float[np.ndarray, " d"], prior: LayerPrior
 ) -> tuple[LayerParameters, LayerParameters]:
-    """Compute the ends of the 95 % ranges of parameters.
+    """Compute the ends of the 95 % ranges of a layer's parameters.
 
     Args:
         x: `(d,)` means of the coordinates.

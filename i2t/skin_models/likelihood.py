@@ -22,7 +22,7 @@ Length = TypeVar("Length", float, Array)  # m
 
 @dataclass(frozen=True)
 class TouchErrors:
-    """Assumptions on the errors of where a press ends.
+    """Assumptions about errors of the indentation and position at which a press ends.
 
     The indentation error is the most probable value, among 0.1, 0.2, ... 0.5, for the validation objects at their true
     places.
@@ -40,7 +40,7 @@ TOUCH_ERRORS = TouchErrors()
 
 
 class ScaleMixture(NamedTuple):
-    """Distribution with heavy tails: normal about 0, with one of several standard deviations."""
+    """Error distribution with heavy tails: normal about 0, with one of s standard deviations."""
 
     std: Float[np.ndarray, " s"]  # m, standard deviations of the components
     share: Float[np.ndarray, " s"]  # share of each standard deviation; the shares sum to 1
@@ -48,8 +48,9 @@ class ScaleMixture(NamedTuple):
 
 @in_one_line
 class Likelihood(NamedTuple):
-    """Likelihood of a touch given the predicted one; what `fit_likelihood` does not fit was chosen on validation
-    episodes.
+    """Distribution of a measured touch (reading, position and contact) about the predicted one.
+
+    What `fit_likelihood` does not fit was chosen on validation episodes.
     """
 
     whiten: Float[Array, "c c"]  # W, with W S W' = 1 and W diag(scale^2) W' = diag(growth), S the errors' covariance
@@ -86,7 +87,8 @@ def fit_likelihood(
         scale: `(c,)` scales (uT) of the channels, by which the GP's relative variance is multiplied.
         loads: `(l,)` loads (N) at which touches are predicted.
         overtravel: Distance (m) beyond the site at which a press gives up.
-        position_std: Standard deviation (m) of where a press ends at a known pose, or a mixture of several.
+        position_std: Standard deviation (m) of the position at which a press ends on an object at a known pose, or a
+            mixture of several.
         stiffness: Stiffness (N/m) of arm and mount in series.
 
     Returns:
@@ -128,7 +130,7 @@ def fit_position_errors(
     steps: int = 300,
     prior_touches: float = 0.5,
 ) -> ScaleMixture:
-    """Fit a scale mixture of normals with given standard deviations to errors.
+    """Fit a mixture of normal distributions with given standard deviations to position errors of presses.
 
     The shares are found by expectation maximisation (Laird, JASA 73, 1978).
 
@@ -161,7 +163,7 @@ def fit_position_errors(
 
 
 def outlier_range(overtravel: Length) -> Length:
-    """Compute the length over which an outlier's press may end.
+    """Compute the length of the range in which the press of an outlying touch may end.
 
     Args:
         overtravel: Distance (m) beyond the site at which a press gives up.

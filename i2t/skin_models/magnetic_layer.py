@@ -34,7 +34,7 @@ DESIGN_BATCH = 8  # number of design matrices computed at a time, so that they f
 
 @in_one_line
 class LayerParameters(NamedTuple):
-    """Parameters in which readings are nonlinear; also used for their coordinates in the prior and their ranges."""
+    """Nonlinear parameters of an elastic magnetic layer; also holds their coordinates in the prior or their ranges."""
 
     thickness: Float[Array, ""]  # m
     gap: Float[Array, ""]  # m, gap from the layer's base to the chips
@@ -61,7 +61,7 @@ SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # parameters that chang
 
 
 class LayerPrior(NamedTuple):
-    """Prior of `LayerParameters`."""
+    """Prior distribution of `LayerParameters`: median and standard deviation of each."""
 
     median: LayerParameters
     # standard deviation of the parameter, of its logarithm, or of the root of its ratio to the median
@@ -144,7 +144,7 @@ def parameters_at(coordinates: LayerParameters, prior: LayerPrior) -> LayerParam
 
 @runtime_checkable
 class Tip(Protocol):
-    """A tip whose surface over the skin is known."""
+    """Interface of a pressing tip: the height of its surface over the skin."""
 
     def height(self, position: Float[Array, "2"], grid: Grid = GRID) -> Float[Array, "n n"]:
         """Compute the distance of the tip's surface behind its lowest point over each cell.
@@ -161,7 +161,7 @@ class Tip(Protocol):
 
 @dataclass(frozen=True)
 class RoundTip:
-    """Sphere, or the flat end of an upright cylinder.
+    """Pressing tip that is a sphere, or the flat end of an upright cylinder.
 
     Attributes:
         shape: "sphere" or "cylinder".
@@ -238,10 +238,10 @@ def make_pad(layer: LayerParameters, board: Board, magnetization: Float[Array, "
 
 
 def cosine_basis() -> Float[np.ndarray, "cells m"]:
-    """Compute orthonormal cosines on the map's cells along an edge (discrete cosine transform), the slowest first.
+    """Compute the cosines in which magnetization maps are expanded along an edge, orthonormal and the slowest first.
 
     Returns:
-        `(cells, m)` values, one column for each cosine.
+        `(cells, m)` values at the map's cells, one column for each of m cosines (discrete cosine transform).
     """
     k, i = np.arange(MODES), np.arange(MAP_CELLS)
     waves = np.cos(np.pi * (i[:, None] + 0.5) * k / MAP_CELLS) * np.sqrt(2 / MAP_CELLS)
@@ -249,8 +249,9 @@ def cosine_basis() -> Float[np.ndarray, "cells m"]:
 
 
 def cosine_prior_factor(patch_length: Float[Array, ""], window: float) -> Float[Array, "m m"]:
-    """Compute a Cholesky factor of the covariance of an edge's cosines, which is that of `smooth_random` in their
-    basis.
+    """Compute a Cholesky factor of the prior covariance of a magnetization map's cosine coefficients along an edge.
+
+    The covariance is that of `i2t.skin.pad.smooth_random`.
 
     Args:
         patch_length: Correlation length of the patches (m).
@@ -369,7 +370,7 @@ def design_matrices(
 
 
 def weight_features(layer: LayerParameters, designs: Float[Array, "n c 3 m m"], window: float) -> Float[Array, "n c k"]:
-    """Compute the readings of weights with prior variance 1.
+    """Compute the readings for each of k magnetization weights with prior variance 1.
 
     Args:
         layer: Strengths and length of the magnetization's patches.
@@ -402,11 +403,11 @@ def _dipole_tensor(point: Array, at: Float[Array, "3 n n"]) -> Float[Array, "3 3
 def magnetization_map(
     layer: LayerParameters, weights: Float[Any, " k"], window: float
 ) -> Float[Array, "cells cells 3"]:
-    """Compute the magnetization of weights with prior variance 1.
+    """Compute the magnetization map from its weights, which have prior variance 1.
 
     Args:
         layer: Strengths and length of the magnetization's patches.
-        weights: `(k,)` weights in the order of `weight_features`.
+        weights: k weights in the order of `weight_features`.
         window: Edge of the pad (m).
 
     Returns:

@@ -55,7 +55,7 @@ from i2t.types import Board, Pad, in_one_line
 
 
 class LinearRegression(NamedTuple):
-    """Posterior of the map's weights, and the readings predicted without their own group of presses."""
+    """Posterior mean of the magnetization map's weights, and readings predicted without their own group of presses."""
 
     weights: Float[np.ndarray, " k"]  # posterior mean of the weights
     leave_group_out: Float[np.ndarray, "n c"]  # uT, prediction of each press from all other groups
@@ -72,13 +72,13 @@ def bayesian_linear_regression(
     """Regress readings on weights of prior variance 1, and leave out groups of presses, in closed form.
 
     Args:
-        features: `(n, c, k)` readings of each weight.
+        features: `(n, c, k)` readings of n presses for each of k weights.
         readings: `(n, c)` readings of the presses, in the features' unit.
         noise_std: Standard deviation of a reading's noise, in the same unit.
         group: `(n,)` number of each press's group, from 0; by default each press is a group of its own.
 
     Returns:
-        The posterior, and each press as predicted from all other groups.
+        Posterior mean of the weights, and the reading of each press as predicted from all other groups.
     """
     n, channels, k = features.shape
     rows = np.asarray(features, np.float64).reshape(-1, k) / noise_std
@@ -104,7 +104,7 @@ def bayesian_linear_regression(
 
 @in_one_line
 class PadFit(NamedTuple):
-    """Fitted pad, and its leave-one-out errors."""
+    """Pad fitted to presses, with the 95 % ranges of its parameters and its leave-one-out errors."""
 
     pad: Pad
     posterior: LayerPosterior
@@ -112,19 +112,19 @@ class PadFit(NamedTuple):
     leave_one_place_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from the presses at all other places
 
     def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m c"], Float[np.ndarray, "m c"]]:
-        """Simulate the readings of contacts.
+        """Predict the readings of contacts by simulating the fitted pad.
 
         Args:
             contact: m contact pressures of this pad on cells of 1 mm (`predict_pressures` with `pad`).
 
         Returns:
-            `(m, c)` readings (uT), and `(m, c)` root mean squares of each channel's errors at places left out (uT).
+            `(m, c)` readings (uT), and `(m, c)` root mean square errors (uT) of each channel at left-out places.
         """
         std = np.sqrt(np.mean(np.asarray(self.leave_one_place_out, np.float64) ** 2, axis=0))
         return _simulate_readings(self.pad, contact), np.broadcast_to(std, (len(contact.load), len(std)))
 
     def save(self, path: Path | str, about: dict[str, Any] | None = None) -> None:
-        """Write one file, which `i2t.load_pad` reads as well.
+        """Write the fitted pad to one file, which `i2t.load_pad` reads as well.
 
         Args:
             path: Path of the file; `.npz` by convention.
@@ -154,8 +154,8 @@ def load_pad_fit(path: Path | str) -> PadFit:
         The pad, the ranges of its parameters and its errors.
 
     Raises:
-        SerializationError: The file is missing, damaged or something else, a pad of an earlier version, or a pad alone,
-            which `i2t.load_pad` reads.
+        SerializationError: The file is missing, damaged, of another kind or of an earlier version, or holds a pad
+            alone, which `i2t.load_pad` reads.
     """
 
     def build(path: Path | str, record: _FitRecord, about: dict[str, Any]) -> PadFit:
@@ -188,7 +188,7 @@ class TipReadings(NamedTuple):
 
 @dataclass(frozen=True)
 class MagnetizationModel:
-    """Options of a pad with an elastic layer and an unknown magnetization map, pressed by a known tip.
+    """Options for fitting a pad, its elastic layer and magnetization map, to presses with a known tip.
 
     Attributes:
         tip: The pressing tip; hashable.
@@ -237,7 +237,7 @@ class MagnetizationModel:
         return fitted
 
     def fit_layer(self, data: TipReadings) -> LayerPosterior:
-        """Fit the parameters of the layer.
+        """Fit the parameters of the pad's elastic layer.
 
         Args:
             data: The presses, in random order.

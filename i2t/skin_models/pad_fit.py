@@ -61,7 +61,7 @@ from i2t.types import Board, Surface, Touches, Truth
 
 @dataclass(frozen=True)
 class SessionRegistration:
-    """Registrations of recorded sessions."""
+    """Options for registering recorded sessions before a pad model is fitted to their touches."""
 
     position_folds: int = 3  # number of parts of a session's touches, each predicted from the others
     # Up to this number of sessions, a quick compilation of their registrations pays; it may change last digits.
@@ -114,7 +114,7 @@ class ContactModel:
             data: The touches of one skin.
 
         Returns:
-            The pad model with its skin; its r2 and errors are those of left-out touches.
+            The pad model with its skin; R2 and errors are those of left-out touches.
 
         Raises:
             ValueError: The touches do not determine how soft the pad is.

@@ -31,7 +31,7 @@ PAD_MODEL_KIND = "i2t pad model"
 
 @in_one_line
 class PadModel(NamedTuple):
-    """Model of a pad, fitted to its touches of known objects.
+    """Model of one pad's readings and their errors at any contact, fitted to its touches of known objects.
 
     Example:
         pad_model = i2t.load_pad_model("nominal").model
@@ -47,7 +47,7 @@ class PadModel(NamedTuple):
 
 @dataclass(frozen=True)
 class PadOrigin:
-    """Origin of a pad model."""
+    """Provenance of a pad model: the skin, and the touches and objects to which the model was fitted."""
 
     pad: str  # name of the skin in the data set
     source: str  # source of the touches: real, simulated or mixed
@@ -58,7 +58,7 @@ class PadOrigin:
 
 @in_one_line
 class KnownPad(NamedTuple):
-    """Pad model and its skin."""
+    """Pad model with the board and provenance of its skin."""
 
     model: PadModel
     board: Board
@@ -66,11 +66,11 @@ class KnownPad(NamedTuple):
 
     @property
     def leave_one_out(self) -> Float[np.ndarray, "n c"]:
-        """Errors (uT) on the touches of the fit, each predicted from all other touches."""
+        """Errors (uT) on the touches of the fit: measured minus predicted from all other touches."""
         return np.asarray(self.model.held_out_errors)
 
     def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m c"], Float[Array, "m c"]]:
-        """Predict readings of contacts.
+        """Predict the readings of contacts from their pressures.
 
         Args:
             contact: m contact pressures on the layer of the reading model.
@@ -81,7 +81,7 @@ class KnownPad(NamedTuple):
         return _predict(self.model.reading_model, self.model.likelihood, contact)
 
     def save(self, path: Path | str) -> None:
-        """Write one file, which appears whole or not at all.
+        """Write the pad model to one file, which appears whole or not at all.
 
         Args:
             path: Path of the file; `.npz` by convention.
@@ -126,7 +126,7 @@ def load_pad_model(path: Path | str) -> KnownPad:
         The pad model, its board and its origin.
 
     Raises:
-        SerializationError: The file is missing, damaged, holds something else, or its parts do not fit each other.
+        SerializationError: The file is missing, damaged or not a pad model, or its parts do not fit each other.
 
     Example:
         skin = i2t.load_pad_model("nominal")
@@ -159,7 +159,7 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
 
 
 def add_press_errors(model: PadModel, error_std: float) -> PadModel:
-    """Add, to a pad model's errors of readings, those of the pad with which its touches were simulated.
+    """Enlarge a pad model's errors by those of the fitted pad with which its training touches were simulated.
 
     Args:
         model: Pad model fitted to touches that were simulated with a pad.
@@ -173,7 +173,7 @@ def add_press_errors(model: PadModel, error_std: float) -> PadModel:
 
 
 def inflate_errors(model: PadModel, factor: float) -> PadModel:
-    """Enlarge the errors of readings in a pad model.
+    """Enlarge the errors of readings that a pad model assumes.
 
     Args:
         model: A pad model.
@@ -189,11 +189,11 @@ def inflate_errors(model: PadModel, factor: float) -> PadModel:
 def require_skin(
     model: KnownPad, pads: Sequence[str], board: Board, whose: str, *, other_skin: bool = False
 ) -> str | None:
-    """Refuse touches of a skin other than a pad model's.
+    """Refuse touches that were made with another skin than that of a pad model.
 
     Args:
         model: The pad model.
-        pads: Names of the skins that touch.
+        pads: Names of the skins with which the touches are made.
         board: Board of these skins.
         whose: Name of the touches in messages.
         other_skin: Whether a skin of another name, on a board of the same kind, is allowed.

@@ -45,7 +45,7 @@ Tree = TypeVar("Tree")
 
 @in_one_line
 class GPHyperparameters(NamedTuple):
-    """Hyperparameters of the covariance, in the symbols of the module's formula."""
+    """Hyperparameters of the Gaussian process from contact pressure to readings: length scales, load and noise."""
 
     weights: Float[Array, " lengths"]  # weights a_l of the length scales, for unit mean variance
     bend: Float[Array, ""]  # share b of the covariance that changes with the load
@@ -55,7 +55,7 @@ class GPHyperparameters(NamedTuple):
 
 @in_one_line
 class GP(NamedTuple):
-    """Fitted GP: training touches, hyperparameters and the solved system."""
+    """Gaussian process from contact pressure to readings, fitted to n training touches."""
 
     hyper: GPHyperparameters
     touches: ContactPressure  # n training touches
@@ -81,7 +81,7 @@ class GP(NamedTuple):
         return _predict(self, contact)
 
     def save(self, path: Path | str) -> None:
-        """Write one file, which appears whole or not at all.
+        """Write the Gaussian process to one file, which appears whole or not at all.
 
         Args:
             path: Path of the file; `.npz` by convention.
@@ -93,7 +93,7 @@ class GP(NamedTuple):
 
 
 class PressureTouches(NamedTuple):
-    """Readings of contact pressures."""
+    """n touches to fit a Gaussian process to: contact pressures, readings, and groups for cross-validation."""
 
     pressure: ContactPressure  # n contact pressures
     reading: Float[np.ndarray, "n channels"] | Float[Array, "n channels"]  # uT
@@ -102,7 +102,9 @@ class PressureTouches(NamedTuple):
 
 @dataclass(frozen=True)
 class PressureModel:
-    """Options of the Gaussian process, whose hyperparameters are chosen on held-out groups of touches.
+    """Options for fitting a Gaussian process from contact pressure to readings.
+
+    Its hyperparameters are chosen on held-out groups of touches.
 
     Attributes:
         steps: Steps of Adam in `choose_hyperparameters`.
@@ -115,14 +117,14 @@ class PressureModel:
     limit: int = 600
 
     def fit(self, key: Key[Array, ""], data: PressureTouches) -> GP:
-        """Condition the process on touches.
+        """Choose the Gaussian process's hyperparameters and condition it on touches.
 
         Args:
             key: Random key of the folds, and of the sample if there are more touches than `limit`.
             data: The touches.
 
         Returns:
-            The fitted process.
+            The fitted Gaussian process.
 
         Raises:
             ValueError: The hyperparameters cannot be chosen (see `choose_hyperparameters`).
@@ -136,16 +138,16 @@ class PressureModel:
 
 
 def load_pressure_gp(path: Path | str) -> GP:
-    """Read a process from its file.
+    """Read a Gaussian process from contact pressure to readings from its file.
 
     Args:
         path: Path of a file that `GP.save` wrote.
 
     Returns:
-        The process, in float32.
+        The Gaussian process, in float32.
 
     Raises:
-        SerializationError: The file is missing, damaged or something else.
+        SerializationError: The file is missing, damaged or of another kind.
     """
     return load_fitted(path, FILE_KIND, GP, _checked)
 
@@ -159,13 +161,13 @@ def _checked(path: Path | str, gp: GP, about: dict[str, Any]) -> GP:
 
 
 def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
-    """Compute symmetric square roots of the covariances along one axis; C_l is the outer product of two axes.
+    """Compute, for each length scale l, the symmetric square root R_l of the covariance of cells along one axis.
 
     Args:
         m: Number of 1 mm cells along the axis.
 
     Returns:
-        `(lengths, m, m)` matrices R_l with R_l R_l = exp(-(x_i - x_j)^2 / 2 l^2).
+        `(lengths, m, m)` matrices R_l with (R_l R_l)_ij = exp(-(x_i - x_j)^2 / 2 l^2), for cell centres x.
     """
     x = CELL_MM * np.arange(m)
     values, vectors = np.linalg.eigh([np.exp(-((x[:, None] - x) ** 2) / (2 * length**2)) for length in LENGTHS_MM])
@@ -173,7 +175,7 @@ def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
 
 
 def features(touches: ContactPressure) -> Float[Array, "lengths n mm"]:
-    """Compute C_l^(1/2) p of every touch, flattened; the inner products of these features are the covariances.
+    """Compute each touch's features: its pressure smoothed over each length scale. Inner products are covariances.
 
     Args:
         touches: n contact pressures on m x m cells.
@@ -193,7 +195,7 @@ def gram(
     load_a: Float[Array, " a"],
     load_b: Float[Array, " b"],
 ) -> Float[Array, "a b"]:
-    """Compute the covariance between touches.
+    """Compute the Gaussian process's covariance between the readings of a first and of b second touches.
 
     Args:
         hyper: Hyperparameters.
@@ -209,7 +211,7 @@ def gram(
 
 
 def stiffening(hyper: GPHyperparameters, load_a: Float[Array, " a"], load_b: Float[Array, " b"]) -> Float[Array, "a b"]:
-    """Compute the correlation of the responses at two loads: the bracket of the covariance.
+    """Compute the factor of the covariance between touches that falls with the difference of their loads.
 
     Args:
         hyper: Hyperparameters; only `bend` and `width` are used.

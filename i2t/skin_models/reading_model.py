@@ -66,7 +66,7 @@ DISCREPANCY = GPHyperparameters(
 
 @dataclass(frozen=True)
 class Averaging:
-    """Grid of the hyperparameters a, r and v, and the choices of their average."""
+    """Grid of a reading model's hyperparameters (amplitude a, discrepancy r, noise v), and options of their average."""
 
     amplitudes: tuple[float, ...] = (0.4, 0.8, 1.6, 3.2)  # values of the amplitude a
     discrepancies: tuple[float, ...] = (0.02, 0.06, 0.2, 0.6, 1.8)  # values of the discrepancy r
@@ -85,7 +85,7 @@ AVERAGING = Averaging()
 
 
 class ReadingPrior(NamedTuple):
-    """Assumptions about a pad that come from other pads and other physics."""
+    """Prior assumptions about a pad's readings, from other pads and other physics: layers and discrepancy."""
 
     layers: Sequence[Layer] = LAYERS  # layers to choose from
     discrepancy: GPHyperparameters = DISCREPANCY  # hyperparameters of the discrepancy, whose noise is ignored
@@ -96,7 +96,7 @@ READING_PRIOR = ReadingPrior()
 
 @in_one_line
 class LinearReadingModel(NamedTuple):
-    """Reading model of a pad at a few loads, where it is linear in the pressure on a layer."""
+    """Model of a pad's readings at l loads, at each of which they are linear in the contact pressure on a layer."""
 
     loads: Float[Array, " l"]  # N, loads at which the model predicts
     mean: Float[Array, "l cells c"]  # uT per N on each cell of 1 mm
@@ -107,14 +107,14 @@ class LinearReadingModel(NamedTuple):
 
 
 class PressedTouches(NamedTuple):
-    """Touches of one pad."""
+    """n touches of one pad: contact pressures on an elastic layer, and measured readings."""
 
     pressure: ContactPressure  # pressures of n touches on some layer
     reading: Float[np.ndarray, "n c"]  # uT
 
 
 class FittedReadings(NamedTuple):
-    """Reading model of a pad, and its leave-one-out errors."""
+    """Fitted reading model of a pad, and its leave-one-out errors on the touches of the fit."""
 
     model: LinearReadingModel
     leave_one_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other touches
@@ -174,7 +174,7 @@ _single_threaded = threadpool_limits.wrap(limits=1, user_api="blas")
 def readings_at_loads(
     model: LinearReadingModel, newtons: Float[Array, "l cells"]
 ) -> tuple[Float[Array, "l c"], Float[Array, " l"]]:
-    """Predict the readings of a pressure at each load of the model.
+    """Predict a pad's reading at each load of its model, for the contact pressure at that load.
 
     Args:
         model: Reading model of the pad.
@@ -196,7 +196,7 @@ def interpolate_reading(
     constant from there.
 
     Args:
-        reading: `(l, c)` readings (uT) at `loads`.
+        reading: `(l, c)` readings (uT) at the l `loads`.
         variance: `(l,)` relative variances at `loads`.
         loads: `(l,)` ascending loads (N).
         force: The requested load (N); zero or less means no touch.
@@ -217,14 +217,15 @@ def interpolate_reading(
 def load_step(
     loads: Float[Array, " l"], force: Float[Array, ""]
 ) -> tuple[Int[Array, ""], Float[Array, ""], Float[Array, ""]]:
-    """Locate a load among others, in their logarithm.
+    """Locate a load among ascending loads, on a logarithmic scale, for interpolation.
 
     Args:
         loads: `(l,)` ascending loads (N).
         force: The load (N); it is replaced by the first of `loads` if it is not positive.
 
     Returns:
-        Number i of the interval below the load, the steps from load i to it in units of the interval, and the load (N).
+        Number i of the interval for the load, the position of the load from load i on in units of the interval, and
+        the load (N).
     """
     at, knots = jnp.log(jnp.where(force > 0, force, loads[0])), jnp.log(loads)
     i = jnp.clip(jnp.searchsorted(knots, at) - 1, 0, len(loads) - 2)
@@ -252,11 +253,11 @@ def interpolate(i: Int[Array, ""], step: Float[Array, ""], values: Float[Array, 
 def read_pressure(
     model: LinearReadingModel, newtons: Float[Array, " cells"], load: Float[Array, ""]
 ) -> tuple[Float[Array, " c"], Float[Array, ""]]:
-    """Predict the reading of one pressure.
+    """Predict a pad's reading under one contact pressure at any load.
 
     Args:
         model: Reading model of the pad.
-        newtons: `(cells,)` forces (N) on the cells.
+        newtons: `(cells,)` forces (N) on the cells of 1 mm.
         load: Sum of these forces (N).
 
     Returns:
@@ -317,7 +318,7 @@ def choose_layer(
     board: Board,
     discrepancy: GPHyperparameters = DISCREPANCY,
 ) -> int:
-    """Choose the layer with the largest leave-one-out density of the touches.
+    """Choose the elastic layer under which a pad's touches have the largest leave-one-out density.
 
     Args:
         pressed: The same touches, pressed on each layer.
@@ -343,7 +344,7 @@ def magnetization_maps(board: Board, layer: Layer) -> Float[np.ndarray, "x c k"]
         layer: Layer of the nominal pad, whose thickness is the prior's median.
 
     Returns:
-        `(x, c, k)` readings per force (uT/N).
+        `(x, c, k)` readings per force (uT/N), for x cells of 1 mm, c channels and k weights.
     """
     chips, rotations = (np.asarray(part, np.float32) for part in board)
     return _maps(chips.tobytes(), rotations.tobytes(), float(layer.poisson), float(layer.young))

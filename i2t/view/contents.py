@@ -23,7 +23,7 @@ Times: TypeAlias = Float[np.ndarray, " n"]  # s, times
 
 
 class Poses(NamedTuple):
-    """Pose of a frame in the world over time."""
+    """Poses of the object, tool or camera in the world over time."""
 
     frame: str  # "object", "tool" or "camera"
     time: Times
@@ -31,7 +31,7 @@ class Poses(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Numbers that change with time; NaN where unknown."""
+    """Time series of one quantity, such as readings or forces; NaN where unknown."""
 
     place: str  # "readings" (uT, ambient subtracted), "temperature" (degrees Celsius), "force" (N) or "torque" (Nm)
     names: tuple[str, ...]
@@ -40,14 +40,14 @@ class Numbers(NamedTuple):
 
 
 class Field(NamedTuple):
-    """Readings as vectors at the chips."""
+    """Readings over time as one vector for each chip of the board, in tool axes."""
 
     time: Times
     vectors: Float[np.ndarray, "n chips 3"]  # uT, tool axes
 
 
 class DepthImage(NamedTuple):
-    """A depth image or a patch."""
+    """A depth image, or a depth patch, of a touch."""
 
     place: str  # "depth" or "patch"
     frame: str  # frame in which it was taken
@@ -56,7 +56,7 @@ class DepthImage(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Events and their times."""
+    """Text events of a touch and their times."""
 
     time: Times
     texts: tuple[str, ...]
@@ -67,7 +67,7 @@ Item: TypeAlias = Poses | Numbers | Field | DepthImage | Events
 
 @dataclass(frozen=True)
 class Contents:
-    """A session or a data set."""
+    """Contents of a session or data set to be shown: its touches, files and the object's mesh."""
 
     path: Path
     dataset: Dataset  # all touches, with NaN for chips that did not answer
@@ -133,7 +133,7 @@ def _mesh(name: str | None, unit: str | None, dataset: Dataset) -> Mesh | None:
 
 
 def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
-    """List everything that there is to show of a touch.
+    """Generate the items to show of a touch.
 
     Args:
         contents: The session or data set.
@@ -183,7 +183,8 @@ def readings_of(number: int, record: Record) -> tuple[Times, Float[np.ndarray, "
         record: Record of the touch.
 
     Returns:
-        `(n,)` times (s) and `(n, c)` readings (uT) of all samples, or only the final reading if no series was recorded.
+        `(n,)` times (s) and `(n, c)` readings (uT) of all n samples, three channels for each chip; n is 1, for the
+        final reading, if no series was recorded.
     """
     if "tactile" not in record.series:
         return np.array([span(number, record)[0]]), np.asarray(record.touch.touches.reading[:1], float)
@@ -200,7 +201,7 @@ def span(number: int, record: Record) -> tuple[float, float]:
         record: Record of the touch.
 
     Returns:
-        Unix times (s) of the beginning and the end. Both are the index if no time was recorded.
+        Unix times (s) of the beginning and the end. Both are the touch's index if no time was recorded.
     """
     recorded: list[Series] = [series for series in record.series.values() if len(series.time)]
     times = [float(series.time[i]) for series in recorded for i in (0, -1)] + [when for when, _ in record.events]

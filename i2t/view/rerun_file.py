@@ -26,7 +26,7 @@ NEEDS_RERUN = "a Rerun recording"  # purpose of the package, for messages
 
 
 def explain_no_recording() -> str:
-    """Explain why no recording can be written here.
+    """Explain why this Python environment cannot write Rerun recordings.
 
     Returns:
         One sentence with the remedy, or an empty string if a recording can be written.

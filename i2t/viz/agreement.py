@@ -26,7 +26,7 @@ class Agreement(NamedTuple):
 
 
 class PermutationTest(NamedTuple):
-    """An agreement, its mean when touches are paired at random, and the p-values of a one-sided test."""
+    """Agreement of two modalities, its mean when touches are paired at random, and p-values of a one-sided test."""
 
     observed: Agreement
     chance: Agreement  # mean of each measure over the permutations

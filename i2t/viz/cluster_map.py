@@ -16,7 +16,7 @@ from i2t.viz.style import COLOURS, MARKERS, MM_PER_M, Picture, titled
 
 
 class TouchViews(NamedTuple):
-    """Views of n touches."""
+    """Images of n touches to be plotted, such as contact masks."""
 
     values: Array  # (n, rows, columns) in [0, 1]
     window: float  # m, edge of a view

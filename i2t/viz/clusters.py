@@ -20,14 +20,14 @@ NUM_CLUSTERS = 5  # number of clusters in the paper
 
 
 class Clusters(NamedTuple):
-    """Touches clustered by their views."""
+    """k clusters of n touches, by their views: the cluster of each touch, and each cluster's mean features."""
 
     label: Int[np.ndarray, " n"]  # cluster of each touch; cluster 0 is the largest
     centre: Float[np.ndarray, "k d"]  # mean features of each cluster
 
 
 class TouchMap(NamedTuple):
-    """Touches on a map, their clusters, and examples of each cluster."""
+    """Positions of n touches on a plane map (t-SNE), their k clusters, and e example touches of each cluster."""
 
     at: Float[np.ndarray, "n 2"]  # positions of the touches on the map
     label: Int[np.ndarray, " n"]
@@ -36,7 +36,7 @@ class TouchMap(NamedTuple):
 
 
 def views(patch: Float[np.ndarray, "n h w"], kind: Literal["mask", "depth"] = "mask") -> Float[np.ndarray, "n d"]:
-    """Convert patches to flat feature vectors, as the model sees them.
+    """Convert patches to flat feature vectors: contact masks, or depths relative to the reach.
 
     Args:
         patch: Depth (m) behind the nearest surface point.
@@ -52,7 +52,7 @@ def views(patch: Float[np.ndarray, "n h w"], kind: Literal["mask", "depth"] = "m
 
 
 def components(x: Float[np.ndarray, "n d"], count: int = 50) -> Float[np.ndarray, "n c"]:
-    """Compute the first principal components, whose distances approximate those of the features.
+    """Compute the first principal components of touches, whose distances approximate those of the features.
 
     Args:
         x: Features of the touches.
@@ -113,7 +113,7 @@ def embed(
 
     Args:
         x: Features of the touches.
-        others: Features of other points, such as cluster means.
+        others: Features of m other points, such as cluster means.
         seed: Seed of t-SNE.
 
     Returns:
@@ -177,7 +177,7 @@ def rand_index(a: Int[np.ndarray, " n"], b: Int[np.ndarray, " n"]) -> float:
 def stability(
     x: Float[np.ndarray, "n d"], seeds: int = 10, share: float = 0.8
 ) -> tuple[Float[np.ndarray, " pairs"], Float[np.ndarray, " pairs"]]:
-    """Measure how well clusterings agree between seeds, and between random subsets of the touches.
+    """Measure how well k-means clusterings of touches agree between seeds, and between random subsets of the touches.
 
     Args:
         x: Features of the touches.
@@ -185,7 +185,8 @@ def stability(
         share: Share of the touches in a random subset.
 
     Returns:
-        Adjusted Rand indices of all pairs of seeds, and of all pairs of subsets on the touches that they share.
+        Adjusted Rand indices (1 for equal clusterings, 0 by chance) of all pairs of seeds, and of all pairs of subsets
+        on the touches that they share.
     """
     whole = [cluster(x, seed=seed).label for seed in range(seeds)]
     parts = []

@@ -18,7 +18,7 @@ from i2t.viz.style import MM_PER_M, Colour, Picture
 
 
 class RigScene(NamedTuple):
-    """Object and frames of a rig."""
+    """Scene of a lab's rig to be drawn: object, base, flange, tool, camera and workspace box."""
 
     vertices: Float[Array, "v 3"]  # m, vertices of the object in W
     faces: Int[Array, "f 3"]

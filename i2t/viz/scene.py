@@ -28,7 +28,7 @@ NO_GL = (
 
 @cache
 def explain_no_scene() -> str:
-    """Explain in one sentence why no scene can be drawn here, or return an empty string if it can."""
+    """Explain in one sentence why 3D scenes cannot be drawn in this environment; an empty string if they can."""
     if find_spec("pyvista") is None:
         return 'There is no 3-D picture, because pyvista is missing: pip install "imagine2touch[notebooks]".'
     try:
@@ -164,7 +164,7 @@ def body_of(pv: Any, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) ->
 
 
 def skin_square(pv: Any, T_o_t: Float[Array, "4 4"], lift_mm: float = 0.0) -> Any:
-    """Build the skin's square at a touch.
+    """Build the square of the skin's face at a touch, for drawing.
 
     Args:
         pv: The module pyvista.

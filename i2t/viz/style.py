@@ -17,7 +17,7 @@ MARKERS = "osD^vP*"  # matplotlib's markers of successive series
 
 
 class Colour(StrEnum):
-    """Colours of lines and markers."""
+    """Colours of lines and markers in all figures."""
 
     BLUE = "#0072B2"
     ORANGE = "#E69F00"

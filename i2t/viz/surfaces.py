@@ -17,7 +17,7 @@ from i2t.viz.style import MM_PER_M, Colour, Picture, titled
 
 
 class ShownSurface(NamedTuple):
-    """One stage of a reconstructed surface."""
+    """One stage of a reconstructed surface to be drawn: its mesh, its uncertainty, and the touches so far."""
 
     label: str
     vertices: Float[Array, "v 3"]  # m, vertices of the surface

@@ -12,7 +12,7 @@ from i2t.objects.polygons import triangulate
 
 
 class ParsedMesh(NamedTuple):
-    """The triangles of a file, not yet cleaned."""
+    """The triangles of a mesh file, as read and not yet cleaned."""
 
     vertices: NDArray[np.float64]  # (n, 3) vertices in the file's unit; all are finite and used
     faces: NDArray[np.int64]  # (m, 3) indices of the faces' corners
@@ -20,10 +20,10 @@ class ParsedMesh(NamedTuple):
 
 
 class MeshReader(Protocol):
-    """A reader of one format."""
+    """Type of a function that reads one format of mesh files."""
 
     def __call__(self, path: Path, data: bytes) -> tuple[NDArray, NDArray, tuple[str, ...]]:
-        """Read a file.
+        """Read the triangles of a mesh file.
 
         Args:
             path: The file's path, for messages.

@@ -35,7 +35,7 @@ _Mode = IntEnum("_Mode", "POINTS LINES LINE_LOOP LINE_STRIP TRIANGLES TRIANGLE_S
 
 @dataclass(frozen=True)
 class SceneLimits:
-    """Bounds on a scene, since nodes of a small file may repeat a mesh many times."""
+    """Largest glTF scene that is read; bounds are needed because a small file may repeat a mesh many times."""
 
     max_nodes: int = 10_000
     max_faces: int = 2**23  # largest number of faces over all instances of all meshes, and likewise of vertices
@@ -45,7 +45,7 @@ class SceneLimits:
 def read_scene(
     path: Path, data: bytes, *, limits: SceneLimits = SceneLimits()
 ) -> tuple[NDArray, NDArray, tuple[str, ...]]:
-    """Read the triangles of the default scene, each node in its place.
+    """Read the triangles of a glTF file's default scene, with the meshes of all nodes in the scene's frame.
 
     Args:
         path: The file's path, for messages and for the buffers next to it.

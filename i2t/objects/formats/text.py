@@ -44,7 +44,7 @@ def truncated_file(path: Path, announced: str, present: int | str) -> DataError:
 
 
 def plain_text(path: Path, data: bytes) -> bytes:
-    """Normalise a text file.
+    """Normalise the line ends and spaces of a text mesh file.
 
     Args:
         path: The file's path, for messages.

@@ -40,7 +40,7 @@ STAGES: dict[str, np.ndarray] = {  # maps from the stage's x and y to the board'
 
 @dataclass(frozen=True)
 class StageConfig:
-    """Thresholds for the rotation of the board, and size of its model; thresholds were chosen on eFlesh `spatial`.
+    """Thresholds and model size of the test of the board's rotation; thresholds were chosen on eFlesh `spatial`.
 
     Attributes:
         min_gain: Gain of log evidence per value above which the board is rotated.
@@ -93,7 +93,7 @@ def find_board(
         config: Thresholds and size of the model.
 
     Returns:
-        The finding. Its correction holds the matrix that `rotate_board` takes.
+        Finding on the board's rotation. Its correction holds the matrix that `rotate_board` takes.
     """
     n, chips = len(presses.readings), len(board.chips)
     if n < config.min_presses or chips < config.min_chips or presses.position.std(0).min() < 1e-3:

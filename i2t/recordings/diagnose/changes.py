@@ -15,7 +15,7 @@ from i2t.skin.boards import AXES_OF_CHIP
 
 @dataclass(frozen=True)
 class PressCheckConfig:
-    """Thresholds for a changed skin and a steel tip.
+    """Thresholds of the tests of a recording for a skin that changed and for a steel tip.
 
     Attributes:
         min_presses: Number of presses below which no change is identifiable.
@@ -43,7 +43,7 @@ def check_presses(
     by_force: bool = False,
     config: PressCheckConfig = PressCheckConfig(),
 ) -> list[Finding]:
-    """Test for repeated rows, a changed skin and, if the loads are forces, a steel tip.
+    """Test a recording for repeated rows, a skin that changed and, if the loads are forces, a steel tip.
 
     Args:
         positions: `(n, 2)` positions of the tip in m, in the order of time.

@@ -14,7 +14,7 @@ from i2t.recordings.presses import Presses
 
 
 class FindingName(StrEnum):
-    """Names of the findings, as they stand in data sets and metrics."""
+    """Names of the hypotheses that a diagnosis tests on a recording, as written in data sets and metrics."""
 
     UNITS = "units"
     FORCE_SIGN = "sign of the force"
@@ -66,7 +66,7 @@ class Finding:
 
 
 def not_identifiable(name: FindingName, reason: str, **evidence: float | int) -> Finding:
-    """Create the finding of a test that the recording cannot answer.
+    """Create the finding of a test whose question the recording cannot answer.
 
     Args:
         name: Name of the hypothesis.
@@ -80,7 +80,7 @@ def not_identifiable(name: FindingName, reason: str, **evidence: float | int) ->
 
 
 def find(findings: Iterable[Finding], name: str) -> Finding | None:
-    """Look a finding up by its name.
+    """Look up a finding by the name of its hypothesis.
 
     Args:
         findings: Findings to search.
@@ -96,7 +96,7 @@ def find(findings: Iterable[Finding], name: str) -> Finding | None:
 
 
 class Correction(NamedTuple):
-    """Factors for the columns of a recording, the shift of its labels and the rotation of its board."""
+    """Correction of a recording: factors for its columns, shift of its labels, and rotation of its board."""
 
     length: float = 1.0
     field: float = 1.0
@@ -151,7 +151,7 @@ def corrected_presses(presses: Presses, findings: Iterable[Finding]) -> Presses:
 
 
 def lag_rows(n: int, lag: int) -> tuple[np.ndarray, np.ndarray]:
-    """Match the rows of shifted labels with those of the readings.
+    """Match the rows of a recording's labels with those of its readings, given the lag between them.
 
     Args:
         n: Number of rows in the recording.
@@ -188,7 +188,7 @@ def metrics_of(findings: Iterable[Finding]) -> dict[str, Any]:
         findings: Findings about one recording.
 
     Returns:
-        The fields of each finding by its name, in types that JSON can hold.
+        The fields of each finding, by the finding's name, in types that JSON can hold.
     """
     return {finding.name: finding.to_json() for finding in findings}
 

@@ -35,7 +35,7 @@ from i2t.recordings.presses import Presses
 
 @dataclass(frozen=True)
 class ApproachConfig:
-    """Thresholds for first contact within an approach.
+    """Thresholds for finding first contact within an approach of the tip to the skin.
 
     Attributes:
         min_rows: Number of rows of an approach, at least.
@@ -60,7 +60,7 @@ class ApproachConfig:
 
 @dataclass(frozen=True)
 class HeightZeroConfig:
-    """Model of single presses, and thresholds for the height of first contact.
+    """Model of single presses, and thresholds for estimating the height at which the tip first meets the skin.
 
     Attributes:
         min_presses: Number of presses below which height zero is not identifiable.
@@ -130,7 +130,7 @@ class _Fit(NamedTuple):
 def find_height_zero(
     presses: Presses, stated: float | None = None, *, config: HeightZeroConfig = HeightZeroConfig()
 ) -> Finding:
-    """Estimate the height of first contact.
+    """Estimate from readings the height at which the tip first meets the skin (height zero).
 
     Args:
         presses: Presses with heights, in the order of time.
@@ -138,8 +138,8 @@ def find_height_zero(
         config: Model and thresholds.
 
     Returns:
-        The finding. Its estimate, in m, is on the scale of the heights. If it is not identifiable, the interval bounds
-        it where the presses allow, and else there is none.
+        Finding whose estimate (m) is on the scale of the heights. If it is not identifiable, it has an interval where
+        the presses bound the height, and otherwise none.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
         return not_identifiable(FindingName.HEIGHT_ZERO, "no height of the tip was recorded")
@@ -162,7 +162,7 @@ def find_height_zero(
 
 
 def first_contact(height: Float[np.ndarray, " n"], finding: Finding | None = None) -> float:
-    """Choose the height from which travel counts.
+    """Choose the height of first contact, from which travel into the skin is measured.
 
     Args:
         height: `(n,)` heights of presses along the skin's outward normal in m, corrected; NaN where unknown.
@@ -183,7 +183,7 @@ def first_contact(height: Float[np.ndarray, " n"], finding: Finding | None = Non
 def find_approaches(
     height: Float[np.ndarray, " n"], readings: Float[np.ndarray, "n c"], *, config: ApproachConfig = ApproachConfig()
 ) -> Float[np.ndarray, " k"]:
-    """Find first contact in each approach of a recording that follows the tip.
+    """Find the height of first contact in each approach of a recording that samples the tip's motion.
 
     Args:
         height: `(n,)` heights of the tip along the skin's outward normal in m, in the order of time.

@@ -12,7 +12,7 @@ from i2t.recordings.presses import Presses
 
 @dataclass(frozen=True)
 class LagConfig:
-    """Thresholds for a lag between labels and readings.
+    """Thresholds of the test for a lag between a recording's labels and readings.
 
     Attributes:
         max_lag: Largest lag that is tried, in rows.
@@ -43,8 +43,7 @@ def find_lag(presses: Presses, *, config: LagConfig = LagConfig()) -> Finding:
         config: Thresholds of the test.
 
     Returns:
-        The finding. Its estimate is the lag in rows: with lag k the reading of row i belongs to the labels of row
-        i + k.
+        Finding whose estimate is the lag in rows: with lag k the reading of row i belongs to the labels of row i + k.
     """
     load = presses.height if presses.height is not None and np.isfinite(presses.height).all() else presses.force
     loads = [] if load is None or not np.isfinite(load).all() else [load]
@@ -57,12 +56,12 @@ def lag_between(
     """Test whether readings belong to any kind of labels of an earlier or later row.
 
     Args:
-        labels: `(n, k)` labels of the rows, in any units.
+        labels: `(n, k)` values of k labels, such as position and force, in each row, in any units.
         readings: `(n, c)` readings of the same rows, in uT.
         config: Thresholds of the test.
 
     Returns:
-        The finding, as from `find_lag`.
+        Finding on the lag, as from `find_lag`.
     """
     n, max_lag = len(labels), config.max_lag
     rows = subsample(n - 2 * max_lag, config.max_rows) + max_lag

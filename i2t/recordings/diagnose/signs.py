@@ -20,7 +20,7 @@ from i2t.recordings.presses import Presses
 
 @dataclass(frozen=True)
 class SignConfig:
-    """Thresholds for the signs of loads and heights.
+    """Thresholds of the tests of the signs of recorded forces, travels and heights.
 
     Attributes:
         min_negative_share: Share of negative presses from which a sign is reversed; the module explains the value.
@@ -58,7 +58,7 @@ def find_force_sign(
         config: Thresholds of the test.
 
     Returns:
-        The finding. Its estimate is -1 if the forces must change sign.
+        Finding whose estimate is -1 if the forces must change sign.
     """
     is_press = np.isfinite(force) & (np.abs(force) > config.min_force_n)
     if readings is not None and is_press.any():
@@ -94,7 +94,7 @@ def find_travel_sign(travel: Float[np.ndarray, " n"], *, config: SignConfig = Si
         config: Thresholds of the test.
 
     Returns:
-        The finding. Its estimate is -1 if travel must change sign.
+        Finding whose estimate is -1 if travel must change sign.
     """
     pressed = travel[np.isfinite(travel) & (np.abs(travel) > config.min_travel_m)]
     negative = pressed < 0
@@ -111,14 +111,14 @@ def find_travel_sign(travel: Float[np.ndarray, " n"], *, config: SignConfig = Si
 
 
 def find_height_axis(presses: Presses, *, config: SignConfig = SignConfig()) -> Finding:
-    """Test whether heights point out of the skin or into it: readings grow with travel.
+    """Test, by the growth of readings with travel, whether recorded heights point out of the skin or into it.
 
     Args:
         presses: Presses with heights along the assumed outward normal.
         config: Thresholds of the test.
 
     Returns:
-        The finding. Its estimate is 1 if heights point out of the skin and -1 if they point into it.
+        Finding whose estimate is 1 if heights point out of the skin and -1 if they point into it.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
         return not_identifiable(FindingName.HEIGHT_AXIS, "no height was recorded")

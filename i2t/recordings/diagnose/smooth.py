@@ -13,14 +13,14 @@ from i2t.leave_one_out import leave_out_rows
 
 
 class LeaveOneOutRows(NamedTuple):
-    """Leave-one-out predictions of rows."""
+    """Errors and log density of n rows, each predicted by a Gaussian process from all others."""
 
     error: Float[np.ndarray, "n c"]  # error of each row as predicted from all others
     log_density: float  # log density of all rows, each predicted from all others, at the most likely scale
 
 
 def leave_one_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray, "n c"]) -> LeaveOneOutRows:
-    """Predict each row from all others.
+    """Predict each row from all others by a Gaussian process with a given covariance.
 
     Args:
         covariance: `(n, n)` covariance of the rows up to a factor, noise included.
@@ -51,13 +51,13 @@ def smooth_r2(
     """Compute the share of variance that a smooth function of the labels explains in leave-one-out prediction.
 
     Args:
-        labels: `(n, k)` labels of the rows, in any units. Constant columns are ignored.
+        labels: `(n, k)` values of k labels in each row, in any units. Constant columns are ignored.
         values: `(n, c)` values to explain.
         lengths: Length scales to try, in standard deviations of the labels.
         noises: Noise variances to try, relative to the signal's.
 
     Returns:
-        R2 with the best length and noise, at most 1.
+        R2 with the best length and noise: 1 if the labels explain everything, 0 or less if nothing.
     """
     spread = labels.std(0)
     varying = spread > 1e-9 * np.maximum(np.abs(labels).max(0), 1e-30)

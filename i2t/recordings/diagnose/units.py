@@ -12,7 +12,7 @@ from i2t.recordings.diagnose.smooth import smooth_r2, subsample
 
 @dataclass(frozen=True)
 class UnitRanges:
-    """Plausible sizes of lengths, fields and forces.
+    """Plausible sizes of recorded lengths, fields and forces, by which their units are recognised.
 
     Attributes:
         max_extent_m: Range of positions above which they are in millimetres.
@@ -59,7 +59,7 @@ def find_units(
         ranges: Plausible sizes.
 
     Returns:
-        The finding. Its correction holds the factors to metres, microtesla and newtons.
+        Finding whose correction holds the factors to metres, microtesla and newtons.
     """
     norm = np.linalg.norm(readings[np.isfinite(readings).all(1)], axis=1)
     strong = float(np.quantile(norm, 0.9)) if len(norm) else np.nan

@@ -14,7 +14,7 @@ from i2t.skin.boards import AXES_OF_CHIP, BOARDS
 def board_candidates(
     positions: Float[np.ndarray, "n 2"], readings: Float[np.ndarray, "n c"], *, limit: int = 2
 ) -> dict[str, Float[np.ndarray, "chips 2"]]:
-    """List the boards that best match the places where each chip reads most.
+    """List the boards, with their rotations, that best match the places where each chip of a skin reads most.
 
     Args:
         positions: `(n, 2)` positions of the presses (m).

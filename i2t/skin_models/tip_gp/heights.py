@@ -19,7 +19,7 @@ from i2t.types import in_one_line
 
 @dataclass(frozen=True)
 class Roughness:
-    """Hypotheses on the roughness of a skin."""
+    """Hypotheses on how rough a skin is: size and correlation length of its local heights."""
 
     prior: float = 0.5  # prior probability that a skin has local heights
     error_exponent: float = 1.0  # exponent of the leave-one-out error in the probability of a hypothesis
@@ -34,7 +34,10 @@ ROUGHNESS = Roughness()
 
 @in_one_line
 class Heights(NamedTuple):
-    """Local heights of the skin in typical loads of the first kind, averaged over j hypotheses of its roughness."""
+    """Local heights of a skin that is not flat, at n presses, under j hypotheses of its roughness.
+
+    Heights are in typical loads of the first kind of load.
+    """
 
     std: Float[np.ndarray, " j"]
     length: Float[np.ndarray, " j"]  # m, length scale of the heights
@@ -44,7 +47,7 @@ class Heights(NamedTuple):
 
 
 class SlopedErrors(NamedTuple):
-    """Leave-one-out predictions of a mixture and their slopes."""
+    """Leave-one-out errors of a mixture on n presses, with the derivatives of the predictions by the load."""
 
     error: Float[np.ndarray, "n c"]  # uT, error of each prediction
     variance: Float[np.ndarray, "n c"]  # uT^2, variance of each error
@@ -53,7 +56,7 @@ class SlopedErrors(NamedTuple):
 
 
 def measured_heights(std: Float[np.ndarray, " j"], length: Float[np.ndarray, " j"], held_out: SlopedErrors) -> Heights:
-    """Measure heights by leave-one-out errors, and give each hypothesis the probability 1.
+    """Measure a skin's local heights by leave-one-out errors of presses, and give each hypothesis the probability 1.
 
     Args:
         std: `(j,)` standard deviations of the heights (typical loads), one for each hypothesis.
@@ -72,7 +75,9 @@ def measured_heights(std: Float[np.ndarray, " j"], length: Float[np.ndarray, " j
 def hypothesis_shares(
     heights: Heights, position: Float[np.ndarray, "n 2"], held_out: SlopedErrors
 ) -> Float[np.ndarray, " j"]:
-    """Weigh the hypotheses by leave-one-out errors, corrected by heights that are left out as well.
+    """Compute the probabilities of hypotheses on a skin's roughness from leave-one-out errors.
+
+    The errors are corrected by heights from which the press itself is left out as well.
 
     Args:
         heights: Heights measured under all hypotheses.
@@ -95,7 +100,7 @@ def hypothesis_shares(
 
 
 def height_inverses(heights: Heights, position: Float[np.ndarray, "n 2"]) -> list[Float[np.ndarray, "n n"]]:
-    """Invert the covariances of the measured heights.
+    """Invert the covariances of a skin's measured local heights.
 
     Args:
         heights: Heights measured at n presses.
@@ -112,7 +117,7 @@ def height_inverses(heights: Heights, position: Float[np.ndarray, "n 2"]) -> lis
 def heights_at(
     heights: Heights, square: Float[np.ndarray, "m n"], inverses: list[Float[np.ndarray, "n n"]]
 ) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Predict heights at other positions.
+    """Predict a skin's local heights at m other positions.
 
     Args:
         heights: Heights measured at n presses.

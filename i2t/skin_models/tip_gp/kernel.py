@@ -28,7 +28,7 @@ UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not use chip 
 
 @in_one_line
 class SkinKernels(NamedTuple):
-    """Hyperparameters of s kernels."""
+    """Hyperparameters of s kernels, each a covariance of a skin's readings over position and load of the tip."""
 
     load_power: Float[np.ndarray, " s"]
     load_offset: Float[np.ndarray, " s"]  # offset of the load, in typical loads
@@ -46,7 +46,7 @@ class SkinKernels(NamedTuple):
 
 
 class PressGeometry(NamedTuple):
-    """Positions and loads in the form that kernels use."""
+    """Positions, loads and squared distances from the chips of n presses, in the form that kernels use."""
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # loads of the presses, in typical loads
@@ -54,7 +54,7 @@ class PressGeometry(NamedTuple):
 
 
 def take(kernels: SkinKernels, which: Int[np.ndarray, " k"] | Bool[np.ndarray, " s"] | slice) -> SkinKernels:
-    """Select kernels.
+    """Select some kernels of a stack.
 
     Args:
         kernels: A stack of s kernels.
@@ -111,11 +111,11 @@ def squared_distance(a: Float[np.ndarray, "a 2"], b: Float[np.ndarray, "b 2"]) -
 
 
 def responses(kernels: SkinKernels, load: Float[np.ndarray, " n"]) -> Float[np.ndarray, "s n"]:
-    """Compute f, the growth of the signal with the load, which is 1 at the typical load.
+    """Compute the factor f by which the signal grows with the load; it is 1 at the typical load.
 
     Args:
         kernels: A stack of s kernels.
-        load: `(n,)` loads (typical loads).
+        load: `(n,)` loads in units of the typical load.
 
     Returns:
         `(s, n)` values of f, one for each kernel and load.
@@ -126,14 +126,14 @@ def responses(kernels: SkinKernels, load: Float[np.ndarray, " n"]) -> Float[np.n
 
 
 def amplitudes(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
-    """Compute the amplitude e of each group of channels: one group for each chip, or a single one without chips.
+    """Compute the amplitude e of the signal of each group of channels, which falls with the distance from the chip.
 
     Args:
         kernels: A stack of s kernels.
         at: Geometry of n presses.
 
     Returns:
-        `(s, groups, n)` amplitudes, dimensionless.
+        `(s, groups, n)` amplitudes, dimensionless; one group for each chip, or a single one without chips.
     """
     if at.chip_square is None:
         return np.ones((len(kernels.load_power), 1, len(at.load)))
@@ -143,7 +143,7 @@ def amplitudes(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s 
 
 
 def signal_covariances(kernels: SkinKernels, a: PressGeometry, b: PressGeometry) -> Float[np.ndarray, "s groups a b"]:
-    """Compute the covariances of the readings of two sets of presses, without noise.
+    """Compute the covariances of the readings of a and b presses, without noise.
 
     Args:
         kernels: A stack of s kernels.
@@ -182,7 +182,7 @@ def signal_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarra
 
 
 def noise_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray, "s groups n"]:
-    """Compute the variances of the noise.
+    """Compute the variances of the readings' noise in each press.
 
     Args:
         kernels: A stack of s kernels.

@@ -15,14 +15,14 @@ from i2t.skin_models.tip_gp.kernel import PressGeometry, SkinKernels
 
 
 class Observed(NamedTuple):
-    """Readings to be explained by kernels."""
+    """Readings of n presses to which kernels are conditioned, with additional noise of outlying presses."""
 
     target: Float[np.ndarray, "n c"]  # uT
     extra_noise: Float[np.ndarray, "n groups"]  # additional relative variance of outlying presses
 
 
 class LeaveOneOutPresses(NamedTuple):
-    """Leave-one-out predictions of n presses by s kernels."""
+    """Leave-one-out errors and variances of n presses by each of s kernels, without a press or its whole part."""
 
     error: Float[np.ndarray, "s n c"]  # uT, reading minus predicted mean
     variance: Float[np.ndarray, "s n c"]  # uT^2, predicted variance, noise included
@@ -40,7 +40,7 @@ class Conditioned(NamedTuple):
 
 
 def limit_blas_threads(presses: int, *, limit: int = 400) -> contextlib.AbstractContextManager[Any]:
-    """Give BLAS one thread for the matrices of few presses, because waiting threads cost more than such a matrix.
+    """Limit BLAS to one thread for the matrices of few presses, for which several threads would be slower.
 
     Args:
         presses: Number of presses, which is the size of the matrices.
@@ -86,7 +86,7 @@ def leave_one_out(
 
 
 def spatial_parts(position: Float[np.ndarray, "n 2"], parts: int, *, curve_bits: int = 6) -> Int[np.ndarray, " n"]:
-    """Cut positions into parts of equal size along a space-filling curve (Morton's).
+    """Divide presses into parts of equal size by position, along a space-filling curve (Morton's).
 
     Args:
         position: `(n, 2)` positions of the presses (m).
@@ -105,7 +105,7 @@ def spatial_parts(position: Float[np.ndarray, "n 2"], parts: int, *, curve_bits:
 
 
 def leave_one_out_slopes(kernels: SkinKernels, at: PressGeometry, observed: Observed) -> Float[np.ndarray, "s n c"]:
-    """Compute the slopes of the leave-one-out means by the load.
+    """Compute the derivatives, by the load, of the leave-one-out predictions of presses.
 
     Args:
         kernels: A stack of s kernels.
@@ -165,7 +165,7 @@ def grouped(values: Float[np.ndarray, "n c"], groups: int) -> Float[np.ndarray, 
 
 
 def ungrouped(values: Float[np.ndarray, "groups n each"]) -> Float[np.ndarray, "n c"]:
-    """Undo `grouped`.
+    """Join the channels of all groups; the inverse of `grouped`.
 
     Args:
         values: `(groups, n, c / groups)` values of each group.

@@ -15,7 +15,7 @@ NO_BOARD = -1  # number of the board of a member that uses no chips
 
 @in_one_line
 class Components(NamedTuple):
-    """Members of a mixture."""
+    """k members of a mixture of Gaussian processes, each a kernel with its load, board and prior share."""
 
     kernels: SkinKernels
     load_column: Int[np.ndarray, " k"]
@@ -32,7 +32,7 @@ def kernels_on_boards(
     *,
     board_weight: float = 0.5,
 ) -> Components:
-    """Make members of kernels: all kernels once without chips, and those that use chips once for each board.
+    """Make mixture members of kernels: each once without chip positions, and those that use chips once for each board.
 
     Args:
         kernels: A stack of s kernels.
@@ -67,7 +67,7 @@ def kernels_on_boards(
 def add_previous_session(
     components: Components, *, previous_weight: float = 0.5, noise_factors: tuple[float, ...] = (1.0, 10.0, 100.0)
 ) -> Components:
-    """Add members that model the difference of the readings from the prediction of a previous session.
+    """Add mixture members that model the difference of the readings from a previous session's prediction.
 
     Args:
         components: Members that model the readings.
@@ -89,7 +89,7 @@ def add_previous_session(
 
 
 def join_members(*parts: Components) -> Components:
-    """Concatenate members.
+    """Concatenate the members of mixtures.
 
     Args:
         parts: Members of a mixture.
@@ -103,7 +103,7 @@ def join_members(*parts: Components) -> Components:
 
 
 def take_members(components: Components, which: Int[np.ndarray, " j"]) -> Components:
-    """Select members.
+    """Select some members of a mixture.
 
     Args:
         components: All members.

@@ -23,7 +23,7 @@ from i2t.skin_models.tip_gp.leave_one_out import Observed, condition_all
 
 @dataclass(frozen=True)
 class ScaleFit:
-    """Fit of the hyperparameters: log-normal priors of l, w and noise, and the optimizer's limits."""
+    """Options for fitting a plain Gaussian process: log-normal priors of length, width and noise, and search limits."""
 
     max_presses: int = 300  # largest number of presses, because the cost grows with its cube
     length_median: float = 0.8  # prior median of the length l, as a multiple of the spread of positions
@@ -42,7 +42,7 @@ _FIT = ScaleFit()
 
 
 class PlainScales(NamedTuple):
-    """Hyperparameters of a plain Gaussian process."""
+    """Hyperparameters of a plain Gaussian process over position and load, the baseline."""
 
     length: float  # m, length scale over positions
     width: float  # m or N, length scale over loads
@@ -50,7 +50,7 @@ class PlainScales(NamedTuple):
 
 
 def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> PlainScales:
-    """Fit the hyperparameters of a plain Gaussian process.
+    """Fit the hyperparameters of a plain Gaussian process over position and load to presses.
 
     Args:
         position: `(n, 2)` positions of the presses (m).
@@ -58,7 +58,7 @@ def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> 
         readings: `(n, c)` readings of the presses (uT).
 
     Returns:
-        The most probable lengths and noise.
+        The most probable length scales over positions (m) and loads (m or N), and noise.
 
     Raises:
         ValueError: A press is not finite, or no covariance of the presses can be factored.
@@ -91,7 +91,7 @@ def predict_plain(
     pressed: tuple[np.ndarray, np.ndarray, np.ndarray],
     at: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Predict the readings of presses.
+    """Predict the readings of presses by a plain Gaussian process over position and load.
 
     Args:
         scales: Hyperparameters.

@@ -72,7 +72,7 @@ from i2t.types import in_one_line
 
 @dataclass(frozen=True)
 class Weighting:
-    """Weights of the kernels from leave-one-out errors; the exponents were chosen on simulated skins."""
+    """Options for weighting a mixture's kernels by leave-one-out errors; exponents were chosen on simulated skins."""
 
     density_exponent: float = 0.3  # exponent of the leave-one-out density of all channels together
     error_exponent: float = 8.0  # exponent of the leave-one-out error, in presses of one channel
@@ -89,7 +89,7 @@ class Weighting:
 
 @dataclass(frozen=True)
 class Selection:
-    """Selection of the members of the mixture, in stages of more presses and fewer kernels."""
+    """Options for selecting the mixture's members, in stages of more presses and fewer kernels."""
 
     # (presses, members) of each stage
     stages: tuple[tuple[int, int], ...] = ((60, 10**9), (150, 64), (400, 24), (10**9, 8))
@@ -102,7 +102,7 @@ class Selection:
 
 @dataclass(frozen=True)
 class Stacking:
-    """Stacking with the plain process, chosen on simulated skins and on presses of one real skin."""
+    """Options for stacking with the plain process, chosen on simulated skins and on presses of one real skin."""
 
     # number of prior presses, far from the others, for which the population adds nothing
     far_plain_presses: float = 2.0
@@ -112,7 +112,7 @@ class Stacking:
 
 @dataclass(frozen=True)
 class IntervalScaling:
-    """Prior of the factor on the standard deviations."""
+    """Prior of the factor by which predicted standard deviations are scaled to have the right coverage."""
 
     factor: float = 1.1  # factor on the standard deviations that was found on simulated skins
     prior_presses: float = 10.0  # weight of `factor`, in presses
@@ -121,7 +121,7 @@ class IntervalScaling:
 
 @dataclass(frozen=True)
 class MixtureConfig:
-    """All choices of the mixture."""
+    """All options of the mixture of Gaussian processes that models one skin."""
 
     weighting: Weighting = Weighting()
     selection: Selection = Selection()
@@ -140,7 +140,7 @@ _CONFIG = MixtureConfig()
 
 @in_one_line
 class PressTable(NamedTuple):
-    """Presses, without their readings."""
+    """Positions and loads of n presses, without their readings."""
 
     position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros if no position is known
     loads: Float[np.ndarray, "n kinds"]  # m of travel, N of force; one column for each known kind of load
@@ -149,7 +149,7 @@ class PressTable(NamedTuple):
 
 @in_one_line
 class PopulationGP(NamedTuple):
-    """Mixture conditioned on n presses of one skin."""
+    """Mixture of Gaussian processes that predicts readings of a tip on one skin, conditioned on n presses."""
 
     presses: PressTable
     readings: Float[np.ndarray, "n c"]  # uT
@@ -229,7 +229,7 @@ def fit_one(
 
 
 def condition(gp: PopulationGP) -> list[Conditioned]:
-    """Compute the linear systems of a mixture's members, which are not saved.
+    """Condition each member of a mixture on its presses; the resulting linear systems are not saved with it.
 
     Args:
         gp: The mixture.
@@ -247,7 +247,7 @@ def condition(gp: PopulationGP) -> list[Conditioned]:
 def predict_population(
     gp: PopulationGP, presses: PressTable, conditioned: list[Conditioned] | None = None, *, batch_size: int = 500
 ) -> tuple[Float[np.ndarray, "m c"], Float[np.ndarray, "m c"]]:
-    """Predict the readings of presses.
+    """Predict the readings of presses by the mixture of one skin.
 
     Args:
         gp: The mixture of one skin.
@@ -269,7 +269,7 @@ def predict_population(
 
 
 def board_shares(gp: PopulationGP) -> Float[np.ndarray, " boards"]:
-    """Compute the weight of each board in a mixture.
+    """Compute the weight of the members that use each board's chip positions in a mixture.
 
     Args:
         gp: The mixture.
@@ -282,7 +282,7 @@ def board_shares(gp: PopulationGP) -> Float[np.ndarray, " boards"]:
 
 
 def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
-    """Compute factors on the standard deviations, so that nine in ten readings lie within 1.645 of them.
+    """Compute factors on predicted standard deviations, so that nine in ten readings lie within 1.645 of them.
 
     The factors come from leave-one-out errors, each predicted with weights that its own press took part in
     (cross-conformal prediction; Vovk, Annals of Mathematics and Artificial Intelligence 74, 2015). Because a few
@@ -305,7 +305,7 @@ def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
 
 
 def leave_one_out_errors(gp: PopulationGP) -> Float[np.ndarray, "n c"]:
-    """Compute the leave-one-out errors of a mixture, with the weights that all its presses gave.
+    """Compute a mixture's leave-one-out errors on its presses, with the members' weights from all presses.
 
     Args:
         gp: The mixture.

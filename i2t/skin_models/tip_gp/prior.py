@@ -20,7 +20,7 @@ PRIOR_KIND = "i2t kernel prior"
 
 @dataclass(frozen=True)
 class PlainMembers:
-    """Plain Gaussian processes that join the population, and their shares of the prior."""
+    """Options of the plain Gaussian processes that join the population of kernels, and their shares of the prior."""
 
     share: float = 0.25  # prior probability of all plain processes together
     fitted_part: float = 0.4  # part of the plain processes' share for the one that is fitted to the presses
@@ -42,7 +42,7 @@ class KernelPrior(NamedTuple):
 
 @cache
 def load_prior() -> KernelPrior:
-    """Load the prior that comes with the package.
+    """Load the population of kernels that comes with the package.
 
     Returns:
         Kernels and the logarithms of their shares.
@@ -57,7 +57,7 @@ def load_prior() -> KernelPrior:
 
 
 def save_prior(path: Path | str, prior: KernelPrior, about: dict[str, Any]) -> None:
-    """Write a prior as one file, in single precision.
+    """Write a population of kernels as one file, in single precision.
 
     Args:
         path: Path of the file.
@@ -72,14 +72,14 @@ def save_prior(path: Path | str, prior: KernelPrior, about: dict[str, Any]) -> N
 
 
 def plain_kernels(position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " n"]) -> SkinKernels:
-    """Make plain Gaussian processes, squared exponential over position and load, at the scales of some presses.
+    """Make a grid of plain Gaussian processes, squared exponential over position and load, at the scales of presses.
 
     Args:
         position: `(n, 2)` positions of the presses (m).
         load: `(n,)` loads of the presses (typical loads).
 
     Returns:
-        A grid of kernels over length, load width and noise; the last one predicts the mean of the presses.
+        Kernels for each length, load width and noise; the last one predicts the mean of the presses.
     """
     spread = 2 * float(np.sqrt(np.mean(np.var(position, axis=0))))
     spread = spread if spread > 1e-7 else 2e-3  # m; presses at one place have no spread
@@ -120,7 +120,7 @@ def add_plain_members(
     load: Float[np.ndarray, " n"],
     readings: Float[np.ndarray, "n c"],
 ) -> tuple[SkinKernels, Float[np.ndarray, " k"]]:
-    """Add plain Gaussian processes to the prior of a kind of load.
+    """Add plain Gaussian processes to the population of kernels for a kind of load.
 
     Args:
         prior: Prior of the population.

@@ -19,7 +19,7 @@ from i2t.skin_models.tip_gp.population import PopulationGP, PressTable, fit_one
 
 
 class StructuredGPHyperparameters(NamedTuple):
-    """Hyperparameters of one kernel.
+    """Hyperparameters of one kernel, by which a tip's readings on a skin are predicted from position and load.
 
     Loads have the unit of the presses' loads (m or N); variances are relative to a channel's at the unit load.
 
@@ -70,7 +70,7 @@ def fit_structured(
     readings: Float[np.ndarray, "n c"],
     chip_positions: Float[np.ndarray, "chips 2"] | None = None,
 ) -> PopulationGP:
-    """Condition the process on n presses and their readings.
+    """Condition a Gaussian process with given hyperparameters on n presses and their readings.
 
     Args:
         hyperparameters: Hyperparameters of the process.
