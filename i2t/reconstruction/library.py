@@ -42,7 +42,7 @@ class LibraryConfig:
 
     # N, loads of the presses, from below that of a 25 uT press to the force at which a press ends
     loads: tuple[float, ...] = (0.25, 0.8, 2.5, 8.0)
-    tilt: tuple[float, float] = (math.radians(1.0), math.radians(6.0))  # rad, standard deviation of the tilt of a press
+    tilt: tuple[float, float] = (math.radians(1.0), math.radians(6.0))  # rad, smallest and largest angle of a press against the normal
     batch_size: int = 64  # number of patches pressed at a time
     # Shapes with at most this many faces form a size class, because larger shapes would slow them down.
     small_faces: int = 512

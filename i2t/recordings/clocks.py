@@ -68,7 +68,7 @@ class ClockVerdict(NamedTuple):
     """Which time stamps of n rows are damaged, and at which rows the clock restarts."""
 
     damaged: Bool[np.ndarray, " n"]  # True for time stamps that contradict the rows before and after them
-    restarts: Int[np.ndarray, " k"]  # True for rows at which the clock goes back and continues from there
+    restarts: Int[np.ndarray, " k"]  # rows at which the clock goes back and continues from there
     settled: int  # number of rows whose judgement later rows cannot change
 
 
