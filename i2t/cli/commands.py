@@ -49,7 +49,7 @@ EXPERIMENTS = {
     "tools.check_docs": "check the documentation",
     "tools.reproduce": "repeat the studies and tables of the documentation",
 }
-FIRST = (  # most common commands, listed first and in this order
+COMMON_COMMANDS = (  # most common commands, listed first and in this order
     "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",
     "experiments.train", "experiments.recognize", "experiments.calibrate", "experiments.fidelity",
 )  # fmt: skip
@@ -102,7 +102,7 @@ def versions() -> str:
 
 def _list(everything: bool) -> None:
     library, experiments = (
-        {name: purpose for name, purpose in commands.items() if everything or name in FIRST}
+        {name: purpose for name, purpose in commands.items() if everything or name in COMMON_COMMANDS}
         for commands in (COMMANDS, EXPERIMENTS)
     )
     print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(library)}")

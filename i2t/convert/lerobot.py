@@ -28,7 +28,7 @@ from i2t.skin.boards import name_of_board
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 FRAME_RATE_HZ = 1  # nominal rate: a frame is a touch
-NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "view": "observation.view"}
+LEROBOT_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "view": "observation.view"}
 POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # names of a pose's numbers: position (m) and unit quaternion
 
 
@@ -102,7 +102,7 @@ def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
     if dataset.touches.truth is not None:
         fields |= {f"truth_{name}": values for name, values in dataset.touches.truth._asdict().items()}
     columns = {
-        NAMED_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDEX_FIELDS else values
+        LEROBOT_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDEX_FIELDS else values
         for name, values in fields.items()
         if values is not None and not (name == "view" and np.isnan(values).all())
     }

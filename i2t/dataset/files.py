@@ -50,7 +50,7 @@ class _H5Limits:
     text_bytes: int = 2**28
 
 
-_LIMITS = _H5Limits()
+_H5_LIMITS = _H5Limits()
 
 
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
@@ -142,17 +142,17 @@ class _Inspection:
     """
 
     def __init__(self, size: int) -> None:
-        self._size, self._left, self._entries = size, READ_LIMITS.unpacked_spare_bytes + _LIMITS.growth * size, 0
+        self._size, self._left, self._entries = size, READ_LIMITS.unpacked_spare_bytes + _H5_LIMITS.growth * size, 0
 
     def group(self, group: h5py.Group, level: int) -> None:
         """Raise DataError, without the file's name, for contents that no file of this schema has."""
-        if level > _LIMITS.levels:
+        if level > _H5_LIMITS.levels:
             raise DataError("its groups are nested too deeply")
         self._attributes(group)
         for name in group:
             self._entries += 1
-            if self._entries > _LIMITS.entries:
-                raise DataError(f"it holds more than {_LIMITS.entries} groups and arrays")
+            if self._entries > _H5_LIMITS.entries:
+                raise DataError(f"it holds more than {_H5_LIMITS.entries} groups and arrays")
             link = group.get(name, getlink=True)
             if not isinstance(link, h5py.HardLink):
                 kind = "another file" if isinstance(link, h5py.ExternalLink) else "another place"
@@ -188,18 +188,18 @@ class _Inspection:
         flat, total = int(array.size), 0
         if array.ndim > 1:
             raise DataError(f"{name!r} is a table of texts, which the schema does not have")
-        step = max(1, _LIMITS.text_bytes // max(self._size, 1))
+        step = max(1, _H5_LIMITS.text_bytes // max(self._size, 1))
         for start in range(0, flat, step):
             texts: Any = array[start : start + step] if array.ndim else [array[()]]
             total += sum(len(text) for text in texts)
-            if total > _LIMITS.text_bytes:
+            if total > _H5_LIMITS.text_bytes:
                 raise DataError(f"the texts of {name!r} are longer than a file of {self._size} bytes can hold")
 
     def _attributes(self, item: h5py.Group | h5py.Dataset) -> None:
         for name in item.attrs:
             attribute = item.attrs.get_id(name)
             count = int(np.prod(attribute.shape or (), dtype=object))
-            shared = attribute.dtype.hasobject and count > 1 and count * self._size > 8 * _LIMITS.text_bytes
+            shared = attribute.dtype.hasobject and count > 1 and count * self._size > 8 * _H5_LIMITS.text_bytes
             if shared or count * attribute.dtype.itemsize > READ_LIMITS.unpacked_spare_bytes:
                 raise DataError(f"the attribute {name!r} claims to hold {count} values, more than any attribute has")
 

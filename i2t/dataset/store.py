@@ -29,7 +29,7 @@ from i2t.files.reading import explain_no_dataset
 from i2t.files.writing import as_path
 from i2t.types import Board, Touches, Truth
 
-UNITS = {
+FIELD_UNITS = {
     **dict.fromkeys(("patch", "view", "nearest", "travel", "indentation"), "m"),
     "reading": "uT",
     "force": "N",
@@ -359,9 +359,9 @@ def _put_dataset(file: h5py.Group, dataset: Dataset) -> None:
     _put(file, "board/rotations", dataset.board.rotations, "1")
     for name, values in touches._asdict().items():
         if name != "truth" and values is not None and not (name == "view" and np.isnan(values).all()):
-            _put(file, f"touches/{name}", values, UNITS[name])
+            _put(file, f"touches/{name}", values, FIELD_UNITS[name])
     for name, values in touches.truth._asdict().items() if touches.truth is not None else ():
-        _put(file, f"truth/{name}", values, UNITS[name])
+        _put(file, f"truth/{name}", values, FIELD_UNITS[name])
     file["touches"].attrs["view_pixels"] = touches.view.shape[-1]
 
 

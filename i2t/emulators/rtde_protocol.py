@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 Value: TypeAlias = int | float | Sequence[int | float]
 
 PACKET_HEADER = struct.Struct(">HB")
-FORMATS = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}
+STRUCT_CODES = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}
 TYPE_OF_NAME = (  # type of a value, and the pattern of its names
     ("INT32", r"(in|out)put_int_register_\d+"),
     ("DOUBLE", r"(in|out)put_double_register_\d+|timestamp|target_speed_fraction|speed_slider_fraction"),
@@ -54,7 +54,7 @@ class Recipe(NamedTuple):
     @property
     def layout(self) -> struct.Struct:
         """Big-endian layout of the recipe's number and the values."""
-        return struct.Struct(">B" + "".join(FORMATS[kind] for kind in self.types))
+        return struct.Struct(">B" + "".join(STRUCT_CODES[kind] for kind in self.types))
 
 
 def recipe(names: str) -> Recipe:

@@ -237,7 +237,7 @@ class Server:
                     controller.forged.clear()
                 case ["forge", name, *numbers] if numbers:
                     values = [float(number) for number in numbers]
-                    size = struct.calcsize(rtde_protocol.FORMATS[rtde_protocol.recipe(name).types[0]]) // 8
+                    size = struct.calcsize(rtde_protocol.STRUCT_CODES[rtde_protocol.recipe(name).types[0]]) // 8
                     controller.forged[name] = values[0] if size <= 1 else (values * size)[:size]
                 case ["mute"]:
                     self.muted = True

@@ -19,11 +19,11 @@ _OWN_LIMIT = "tests/hardware/test_collision.py::test_a_rig_s_limit_that_makes_no
 _RIG = f"{_LIMITS}::test_a_rig_just_beyond_a_limit_is_refused"
 _PENDANT = f"{_LIMITS}::test_a_pendant_just_beyond_a_limit_is_refused"
 _COLLISION = "tests/hardware/test_collision.py::test_a_collision_in_free_motion_ends_within_the_force_limit"
-_STATE = f"{_GUARDED}::test_each_thing_that_is_wrong_with_a_state_is_said"
+_STATE = f"{_GUARDED}::test_each_fault_of_a_state_is_reported"
 _ARRIVAL = f"{_LIMITS}::test_a_motion_that_ends_off_its_goal_is_reported"
 _START = f"{_LIMITS}::test_an_arm_that_does_not_begin_a_motion_is_reported_after_the_start_timeout"
 _DURATION = f"{_LIMITS}::test_a_motion_that_takes_too_long_is_stopped"
-_TIMEOUTS = f"{_UR}::test_timeouts_that_protect_nobody_are_refused"
+_TIMEOUTS = f"{_UR}::test_timeouts_too_long_to_protect_are_refused"
 _STANDSTILL = f"{_LIMITS}::test_a_tool_stands_when_it_is_slow_and_the_state_is_later_than_the_brake"
 
 
@@ -77,7 +77,7 @@ class SafetyLimits:
         2.0,
         "of force and torque limit",
         "refuses to move an overloaded arm",
-        f"{_GUARDED}::test_no_free_motion_begins_with_a_force_that_is_no_number_or_beyond_reason",
+        f"{_GUARDED}::test_no_free_motion_begins_with_a_non_finite_or_excessive_force",
     )
     max_retreat_growth: float = _limit(
         1.1,
@@ -128,7 +128,7 @@ class SafetyLimits:
         0.1,
         "s",
         "ends the control of an arm whose controller sends no states",
-        f"{_UR}::test_a_controller_that_sends_no_states_is_given_up_also_at_rest",
+        f"{_UR}::test_a_controller_without_states_is_disconnected_even_at_rest",
     )
     state_timeout_range: tuple[float, float] = _limit(
         (0.02, 5.0), "s", "refuses a timeout too long to protect", _TIMEOUTS

@@ -19,8 +19,8 @@ PRIMITIVES = (  # the first six are those of the paper
     "dome", "cone", "pyramid", "ellipsoid", "torus", "wedge", "stairs", "ridge",
 )  # fmt: skip
 STAMPS = ("stamp-T", "stamp-circle", "stamp-angle", "stamp-triangle", "stamp-cross")
-TOOLS = ("cutter", "screwdriver", "spanner", "hammer", "marker", "pliers", "scissors")
-NAMES = PRIMITIVES + STAMPS + TOOLS
+HAND_TOOLS = ("cutter", "screwdriver", "spanner", "hammer", "marker", "pliers", "scissors")
+NAMES = PRIMITIVES + STAMPS + HAND_TOOLS
 
 
 def make_object(name: str) -> Object:

@@ -74,4 +74,4 @@ def _mean_so_far(values: Float[Array, "n objects"]) -> Float[Array, "n objects"]
     return jnp.cumsum(values, axis=0) / touch[:, None]
 
 
-RULES = {"votes": votes, "average": average, "product": product}
+BELIEF_RULES = {"votes": votes, "average": average, "product": product}

@@ -291,7 +291,7 @@ def save(directory: Path | str, predictor: Predictor) -> None:
         "format": PREDICTOR_FORMAT,
         "version": PREDICTOR_VERSION,
         "model": model,
-        **{name: getattr(predictor, name) for name in _FIELDS},
+        **{name: getattr(predictor, name) for name in _PREDICTOR_FIELDS},
         "shapes": jax.tree.map(lambda leaf: [str(leaf.dtype), *leaf.shape], arrays),
     }
     kept = _with_values(arrays)
@@ -328,7 +328,7 @@ def load_predictor(directory: Path | str) -> Predictor:
             about["model"]["settings"] = _with_travel(about["model"]["settings"])
         _drop_conventions(directory, about)
         arrays = _load_arrays(directory, about)
-        return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _FIELDS})
+        return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _PREDICTOR_FIELDS})
     except CheckpointError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -365,7 +365,7 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
 
 
 # Numbers and texts of a predictor's file.
-_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
+_PREDICTOR_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
 
 
 def _description(directory: Path, hint: str) -> dict[str, Any]:
@@ -387,7 +387,7 @@ def _description(directory: Path, hint: str) -> dict[str, Any]:
         )
     if version == 4 and "default_depth" in about:
         about["default_travel"] = about.pop("default_depth")
-    missing = [name for name in ("model", "shapes", *_FIELDS) if name not in about]
+    missing = [name for name in ("model", "shapes", *_PREDICTOR_FIELDS) if name not in about]
     if missing:
         raise CheckpointError(f"the predictor in {directory} lacks {', '.join(missing)}; train again")
     return about

@@ -57,7 +57,7 @@ class TemperatureScaling(NamedTuple):
 
 # Fitted to 1020 episodes whose validation objects stood twice as far off as stated (six pads, simulated;
 # `experiments.studies stopping`): up to that distance an episode that stops errs about as rarely as requested.
-TEMPERATURE_SCALING = TemperatureScaling(1.88, 0.22)
+POSTERIOR_TEMPERATURE = TemperatureScaling(1.88, 0.22)
 
 
 def fit_temperature(p: Float[Array, "e t c"], truth: Int[Array, " e"], *, smoothing: float = 0.0) -> TemperatureScaling:
@@ -113,7 +113,7 @@ def fit_temperature_to_sets(
 
 
 def calibrated_beliefs(
-    p: Float[Array, "e t c"], temperature: TemperatureScaling = TEMPERATURE_SCALING
+    p: Float[Array, "e t c"], temperature: TemperatureScaling = POSTERIOR_TEMPERATURE
 ) -> Float[Array, "e t c"]:
     """Calibrate beliefs of whole episodes by temperature scaling, without changing the order of the classes.
 

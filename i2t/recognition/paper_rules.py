@@ -71,7 +71,7 @@ class PaperEpisodes(NamedTuple):
         """Compute the beliefs of a rule.
 
         Args:
-            rule: Name of one of `i2t.paper.rules.RULES`.
+            rule: Name of one of `i2t.paper.rules.BELIEF_RULES`.
 
         Returns:
             `(e, t, objects)` beliefs after each touch.
@@ -82,7 +82,7 @@ class PaperEpisodes(NamedTuple):
         """Score the decisions of a rule.
 
         Args:
-            rule: Name of one of `i2t.paper.rules.RULES`.
+            rule: Name of one of `i2t.paper.rules.BELIEF_RULES`.
 
         Returns:
             `(e, t)` scores after each touch: 1 or 0, and 1/n if the true object ties with n - 1 others.
@@ -214,7 +214,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     Returns:
         `(e, t, objects)` beliefs after each touch, by rule.
     """
-    return {rule: loop.beliefs(distance, rule) for rule in rules.RULES}
+    return {rule: loop.beliefs(distance, rule) for rule in rules.BELIEF_RULES}
 
 
 def paper_rules(
@@ -308,7 +308,7 @@ def run_paper_loop(
     *,
     reading_std: Float[np.ndarray, " c"],
     episodes: int,
-    touches: int = loop.TOUCHES,
+    touches: int = loop.PAPER_TOUCHES,
     errors: SimulationErrors | None = None,
     limits: PressLimits | None = None,
     site_limits: SiteLimits = RECOGNITION_LIMITS,

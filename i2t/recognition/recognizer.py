@@ -425,7 +425,7 @@ class ObjectRecognizer:
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
         """Calibrate probabilities of the known objects, given those of all objects including surrogates."""
         count = len(self.names)
-        named = calibrated.TEMPERATURE_SCALING.apply(p[:count], touches)
+        named = calibrated.POSTERIOR_TEMPERATURE.apply(p[:count], touches)
         if self._objects == count:
             return named
         everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown

@@ -50,7 +50,7 @@ class LibraryConfig:
     sites_per_batch: int = 16  # number of sites of one shape at a time, so that any number of sites compiles once
 
 
-_CONFIG = LibraryConfig()
+_LIBRARY = LibraryConfig()
 
 
 class FirstContacts(NamedTuple):
@@ -68,7 +68,7 @@ def build_library(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    tilt: tuple[float, float] = _CONFIG.tilt,
+    tilt: tuple[float, float] = _LIBRARY.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> PatchLibrary:
     """Render patches of many shapes and press a nominal layer onto them.
@@ -94,7 +94,7 @@ def sample_contacts(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    tilt: tuple[float, float] = _CONFIG.tilt,
+    tilt: tuple[float, float] = _LIBRARY.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> tuple[FirstContacts, np.ndarray]:
     """Simulate first contacts with many shapes at random sites.
@@ -120,7 +120,7 @@ def sample_contacts(
         key_shape = jax.random.fold_in(key, i)
         rounds = [
             jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, tilt, limits))
-            for start in range(0, per_shape, _CONFIG.sites_per_batch)
+            for start in range(0, per_shape, _LIBRARY.sites_per_batch)
         ]
         drawn = jax.tree.map(lambda *fields: np.concatenate(fields)[:per_shape], *rounds)
         parts.append(jax.tree.map(lambda field, met=drawn.met: field[met], drawn))
@@ -143,12 +143,12 @@ def library_from_contacts(contacts: FirstContacts, objects: np.ndarray) -> Patch
     Returns:
         Library on the host.
     """
-    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), _CONFIG.loads)
+    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), _LIBRARY.loads)
     return PatchLibrary(
         patch=np.asarray(contacts.patch, np.float16),
         height=np.asarray(contacts.coarse, np.float32),
         object=np.asarray(objects, np.int32),
-        loads=np.asarray(_CONFIG.loads, np.float32),
+        loads=np.asarray(_LIBRARY.loads, np.float32),
         newtons=newtons_on_cells(pressure, CELL_GRID).reshape(*indentation.shape, -1).astype(np.float16),
         indentation=np.asarray(indentation, np.float32),
         centre=np.asarray(centre_of_pressure(pressure, CELL_GRID), np.float32),
@@ -185,7 +185,7 @@ def in_batches(
     Returns:
         Results of the function for all rows, on the host.
     """
-    batches = filled_batches(np.arange(len(rows[0])), _CONFIG.batch_size)
+    batches = filled_batches(np.arange(len(rows[0])), _LIBRARY.batch_size)
     parts = map_on_devices(function, (tuple(values[batch] for values in rows) for batch in batches), shared=shared)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
 
@@ -199,12 +199,12 @@ def pad_to_size_classes(surfaces: Sequence[Surface]) -> list[Surface]:
     Returns:
         The same surfaces in order: those with few faces padded to 512, the others to one common size.
     """
-    small = [len(surface.triangles) <= _CONFIG.small_faces for surface in surfaces]
+    small = [len(surface.triangles) <= _LIBRARY.small_faces for surface in surfaces]
     sized: list[Surface] = list(surfaces)
     for wanted in (True, False):
         group = [i for i, is_small in enumerate(small) if is_small == wanted]
         if group:
-            stacked = stack_surfaces([surfaces[i] for i in group], faces=_CONFIG.small_faces)
+            stacked = stack_surfaces([surfaces[i] for i in group], faces=_LIBRARY.small_faces)
             for row, i in enumerate(group):
                 sized[i] = jax.tree.map(lambda field, row=row: field[row], stacked)
     return sized
@@ -213,7 +213,7 @@ def pad_to_size_classes(surfaces: Sequence[Surface]) -> list[Surface]:
 @jit_quickly
 def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> FirstContacts:
     """Meet one surface at a batch of sites, with tilted approaches."""
-    count = _CONFIG.sites_per_batch
+    count = _LIBRARY.sites_per_batch
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
     if limits is None:
         key_points, key_spin = jax.random.split(key_sites)
@@ -221,7 +221,7 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
         spins = jax.random.uniform(key_spin, (count,), maxval=2 * jnp.pi)
         frames, safe = jax.vmap(contact_frame)(points, normals, spins), jnp.ones(count, bool)
     else:
-        frames, safe = touch_sites.sample_sites(key_sites, surface, count, limits, _CONFIG.candidates_per_site)
+        frames, safe = touch_sites.sample_sites(key_sites, surface, count, limits, _LIBRARY.candidates_per_site)
     angle = jax.random.uniform(key_tilt, (count,), minval=tilt[0], maxval=tilt[1])
     about = jax.random.uniform(key_about, (count,), maxval=2 * jnp.pi)
 

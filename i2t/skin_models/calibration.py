@@ -34,7 +34,7 @@ from i2t.skin_models.tip_gp.structured import StructuredGPHyperparameters, fit_s
 from i2t.types import Array, Board
 
 FILE_KIND = "i2t calibrated skin"
-GIVEN_BOARD = "the given board"
+GIVEN_BOARD_NAME = "the given board"
 LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind of load
 
 LoadKind: TypeAlias = Literal["travel", "force", "both", "none"]
@@ -92,7 +92,7 @@ class Calibration:
         """Description of the board with the largest weight, or of its absence."""
         shares = self.board_shares
         best = max(shares, key=lambda name: shares[name])
-        board = "no board" if best == "none" else best if best == GIVEN_BOARD else f"board {best}"
+        board = "no board" if best == "none" else best if best == GIVEN_BOARD_NAME else f"board {best}"
         if len(shares) == 1:
             return board
         rest = ", ".join(f"{name} {share:.2f}" for name, share in shares.items() if name != best)
@@ -199,14 +199,14 @@ class TipModel:
         if self.load_kind not in LOADS or data.previous_session is not None:
             raise ValueError("with given hyperparameters, loads must be travels or forces, without an earlier session")
         assert self.hyperparameters is not None
-        chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD,))
+        chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD_NAME,))
         gp = fit_structured(self.hyperparameters, table, readings, chips)
         return Calibration(gp, population.interval_scaling(gp), self.load_kind, boards=boards)
 
     def _fit_population(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
         """Condition the mixture over a population of skins."""
         board, previous = data.board, data.previous_session
-        boards = board_candidates(table.position, readings) if board is None else {GIVEN_BOARD: _chips(board)}
+        boards = board_candidates(table.position, readings) if board is None else {GIVEN_BOARD_NAME: _chips(board)}
         if previous is not None:
             if previous.previous is not None:
                 raise ValueError("the earlier session must itself be calibrated without an earlier session")

@@ -21,7 +21,7 @@ from i2t.geometry import so3_exp
 from i2t.runtime.batching import map_batches
 from i2t.skin import elasticity as elastic
 from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
-from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
+from i2t.skin.dipoles import DIPOLE_SHEETS, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import MAP_CELLS, NOMINAL_SKIN
 from i2t.types import Board, Pad, in_one_line
@@ -315,7 +315,7 @@ def pressure_design(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) 
     loaded = elastic.load(pad, pressure, grid=grid)
     # The moments of magnetization 1 along one cosine in y and one in x are a product of the edges' moments (`sheets`).
     share, depths = _edge_moments(grid), sheets(pad, grid)[0]
-    thick = pad.thickness * np.polynomial.legendre.leggauss(CELL_NODES)[1] / 2
+    thick = pad.thickness * np.polynomial.legendre.leggauss(DIPOLE_SHEETS)[1] / 2
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
 
     def sheet(at: tuple[Array, Array]) -> Array:
