@@ -23,7 +23,8 @@ from i2t.cli.pipes import ExitCode, output_is_closed
 from i2t.errors import WRONG_PATH_ERRORS, DeviceError, FullDiskError, printable
 from i2t.runtime.compile_cache import use_compile_cache
 
-OS_ERROR_REMEDIES: dict[type[OSError], str] = {  # advice for the operating system's errors that name a file
+# Advice that ends the message of an operating system's error about a path, by the class of the error.
+OS_ERROR_REMEDIES: dict[type[OSError], str] = {
     FileNotFoundError: "check the name",
     FileExistsError: "give another name",
     NotADirectoryError: "name a folder",

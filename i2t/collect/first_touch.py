@@ -46,6 +46,7 @@ from i2t.simulation.depth_camera import render_view
 from i2t.simulation.sites import is_above_table
 from i2t.types import Array
 
+# Remedy if the camera's depth contradicts the object's registered pose.
 CHECK_CAMERA_ADVICE = (
     "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (python -m i2t.place)"
 )
@@ -95,7 +96,7 @@ class FirstTouchConfig:
     max_air_force: float = 3.0
 
 
-_FIRST_TOUCH = FirstTouchConfig()
+_FIRST_TOUCH = FirstTouchConfig()  # choice and tolerances of the first looks and slow touches of a session
 
 
 class RigContradictedError(DeviceError):

@@ -33,12 +33,14 @@ from i2t.hardware.rig import Rig
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
-PRESS_ENDS = {  # how a press ended, in words
+# How a press ended, in the words of the progress line, by return code.
+PRESS_ENDS = {
     ReturnCode.SKIN: "stopped by the skin",
     ReturnCode.WRENCH: "stopped by force or torque",
     ReturnCode.AIR: "no contact",
     ReturnCode.FAILED: "failed",
 }
+# Words of the first line of a collection, by the source of its touches.
 SOURCE_DESCRIPTIONS = {
     "simulated": "SIMULATED: no real device takes part",
     "mixed": "MIXED: some of these devices are not real",

@@ -37,7 +37,8 @@ from i2t.types import Pad, ReturnCode
 
 # Function (pad, height, indentation, *, grid, start) -> press, such as `i2t.skin.pad.press`.
 PressLaw = Callable[..., Press]
-FINE_SHEETS = 2  # number of upper dipole sheets that are as fine as a fine final grid; readings are within 0.04 uT
+# number of dipole sheets, from the surface down, that are as fine as a fine final grid; readings stay within 0.04 uT
+FINE_SHEETS = 2
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class StopSearch:
     max_exact_readings: int = 8
 
 
-_STOP_SEARCH = StopSearch()
+_STOP_SEARCH = StopSearch()  # accuracy of the search for the indentation at which a press ends
 
 
 @traced_floats

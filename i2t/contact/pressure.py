@@ -34,12 +34,14 @@ from i2t.skin.pad import nominal_pad
 from i2t.types import Array as AnyArray
 from i2t.types import Pad, Surface, in_one_line
 
-CELL_MM = 1.0  # edge of a cell of `ContactPressure`
-SOLVER_TOLERANCE = 1e-3  # relative tolerance of contacts, far below the uncertainty of the heights
-MAX_SOLVER_STEPS = 25  # steps in which the contact solver reaches this tolerance from any start
+CELL_MM = 1.0  # mm, edge of a cell of `ContactPressure`
+SOLVER_TOLERANCE = 1e-3  # relative tolerance of the contact solver, far below the uncertainty of the heights
+MAX_SOLVER_STEPS = 25  # number of steps in which the contact solver reaches `SOLVER_TOLERANCE` from any start
 
-# Three-point Gauss-Hermite rule, exact to the fifth moment of the tilt.
+# Nodes of the three-point Gauss-Hermite rule in the two tilts, in standard deviations; exact to the fifth moment of the
+# tilt.
 _TILT_NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
+# Weights of `_TILT_NODES` in the mean over the tilt.
 _TILT_WEIGHTS = np.array(
     [{0: 2 / 3, 1: 1 / 6}[abs(x)] * {0: 2 / 3, 1: 1 / 6}[abs(y)] for x in (-1, 0, 1) for y in (-1, 0, 1)]
 )

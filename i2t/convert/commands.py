@@ -301,6 +301,7 @@ class ToLeRobot(WriteCommand):
         print(f"wrote {len(dataset)} touches to {lerobot.write(self.target, dataset)}")
 
 
+# Subcommands of python -m i2t.convert.
 COMMANDS: dict[str, Callable[..., ReadCommand]] = {
     "summary": Summary,
     "imagine2touch": FromImagine2touch,

@@ -26,10 +26,13 @@ from i2t.errors import DataError, require_extra
 from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
 
+# path of the table in a data set of LeRobot, by its format
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-FRAME_RATE_HZ = 1  # nominal rate: a frame is a touch
+FRAME_RATE_HZ = 1  # Hz, nominal frame rate in LeRobot's metadata; each frame is a touch
+# Fields of i2t's touches and their columns in LeRobot's table; the column of any other field is touch.<field>.
 LEROBOT_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "view": "observation.view"}
-POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # names of a pose's numbers: position (m) and unit quaternion
+# elements of a pose: position (m) and unit quaternion, scalar last
+POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def write(target: Path, dataset: Dataset) -> Path:

@@ -17,9 +17,9 @@ from i2t.recordings.files import data_error
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.skin.boards import AXES_OF_CHIP, mean_finite, without_silent_chips
 
-CHIPS = 5  # number of chips on the boards of this layout
-PAPER_READING_SIZE = AXES_OF_CHIP * CHIPS
-MAX_SAMPLE_VALUE = 1e6  # uT, largest plausible value; the range of the chips ends at 1.3e5
+CHIPS = 5  # number of chips on the board of the paper's skin
+PAPER_READING_SIZE = AXES_OF_CHIP * CHIPS  # number of values in a sample of the paper's skin
+MAX_SAMPLE_VALUE = 1e6  # uT, largest plausible value of a sample; the range of the chips ends at 1.3e5 uT
 
 
 def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:

@@ -33,10 +33,11 @@ from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import open_regular
 from i2t.files.writing import replacing, unwritable
 
-SCHEMA = "i2t-touches"
-SCHEMA_VERSION = 3  # versions 1 and 2, which are still read, have other names for some fields
-ENDING = ".h5"  # ending of the names of packed data sets
-HEADER_BYTES = 512  # size of the header in front of the HDF5 data
+SCHEMA = "i2t-touches"  # name of the schema, at the start of the header of each file of touches
+# version of the schema that is written; versions 1 and 2, which name some fields differently, are still read
+SCHEMA_VERSION = 3
+ENDING = ".h5"  # ending of the name of a packed data set's file
+HEADER_BYTES = 512  # size of the text header in front of the HDF5 data of a file of touches
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class _H5Limits:
     text_bytes: int = 2**28
 
 
-_H5_LIMITS = _H5Limits()
+_H5_LIMITS = _H5Limits()  # largest accepted contents of a file of touches, far above those of real files
 
 
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:

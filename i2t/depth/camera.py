@@ -27,10 +27,10 @@ from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff")  # file name endings of depth images that can be read
 MAX_DEPTH_M = 20.0  # m, largest depth that counts as measured; larger values mark holes or an empty background
-MAX_UINT16 = 2**16 - 1
-# Metres per unit of 16-bit images: millimetres, RealSense L515, TUM RGB-D, RealSense SR300, RealSense D405
+MAX_UINT16 = 2**16 - 1  # largest 16-bit value, with which some depth images mark pixels without depth
+# Metres per unit of 16-bit depth images: millimetres, RealSense L515, TUM RGB-D, RealSense SR300, RealSense D405.
 COMMON_UNITS_M = (1e-3, 2.5e-4, 2e-4, 1.25e-4, 1e-4)
 
 

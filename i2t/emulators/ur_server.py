@@ -22,8 +22,9 @@ log = logging.getLogger(__name__)
 
 Serve: TypeAlias = Callable[["Client"], Awaitable[None]]
 
-SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT = 30003, 29999, 30004
-FAULT_PORT = 30100  # port for faults on demand, which a real controller does not have
+SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT = 30003, 29999, 30004  # TCP ports of a UR controller
+# TCP port on which the emulated controller takes requests to fail; a real controller has no such port
+FAULT_PORT = 30100
 
 
 class Client:

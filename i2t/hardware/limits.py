@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Any
 
-# Tests that try several limits each
+# Files of tests, and ids of tests, that check the safety limits; several limits share a test.
 _GUARDED, _LIMITS = "tests/hardware/test_guarded.py", "tests/hardware/test_limits.py"
 _TOUCH_OFF, _UR = "tests/hardware/test_touch_off.py", "tests/hardware/test_ur.py"
 _OWN_LIMIT = "tests/hardware/test_collision.py::test_a_rig_s_limit_that_makes_no_sense_is_refused"
@@ -194,7 +194,7 @@ class SafetyLimits:
     )
 
 
-SAFETY = SafetyLimits()
+SAFETY = SafetyLimits()  # safety limits of all arms, with the test that checks each
 
 
 def range_of(name: str) -> tuple[float, float, str]:

@@ -48,6 +48,7 @@ class BaselineConfig:
     min_std: float = 1e-6  # uT, smallest standard deviation
 
 
+# options from which the baseline predictors choose, and lower bounds of their standard deviations
 _BASELINES = BaselineConfig()
 
 

@@ -40,9 +40,10 @@ from i2t.runtime.batching import size_classes
 from i2t.skin.boards import board_from_lists
 from i2t.types import Board, Surface
 
-PREDICTOR_FORMAT = "i2t predictor"
-PREDICTOR_VERSION = 5
-READ_VERSIONS = (4, PREDICTOR_VERSION)  # version 4 called travel depth
+PREDICTOR_FORMAT = "i2t predictor"  # name of the format in the description of a saved predictor
+PREDICTOR_VERSION = 5  # version of the format of predictors that is written
+# versions of the format of predictors that are read; version 4 called travel depth
+READ_VERSIONS = (4, PREDICTOR_VERSION)
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
@@ -364,7 +365,7 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
     return float(np.mean(np.abs(readings - prediction.mean) < STDS_WITHIN_90 * prediction.std))
 
 
-# Numbers and texts of a predictor's file.
+# Fields of a predictor that its file stores as numbers or texts.
 _PREDICTOR_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
 
 

@@ -41,7 +41,7 @@ class InputLimits:
     pixel_tolerance: float = 1e-6  # m, rounding error of single precision
 
 
-_INPUT_LIMITS = InputLimits()
+_INPUT_LIMITS = InputLimits()  # limits beyond which a user's input to a predictor is refused or causes a warning
 
 
 class SeenTouches(NamedTuple):

@@ -32,7 +32,8 @@ from i2t.types import ReturnCode, Surface, Touches
 
 EPISODES_PER_BATCH = 8  # number of episodes whose posteriors are computed together
 
-# Weights of each kind of evidence: of readings, of positions of the ends of presses, and of presence.
+# Weights of the log likelihoods in the posterior, by kind of evidence: of the reading, of the position at which the
+# press ended, and of presence, which is whether the press met the object.
 EVIDENCE_WEIGHTS = {
     "readings": (1.0, 0.0, 0.0),
     "presence": (0.0, 0.0, 1.0),

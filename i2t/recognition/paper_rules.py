@@ -47,8 +47,8 @@ from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.types import Pad, Surface, in_one_line
 
-PROPRIOCEPTION = "proprioception"  # name of the scorer that uses only where presses end
-VIEW_BATCH = 64  # number of views rendered and predicted together, so that they compile once
+PROPRIOCEPTION = "proprioception"  # name of the scorer that uses only the poses at which presses ended
+VIEW_BATCH = 64  # number of views that are rendered and predicted together, so that the program compiles once
 
 
 Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects

@@ -47,9 +47,9 @@ from i2t.skin_models.likelihood import Likelihood
 from i2t.skin_models.pad_model import PadModel
 from i2t.types import in_one_line
 
-MAX_EMPTY_DRAWS = 10  # number of draws of candidates without an allowed site, after which no touch is chosen
-# Calibration of the unknown class for a prior of 0.5, fitted on validation objects and others of which half were
-# unknown (`experiments.studies open_set`).
+MAX_EMPTY_DRAWS = 10  # number of draws of candidates without an allowed site after which no touch is chosen
+# Calibration of the probability that the object is unknown, for a prior of 0.5. It was fitted on validation objects and
+# others of which half were unknown (`experiments.studies open_set`).
 UNKNOWN_SCALING = calibrated.PlattScaling(0.40, 0.65, 0.18)
 
 

@@ -44,7 +44,7 @@ class SiteDraws:
     min_safe_fraction: float = 1 / 64
 
 
-_SITE_DRAWS = SiteDraws()
+_SITE_DRAWS = SiteDraws()  # batches in which safe sites are drawn
 
 
 @in_one_line

@@ -51,7 +51,7 @@ class EvidenceConfig:
     outline_pixels: int = 3  # width of the filter that keeps free space away from the edge of a surface
 
 
-_EVIDENCE = EvidenceConfig()
+_EVIDENCE = EvidenceConfig()  # default sampling and uncertainties of the evidence of touches and views on the surface
 
 
 class Sweep(NamedTuple):

@@ -50,7 +50,7 @@ class LibraryConfig:
     sites_per_batch: int = 16  # number of sites of one shape at a time, so that any number of sites compiles once
 
 
-_LIBRARY = LibraryConfig()
+_LIBRARY = LibraryConfig()  # default loads and tilts of the presses in a library of contacts, and batch sizes
 
 
 class FirstContacts(NamedTuple):

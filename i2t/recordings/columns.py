@@ -11,7 +11,8 @@ from pathlib import Path
 from i2t.errors import DataError
 from i2t.recordings.cells import parse_number
 
-NEWTONS_PER_GRAM = 9.80665e-3  # standard gravity, times one gram
+NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of one gram under standard gravity
+# i2t's unit of each quantity in tables, and the factors that convert other units to it.
 UNIT_FACTORS: dict[
     str, tuple[str, dict[str, float]]
 ] = {  # i2t's unit of each quantity, and factors from other units to it
@@ -20,7 +21,8 @@ UNIT_FACTORS: dict[
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": NEWTONS_PER_GRAM, "kg": 9.80665}),
     "time": ("s", {"sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}),
 }
-TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a recording, in their order
+# Table columns of each target that a head can predict, in their order.
+TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "position": ("x_mm", "y_mm"),
     "travel": ("travel_mm",),
     "force": ("force_N",),
@@ -28,25 +30,27 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a
     "contact": ("contact",),
     "slip": ("slip",),
 }
+# table columns of the position and the travel of a press
 PLACE_COLUMNS = (
     *TARGET_COLUMNS["position"],
     *TARGET_COLUMNS["travel"],
 )  # columns of the position and the travel of a press
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # columns that hold the height of the tip instead of a travel
-STEM_SYNONYMS = {"depth": "travel"}  # other names of quantities in tables of users
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # table columns of the tip's height, which may replace the travel
+STEM_SYNONYMS = {"depth": "travel"}  # other names of quantities in users' tables, and i2t's names
+# table columns of the force, the time and the source (real or simulated)
 FORCE_COLUMN, TIME_COLUMN, SOURCE_COLUMN = "force_N", "time_s", "source"
-NAME_COLUMNS = ("pad", "session")
-TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
-UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
-FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # name, without its unit, of the column of a chip's value or ambient field
-FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # name of the column of a chip's value
-# quantity of a column, whose units are in UNIT_FACTORS, by the stem of its name
+NAME_COLUMNS = ("pad", "session")  # table columns that hold names
+TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)  # table columns that hold texts instead of numbers
+UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")  # table columns whose names state no unit
+FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column name, without its unit, of a chip's value (b) or ambient field (a)
+FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # column name of a chip's value
+# Quantity of a table column, a key of `UNIT_FACTORS`, by the column's name without its unit.
 QUANTITY_OF_STEM = {"time": "time"}
 QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "travel", "height"), "length")
 QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
-# names of a time column without a unit
+# Names of a time column without a unit.
 TIME_NAMES = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")
-# signs for micro, which are read as u; the last is that of cp850, read as cp1252
+# Signs for micro, which are read as u. The last is the micro sign of cp850, read as cp1252.
 MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))
 
 

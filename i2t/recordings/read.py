@@ -56,7 +56,7 @@ from i2t.recordings.tables import MAX_TABLE_VALUE, TextTable, read_text_table
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board, ReturnCode
 
-MAX_STREAM_STEP_S = 0.5  # s, largest time between rows of a stream
+MAX_STREAM_STEP_S = 0.5  # s, largest time between successive rows of a recording that counts as a stream
 
 
 class TargetKind(NamedTuple):
@@ -68,6 +68,7 @@ class TargetKind(NamedTuple):
     min_range: float = 0.5  # range in the library's unit below which the target is constant
 
 
+# Targets that a recording may hold, such as the position of the tip.
 TARGETS: Mapping[str, TargetKind] = {
     "position": TargetKind("mm", 1e3, min_range=0.2e-3),
     "travel": TargetKind("mm", 1e3, min_range=0.1e-3),

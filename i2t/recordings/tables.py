@@ -47,11 +47,13 @@ from i2t.recordings.columns import (
 from i2t.recordings.files import os_errors_as_data_errors
 from i2t.recordings.log import ReadingLog
 
-MAX_TABLE_VALUE = 1e9  # largest plausible value in any unit; larger numbers are damage
-COMMENT_MARK = "#"
+MAX_TABLE_VALUE = 1e9  # largest plausible number in a table in any unit; larger numbers count as damaged
+COMMENT_MARK = "#"  # sign that begins a comment line of a table
+# signs that may separate the cells of a table, with their names in messages
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
-EMPTY_CELL_CHARACTERS = " \t\r\n\0\x1a\ufeff\u00a0"  # characters of empty cells; \x1a is the end-of-file mark of DOS
-EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count days
+# characters of empty cells of tables; \x1a is the end-of-file mark of DOS
+EMPTY_CELL_CHARACTERS = " \t\r\n\0\x1a\ufeff\u00a0"
+EXCEL_DAYS = (36526.0, 73051.0)  # days, the years 2000 to 2099 as spreadsheets count days
 
 
 class TextTable(NamedTuple):

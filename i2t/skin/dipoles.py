@@ -31,10 +31,8 @@ from jaxtyping import Array, Float
 from i2t.skin.elasticity import GRID, Grid, interior, load
 from i2t.types import Pad
 
-DIPOLE_SHEETS = (
-    5  # number of dipole sheets across the thickness; `tests/skin/test_dipoles.py` refines them and the cells
-)
-MU0_OVER_4PI = 1e-7  # T m/A, magnetic constant over 4 pi
+DIPOLE_SHEETS = 5  # number of dipole sheets across the skin's thickness; `tests/skin/test_dipoles.py` refines them
+MU0_OVER_4PI = 1e-7  # T m/A, magnetic constant divided by 4 pi
 MICROTESLA = 1e6  # uT per T
 # grid of the dipoles of all sheets, or one grid for each sheet from the surface down; all of one period
 Dipoles: TypeAlias = Grid | tuple[Grid, ...]

@@ -33,11 +33,12 @@ from i2t.skin_models.tip_gp.population import PopulationGP, PressTable
 from i2t.skin_models.tip_gp.structured import StructuredGPHyperparameters, fit_structured
 from i2t.types import Array, Board
 
-FILE_KIND = "i2t calibrated skin"
-GIVEN_BOARD_NAME = "the given board"
-LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind of load
+FILE_KIND = "i2t calibrated skin"  # kind of file in the header of a saved calibration
+GIVEN_BOARD_NAME = "the given board"  # name, among candidate boards, of the board that the user gave
+LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # kinds of load of a press: unit, and largest accepted load
 
 LoadKind: TypeAlias = Literal["travel", "force", "both", "none"]
+# Loads that a calibration uses, by the name of the choice.
 LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
     "travel": ("travel",), "force": ("force",), "both": ("travel", "force"), "none": (),
 }  # fmt: skip

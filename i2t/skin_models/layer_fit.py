@@ -33,6 +33,7 @@ from scipy import linalg, optimize
 from i2t.skin_models.magnetic_layer import SHAPE_PARAMETERS, LayerParameters, LayerPrior, parameters_at
 from i2t.types import in_one_line
 
+# Error if a fit finds no plausible pad.
 NO_PAD = "no pad explains these presses; check the tip, the unit of the loads and the board"
 
 
@@ -55,7 +56,7 @@ class LayerSearch:
     implausible_stds: float = 3.0
 
 
-_LAYER_SEARCH = LayerSearch()
+_LAYER_SEARCH = LayerSearch()  # trust-region search for the elastic layer of a pad
 
 
 @in_one_line

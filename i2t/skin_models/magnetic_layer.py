@@ -27,7 +27,8 @@ from i2t.skin.pad import MAP_CELLS, NOMINAL_SKIN
 from i2t.types import Board, Pad, in_one_line
 from i2t.validation import round_tip
 
-# number of cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
+# Number of cosines along each edge of a magnetization map: waves of 3.6 mm, finer than any that can be distinguished
+# 1.5 mm above a chip.
 MODES = 12
 DESIGN_BATCH = 8  # number of design matrices computed at a time, so that they fit the caches
 
@@ -54,10 +55,11 @@ class LayerParameters(NamedTuple):
     noise_std: Float[Array, ""]  # uT, standard deviation of a reading's noise and of model errors
 
 
-# Parameters that change the design matrices; the other parameters only scale their products.
+# Parameters of the layer that change the design matrices; the other parameters only scale their products.
 DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
                      "tip_scale", "board_offset", "board_rotation")  # fmt: skip
-SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # parameters that change features by more than a scale
+# parameters of the layer that change the features by more than a scale
+SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")
 
 
 class LayerPrior(NamedTuple):

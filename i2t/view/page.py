@@ -16,6 +16,7 @@ from i2t.viz.patches import plot_patches
 from i2t.viz.skins import plot_readings
 from i2t.viz.style import CURVE_COLOURS, Picture, titled
 
+# CSS of the page that shows a recording.
 STYLE = (
     "body{font-family:sans-serif;max-width:70em;margin:2em auto;color:#222}img{max-width:100%}"
     "table{border-collapse:collapse;font-size:.85em}td,th{padding:.15em .6em;text-align:right;"

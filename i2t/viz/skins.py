@@ -14,7 +14,7 @@ from i2t.types import Array, Board
 from i2t.viz.patches import draw_map
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
-ARROW_MM = 5.0  # drawn length of a field as large as the figure's scale
+ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale
 
 
 def common_scale(readings: Shaped[Array, "..."]) -> float:

@@ -24,9 +24,11 @@ from i2t.files.reading import parse_json, read_bytes
 from i2t.files.writing import file_in
 from i2t.objects.polygons import strip_triangles
 
-# NumPy types of the component types of glTF 2.0 (3.6.2.2).
+# NumPy types of the component types of glTF 2.0 (section 3.6.2.2), by number.
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+# glTF extensions that compress meshes, which are not read
 COMPRESSION_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
+# remedy for a compressed glTF file
 DECOMPRESS_ADVICE = "export it again without compression, or decompress it, for instance with gltf-transform"
 
 # Kinds of primitives (glTF 2.0, 3.7.2.1)

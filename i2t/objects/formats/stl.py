@@ -11,6 +11,7 @@ from i2t.errors import DataError
 from i2t.objects.formats.text import TRAILING_PADDING, parse_numbers, plain_text
 
 HEADER_BYTES = 84  # size of a binary STL's header: any text, and the number of facets in the last four bytes
+# facet of a binary STL file
 FACET_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 

@@ -10,7 +10,7 @@ from i2t.skin_models.tip_gp import kernel
 from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
 from i2t.types import in_one_line
 
-NO_CHIP_POSITIONS = -1  # number of the board of a member that uses no chips
+NO_CHIP_POSITIONS = -1  # board number of a member of the mixture whose kernel does not use chip positions
 
 
 @in_one_line

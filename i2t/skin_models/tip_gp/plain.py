@@ -38,7 +38,7 @@ class ScaleFit:
     failed_loss: float = 1e30  # loss if the covariance cannot be factored
 
 
-_SCALE_FIT = ScaleFit()
+_SCALE_FIT = ScaleFit()  # priors of the plain process's hyperparameters, and the optimizer's limits
 
 
 class PlainScales(NamedTuple):

@@ -135,7 +135,7 @@ class MixtureConfig:
     given_height_passes: int = 3  # number of passes if the roughness of the skin is given
 
 
-_MIXTURE = MixtureConfig()
+_MIXTURE = MixtureConfig()  # default choices of the mixture of Gaussian processes
 
 
 @in_one_line

@@ -14,8 +14,8 @@ from i2t.files import serialization
 from i2t.skin_models.tip_gp.kernel import SkinKernels, join, take
 from i2t.skin_models.tip_gp.plain import fit_scales, plain_kernel
 
-PRIOR_FILE = "prior.npz"
-PRIOR_KIND = "i2t kernel prior"
+PRIOR_FILE = "prior.npz"  # file, in this package, with the population of kernels
+PRIOR_KIND = "i2t kernel prior"  # kind of file in the header of the population of kernels
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class PlainMembers:
     max_fitted_presses: int = 150
 
 
-_PLAIN_MEMBERS = PlainMembers()
+_PLAIN_MEMBERS = PlainMembers()  # plain Gaussian processes that join the population, and their shares of the prior
 
 
 class KernelPrior(NamedTuple):
