@@ -1,8 +1,9 @@
-"""The site: python -m sphinx -W -c docs . build/site (pip install "imagine2touch[docs]"), without a network.
+"""Configuration of the site: python -m sphinx -W -c docs . build/site (pip install "imagine2touch[docs]").
 
-Pages are the Markdown files of this folder and of those beside it. Two are made while the site is built: every command
-with its options, from the commands' own help, and the library's names, from their docstrings. A link, an anchor or a
-name of i2t that leads nowhere is a warning; addresses outside are tried by `-b linkcheck`, which needs a network.
+The pages are Markdown files of this folder, of the root and of the examples. Two pages are generated while the site is
+built: the commands with their options, from their help, and the names of the library, from their docstrings. A link,
+an anchor or a name of i2t without a target is a warning. The build needs no network; `-b linkcheck` tests external
+links and needs one.
 """
 
 import ast
@@ -25,8 +26,8 @@ from sphinx.errors import ExtensionError
 
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
-os.environ["COLUMNS"] = "88"  # of the help of commands, as many as the page is wide
-os.environ.setdefault("JAX_PLATFORMS", "cpu")  # nothing is computed
+os.environ["COLUMNS"] = "88"  # width of the commands' help, which fits the page
+os.environ.setdefault("JAX_PLATFORMS", "cpu")  # the build computes nothing
 
 import i2t
 from i2t.cli.commands import COMMANDS, EXPERIMENTS
@@ -42,28 +43,28 @@ html_static_path = ["_static"]
 html_css_files = ["i2t.css"]
 html_show_sphinx = False
 html_copy_source = False
-html_extra_path = ["_static/index.html"]  # leads to the root of the pages
+html_extra_path = ["_static/index.html"]  # redirects to the first page
 root_doc = "docs/index"
 include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/*.md", "examples/*/README.md"]
 exclude_patterns = [".*", "build", "runs", "data"]
 nitpicky = True
-nitpick_ignore = [("py:class", "numpy.ndarray")]  # whose inventory needs a network
+nitpick_ignore = [("py:class", "numpy.ndarray")]  # its inventory needs a network
 nitpick_ignore_regex = [
     (
         "py:class",
         r"i2t\..*\.(?:ContactPressure|PopulationGP|PressureModelConfig|StructuredGPHyperparameters|TouchModel)",
     )
-]  # behind what the pages describe
+]  # types that the pages do not describe
 myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
-html_math_renderer = "mathml"  # which browsers draw by themselves: no script, no network
-highlight_language = "bash"  # of blocks that name none: commands
+html_math_renderer = "mathml"  # browsers draw it without a script or a network
+highlight_language = "bash"  # language of blocks without one, which hold commands
 nb_execution_mode = "off"
 autodoc_member_order = "bysource"
-autodoc_typehints = "none"  # docstrings give shapes and units, which annotations repeat at length
+autodoc_typehints = "none"  # docstrings already state shapes and units
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
-# A page that no list names is no defect of the others.
+# Pages do not have to be in a table of contents.
 suppress_warnings = ["toc.not_included"]
 
 SECOND_TIER = (
@@ -74,7 +75,7 @@ SECOND_TIER = (
     "i2t.hardware",
     "i2t.viz",
     "i2t.skin_models",
-)  # packages, with the names that they list
+)  # packages whose listed names are documented
 MODULES = (
     "i2t.recognition.recognizer",
     "i2t.skin_models.pad_model",
@@ -85,20 +86,20 @@ MODULES = (
     "i2t.dataset.store",
     "i2t.dataset.splits",
     "i2t.errors",
-)  # documented whole
+)  # modules whose members are all documented
 GENERATED = {"docs/reference_commands": "commands_page", "docs/reference_api": "api_page"}
-CODE = re.compile(r"^(`{3,})[^`].*?^\1$|^#.*?$", re.M | re.S)  # and headings, whose anchors are made of their text
+CODE = re.compile(r"^(`{3,})[^`].*?^\1$|^#.*?$", re.M | re.S)  # code blocks, and headings: a link would change anchors
 NAME = re.compile(r"(?<!\[)`(((?:i2t|experiments|tools)(?:\.\w+)+)(?:\([^`]*\))?)`")
 
 
 def help_of(command: str) -> str:
-    """What a command answers to --help, with the help of its sub-commands below."""
+    """Help of a command, followed by the help of its subcommands."""
     text = _help(command)
     return "\n".join([text, *(_help(command, name) for name in subcommands_of(text))])
 
 
 def subcommands_of(text: str) -> list[str]:
-    """The sub-commands that a command's help lists below the title "subcommands", or the parts that it names."""
+    """Subcommands or parts that the help of a command lists."""
     _, _, listed = text.partition("─ subcommands ─")
     parts = re.search(r"each with its own\s+--help:\s+([\w,\s]+)\.", text)
     return re.findall(r"^│   • ([\w-]+)", listed, re.M) + (re.split(r",\s+", parts[1])[1:] if parts else [])
@@ -109,26 +110,26 @@ def _help(command: str, part: str = "") -> str:
     return re.sub(r"^(?:[\w(`]|--).*(?:\n(?:[\w(`]|--).*)*", _wrapped, text, flags=re.M)
 
 
-def _wrapped(found: re.Match[str]) -> str:
-    """A paragraph in the width of the page; options and examples, which are indented or boxed, are none."""
-    return textwrap.fill(found[0], int(os.environ["COLUMNS"]), break_on_hyphens=False)
+def _wrapped(paragraph: re.Match[str]) -> str:
+    """Wrap a paragraph to the width of the page. Options and examples are indented or boxed, and do not match."""
+    return textwrap.fill(paragraph[0], int(os.environ["COLUMNS"]), break_on_hyphens=False)
 
 
 def commands_page() -> str:
-    """Every command with its options."""
-    lines = ["# Commands and their options", "", "What each command says to `--help`."]
+    """Page of all commands with their options."""
+    lines = ["# Commands and their options", "", "The `--help` of each command."]
     for title, commands in (("The library", COMMANDS), ("The experiments", EXPERIMENTS)):
         lines += ["", f"## {title}"]
-        for command, said in commands.items():
-            end = "" if said.endswith("?") else "."
-            lines += ["", f"### python -m {command}", "", f"{said[0].upper()}{said[1:]}{end}", ""]
+        for command, summary in commands.items():
+            end = "" if summary.endswith("?") else "."
+            lines += ["", f"### python -m {command}", "", f"{summary[0].upper()}{summary[1:]}{end}", ""]
             lines += ["````text", help_of(command).rstrip(), "````"]
     return "\n".join(lines) + "\n"
 
 
 def api_page() -> str:
-    """The public names, the packages of the second tier, and some modules."""
-    lines = ["# Names of the library", "", "`import i2t` gives these; arguments say their shapes and units.", ""]
+    """Page of the public names, the packages of the second tier, and some modules."""
+    lines = ["# Names of the library", "", "The names that `import i2t` provides come first.", ""]
     lines += ["```{eval-rst}", ".. highlight:: python", "```", ""]
     for name in face_names():
         lines += [f"## {name}", "", "```{eval-rst}", *_entry(f"i2t.{name}"), "```", ""]
@@ -138,10 +139,12 @@ def api_page() -> str:
         for name in own:
             lines += [*_entry(f"{package}.{name}"), ""]
         elsewhere = [name for name in pkgutil.resolve_name(package).__all__ if name not in own]
-        lines += [f"{package} also gives {', '.join(elsewhere)}, which have their own entries."] if elsewhere else []
+        lines += (
+            [f"{package} also provides {', '.join(elsewhere)}, which have entries of their own."] if elsewhere else []
+        )
         lines += ["```", ""]
     for module in MODULES:
-        shown = [name for name in face_names() if getattr(i2t, name).__module__ == module]  # above
+        shown = [name for name in face_names() if getattr(i2t, name).__module__ == module]  # documented above
         lines += [f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:"]
         lines += [f"   :exclude-members: {', '.join(shown)}", "```", ""]
     lines += ["## Other names on these pages", "", "```{eval-rst}", ".. py:currentmodule:: None"]
@@ -155,9 +158,9 @@ def api_page() -> str:
 
 
 def other_names() -> dict[str, Any]:
-    """Values, by the names that pages have for them, outside of the public face and the second tier.
+    """Values that pages name outside the public names and the second tier, by those names.
 
-    A name of nothing is left out, so that Sphinx warns of it on its page.
+    Names without a value are left out, so that Sphinx warns about them on their page.
     """
     values = {}
     for pattern in include_patterns:
@@ -166,17 +169,22 @@ def other_names() -> dict[str, Any]:
                 with contextlib.suppress(ImportError, AttributeError):
                     values[name] = pkgutil.resolve_name(name)
     public = {f"i2t.{name}" for name in i2t.__all__}
+    classes = {f"i2t.{name}" for name in face_names()}  # their members are documented with them
     public |= {f"{package}.{name}" for package in SECOND_TIER for name in names_of(package)}
-    return {name: value for name, value in values.items() if not name.startswith(MODULES) and name not in public}
+    return {
+        name: value
+        for name, value in values.items()
+        if not name.startswith(MODULES) and name not in public and name.rpartition(".")[0] not in classes
+    }
 
 
 def face_names() -> list[str]:
-    """The names of the public face but for the packages of the second tier."""
+    """Public names except the packages of the second tier."""
     return [name for name in i2t.__all__ if f"i2t.{name}" not in SECOND_TIER]
 
 
 def names_of(package: str) -> list[str]:
-    """The names that a package of the second tier lists and that have no other entry on the page."""
+    """Names that a package of the second tier lists, without those that have another entry on the page."""
     values = {name: getattr(pkgutil.resolve_name(package), name) for name in pkgutil.resolve_name(package).__all__}
     others = {id(getattr(i2t, name)) for name in face_names()}
     return [
@@ -187,21 +195,21 @@ def names_of(package: str) -> list[str]:
 
 
 def _entry(name: str) -> list[str]:
-    """The directive that documents a value by its docstring."""
+    """Lines of the directive that documents a value by its docstring."""
     value = pkgutil.resolve_name(name)
     members = isinstance(value, type) and not issubclass(value, Exception)
     return [f".. {_directive(value)}:: {name}", *["   :members:"] * members]
 
 
 def _directive(value: Any) -> str:
-    """The directive of Sphinx that documents a value."""
+    """Name of Sphinx's directive for a value."""
     if inspect.ismodule(value):
         return "py:module"
     return "autoclass" if isinstance(value, type) else "autofunction" if callable(value) else "py:data"
 
 
 def linked(text: str) -> str:
-    """A page whose names of the code lead to what they name."""
+    """Link the names of code on a page to their entries."""
     parts, end = [], 0
     for code in [*CODE.finditer(text), None]:
         prose = text[end : code.start() if code else len(text)]
@@ -211,27 +219,29 @@ def linked(text: str) -> str:
 
 
 def setup(app: Any) -> None:
-    """Make pages while they are read, without writing into the checkout, and docstrings ready for Sphinx."""
+    """Generate pages while they are read, without writing into the checkout, and prepare docstrings for Sphinx."""
 
-    def found(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
+    def outdated(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
         return [name for name in GENERATED if name in env.found_docs]
 
     def read(app: Any, docname: str, content: list[str]) -> None:
         if docname in GENERATED:
             content[0] = globals()[GENERATED[docname]]()
-        elif docname != "CHANGELOG":  # which names what is gone
+        elif docname != "CHANGELOG":  # it names what no longer exists
             content[0] = linked(content[0])
 
     app.add_html_math_renderer("mathml", inline_renderers=(draw_inline, None), block_renderers=(draw_block, None))
-    app.connect("env-get-outdated", found)
+    app.connect("env-get-outdated", outdated)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
-    app.connect("autodoc-process-docstring", field_comment, priority=900)  # after it: a colon does not end a type
+    app.connect(
+        "autodoc-process-docstring", field_comment, priority=900
+    )  # after napoleon, which takes words before a colon for a type
     app.connect("html-page-context", keep_together)
 
 
 def keep_together(app: Any, pagename: str, template: str, context: dict[str, Any], doctree: Any) -> None:
-    """Mark what must not be torn, and lines of code, for the style sheet; link pictures to their files."""
+    """Mark words that must not be split, and lines of code, for the style sheet; link pictures to their files."""
     body = context.get("body") or ""
     body = re.sub(r"(<pre>(?:<span></span>)?)(.*?)(</pre>)", _code_lines, body, flags=re.S)
     for words in (
@@ -244,23 +254,23 @@ def keep_together(app: Any, pagename: str, template: str, context: dict[str, Any
     context["body"] = re.sub(r'<img [^>]*src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', body)
 
 
-def _code_lines(found: re.Match[str]) -> str:
+def _code_lines(block: re.Match[str]) -> str:
     def marked(line: str) -> str:
         words = re.sub(r"<[^>]*>", "", line)
         indent = len(words) - len(words.lstrip())
         return f'<span class="line" style="--indent: {indent}">{line}</span>' if words else line
 
-    return found[1] + "\n".join(map(marked, found[2].split("\n"))) + found[3]
+    return block[1] + "\n".join(map(marked, block[2].split("\n"))) + block[3]
 
 
 def draw_inline(writer: Any, node: nodes.math) -> None:
-    """A formula in a line, as MathML."""
+    """Write an inline formula as MathML."""
     writer.body.append(_mathml(node))
     raise nodes.SkipNode
 
 
 def draw_block(writer: Any, node: nodes.math_block) -> None:
-    """A formula on lines of its own, as MathML."""
+    """Write a displayed formula as MathML."""
     writer.body.append(f'<div class="math">{_mathml(node, as_block=True)}</div>')
     raise nodes.SkipNode
 
@@ -272,33 +282,33 @@ def _mathml(node: nodes.math | nodes.math_block, as_block: bool = False) -> str:
         raise ExtensionError(f"{node.source}: {error}: {node.astext()}") from error
 
 
-def literal_code(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
-    """Show examples, and indented blocks of a module's page, as the code that they are, and results as plain text."""
-    made: list[str] = []
+def literal_code(app: Any, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
+    """Show examples and indented blocks of a module's docstring as code, and Returns as plain text."""
+    shown: list[str] = []
     inside = False
     for number, line in enumerate(lines):
         if line.strip() == "Example:":
-            made += ["", ".. rubric:: Example", "", "::", ""]
+            shown += ["", ".. rubric:: Example", "", "::", ""]
             inside = True
             continue
-        if line.strip() == "Returns:":  # napoleon would take what stands before a colon for a type
+        if line.strip() == "Returns:":  # napoleon would take words before a colon for a type
             inside = False
-            made.append("")
+            shown.append("")
             lines[number + 1] = f":returns: {lines[number + 1].strip()}"
             continue
         begins = line.startswith("    ") and number > 0 and not lines[number - 1].strip()
         if what == "module" and begins and not inside:
-            made += ["::", ""]
+            shown += ["::", ""]
             inside = True
         elif inside and line.strip() and not line.startswith("    "):
             inside = False
-            made.append("")
-        made.append(re.sub(r": (\w\.)$", r": \\\1", line))  # "timeout: s." is a unit and no list
-    lines[:] = made
+            shown.append("")
+        shown.append(re.sub(r": (\w\.)$", r": \\\1", line))  # "timeout: s." is a unit, not a list
+    lines[:] = shown
 
 
-def field_comment(app: Any, what: str, name: str, found: Any, options: Any, lines: list[str]) -> None:
-    """Describe a field of a named tuple by its comment in the source, in place of "Alias for field number 0"."""
+def field_comment(app: Any, what: str, name: str, value: Any, options: Any, lines: list[str]) -> None:
+    """Describe a field of a named tuple by its comment in the source instead of "Alias for field number 0"."""
     if lines and lines[0].startswith("Alias for field number"):
         *module, kind, field = name.split(".")
         lines[:] = [comments_of(getattr(importlib.import_module(".".join(module)), kind)).get(field, ""), ""]
@@ -306,10 +316,10 @@ def field_comment(app: Any, what: str, name: str, found: Any, options: Any, line
 
 @cache
 def comments_of(kind: type) -> dict[str, str]:
-    """The comment beside each field of a class, or else the one above it, as reStructuredText."""
+    """Comments of the fields of a class, behind or above each field, as reStructuredText."""
     source = textwrap.dedent(inspect.getsource(kind))
     lines = source.splitlines()
-    said = {}
+    comments = {}
     for node in ast.parse(source).body[0].body:
         if isinstance(node, ast.AnnAssign):
             comment = lines[node.end_lineno - 1].encode()[node.end_col_offset :].decode().strip()
@@ -318,8 +328,8 @@ def comments_of(kind: type) -> dict[str, str]:
                 above -= 1
             block = [comment] if comment else lines[above : node.lineno - 1]
             words = " ".join(line.strip().removeprefix("#").strip() for line in block).removesuffix(":")
-            parts = re.split(r"(`[^`]*`)", words)  # what is code stays as it is
-            said[node.target.id] = "".join(
+            parts = re.split(r"(`[^`]*`)", words)  # code stays unchanged
+            comments[node.target.id] = "".join(
                 part if part[:1] == "`" else re.sub(r"([*|_\\])", r"\\\1", part) for part in parts
             )
-    return said
+    return comments

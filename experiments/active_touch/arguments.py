@@ -34,7 +34,7 @@ class ActiveTouchArgs(RunOptions):
     """Compare policies that choose touches, on held-out pads."""
 
     out: Path = Path("runs/active_touch")  # folder for the results
-    preset: Literal["paper", "debug"] = "paper"
+    preset: Literal["paper", "debug"] = "paper"  # size of the experiment; debug runs every part once
     # At least two names in the catalogue.
     objects: tuple[str, ...] = ("star", "hexagon", "cylinder", "cross", "square", "triangle")
 

@@ -21,7 +21,7 @@ class BenchmarkArgs:
     out: Path | None = None  # output folder; default: nothing is written
     turns: Annotated[int, Limits(1)] = 5  # timed turns
     commands: tuple[str, ...] = ()  # for section startup: parts of the command lines to run; default: all
-    preset: Literal["paper", "debug"] = "paper"  # sizes as in the documents, or very small ones
+    preset: Literal["paper", "debug"] = "paper"  # size of the experiment; debug runs every part once
 
     def check(self) -> None:
         """Refuse sections whose peer is not installed."""

@@ -51,7 +51,7 @@ class CalibrateArgs(RunOptions):
     tip: str | None = None  # with --save-pad: sphere:RADIUS or cylinder:RADIUS in mm; by default the data set's
     pad_name: str | None = None  # with --save-pad: name of the skin; by default the data set's
     out: Path = Path("runs/calibrate")  # folder for the results
-    preset: Literal["paper", "short", "debug"] = "paper"
+    preset: Literal["paper", "short", "debug"] = "paper"  # size of the experiment; debug runs every part once
     load: Literal["auto", "travel", "force"] = "auto"  # load of a press; auto: travel if it was measured
     presses: tuple[PressCount, ...] = ()  # numbers of training presses; by default the preset's
     draws: Count | None = None  # random choices of the training presses; by default the preset's

@@ -57,6 +57,9 @@ def count_table(curves: dict[str, dict[int, dict[str, float]]], presses: str = "
     Args:
         curves: Mean and interval by name and number of presses.
         presses: Heading of the first column.
+
+    Returns:
+        The table as text, with a row for each curve.
     """
     counts = list(next(iter(curves.values())))
     rows = ([label, *(cell(by_count[n]) for n in counts)] for label, by_count in curves.items())

@@ -39,6 +39,9 @@ def rows_over(path: str, head: Sequence[str], *cells: Cell, kept: bool = False, 
         *cells: Functions that make the cells of a row after its name.
         kept: Whether to mark the name of the method that was kept.
         hidden: Words in the names of entries that are not shown.
+
+    Returns:
+        A function that formats the metrics as a Markdown table.
     """
 
     def render(measured: Measured) -> str:

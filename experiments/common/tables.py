@@ -39,6 +39,9 @@ def text_table(head: Sequence[str], rows: Iterable[Sequence[str]], indent: str =
         head: Names of the columns.
         rows: Cells of each row.
         indent: Prefix of every line.
+
+    Returns:
+        The lines of the table, joined by newlines.
     """
     lines = [[printable(cell) for cell in line] for line in (head, *rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
@@ -52,6 +55,9 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     Args:
         head: Names of the columns.
         rows: Cells of each row.
+
+    Returns:
+        The lines of the table, joined by newlines.
     """
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -14,7 +14,7 @@ class FidelityArgs(RunOptions):
 
     dataset: tuple[Path, ...]  # data sets, sessions of eFlesh, or tables; pass all sessions of one skin
     out: Path = Path("runs/fidelity")  # folder of report.txt, figures, metrics.json and config.json
-    preset: Literal["paper", "short", "debug"] = "paper"
+    preset: Literal["paper", "short", "debug"] = "paper"  # size of the experiment; debug runs every part once
 
     def check(self) -> None:
         """Refuse a missing recording."""

@@ -143,7 +143,9 @@ def _across(
     )
     past = np.random.default_rng(seed).permutation(len(before.load))[: preset.forward_rows]
     scores = {
-        "as it is": explained_share(now.readings[test], simple_gp(both, past, len(before.load) + test)),
+        "predicted from the other session": explained_share(
+            now.readings[test], simple_gp(both, past, len(before.load) + test)
+        ),
         SIMPLE_GP: explained_share(now.readings[test], simple_gp(now, own, test)),
     }
     section.numbers["r2"][f"{source.name} -> {target.name}"] = scores

@@ -31,6 +31,9 @@ def one_tip(recording: SkinRecording) -> None:
 def load_of(recording: SkinRecording) -> tuple[LoadName, np.ndarray]:
     """Choose the load of a recording: its travel if it varies and most rows have it, else its force, else none.
 
+    Args:
+        recording: A recording of one skin.
+
     Returns:
         The name of the load, and its values `(n,)` in metres or newtons, which are zero if there is none.
     """

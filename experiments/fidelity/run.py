@@ -44,12 +44,12 @@ def run(args: FidelityArgs) -> dict[str, Any]:
         chapters[recording.name] = [_printed(section) for section in sections_of(recording, preset, args.seed)]
     if len(recordings) > 1:
         work = partial(curves.across_sessions, recordings, preset, args.seed)
-        chapters["Across sessions"] = [_printed(written("What one session says of another", work))]
+        chapters["Across sessions"] = [_printed(written("Predictions across sessions", work))]
     of_path = {path: recording.name for (path, _), recording in zip(read, recordings, strict=True)}
     for path, name in of_path.items():
         if is_dataset(path):
             work = partial(causes.cause_section, path, preset, args.seed)
-            chapters[name].append(_printed(written("What may keep a predictor from learning", work)))
+            chapters[name].append(_printed(written("Possible causes of a poor predictor", work)))
     metrics = {
         "source": sorted({recording.source for recording in recordings}),
         "seed": args.seed,
@@ -106,7 +106,7 @@ def _recordings(paths: Sequence[Path]) -> list[tuple[Path, SkinRecording]]:
 def sections_of(recording: SkinRecording, preset: FidelityPreset, seed: int) -> Iterator[Section]:
     """Yield the sections of the report on one recording."""
     findings: list[Finding] = []
-    about = written("What it is", partial(describe.describe, recording))
+    about = written("Overview", partial(describe.describe, recording))
     checks = written("Checks", lambda section: describe.check(recording, section, findings))
     if findings:  # they repeat the findings that `i2t.convert` put into the notes
         about.sentences = [sentence for sentence in about.sentences if not sentence.startswith("found in ")]

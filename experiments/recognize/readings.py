@@ -55,7 +55,7 @@ from i2t.recognition import metrics
 from i2t.recognition.calibrated import calibrated_beliefs
 from i2t.recognition.metrics import to_json
 
-CALIBRATED_BELIEF, NOVELTY = "calibrated belief", "distance from what was taught"
+CALIBRATED_BELIEF, NOVELTY = "calibrated belief", "distance to the training readings"
 
 
 class Group(NamedTuple):

@@ -77,7 +77,7 @@ class ReconstructArgs(RunOptions):
     """Reconstruct unknown objects from simulated touches, or an object from recorded ones, with uncertainty bands."""
 
     out: Path = Path("runs/reconstruct")  # output folder
-    preset: Literal["paper", "debug"] = "paper"
+    preset: Literal["paper", "debug"] = "paper"  # size of the experiment; debug runs every part once
     objects: Path | None = None  # folder of closed meshes for library and test, instead of random objects
     unit: UnitName | None = None  # unit of the lengths in --objects
     across_mm: tuple[float, float] | None = None  # range of largest edges to which --objects are scaled at random
@@ -145,5 +145,5 @@ class PatchArgs(RunOptions):
     """Infer the patch below single presses, and score the estimate and its stated uncertainty."""
 
     out: Path = Path("runs/reconstruct_patch")  # output folder
-    preset: Literal["paper", "short", "debug"] = "paper"
+    preset: Literal["paper", "short", "debug"] = "paper"  # size of the experiment; debug runs every part once
     exact: bool = False  # presses without noise, slant or other error, which leaves the limits of the pad itself

@@ -41,7 +41,7 @@ from i2t.skin.contact import CELL_GRID
 from i2t.types import Array
 from i2t.viz import style
 
-PRIOR, FIRST_STOP, CURVE = "prior", "by imagination, 25 uT", "by imagination, press curve"
+PRIOR, FIRST_STOP, CURVE = "prior", "one stop at 25 uT", "press curve"
 FITTED = f"{CURVE}, fitted pad"
 COLUMNS = {
     "mask_iou": "mask IoU", "mask_skill": "skill", "contact_iou": "contact IoU", "centre_mm_median": "centre mm",
@@ -101,7 +101,7 @@ def run(args: PatchArgs) -> dict[str, Any]:
         "touches": len(clusters[0]),
         "methods": reported(np.ones_like(listed))["methods"],
         "sources": {
-            name: reported(rows) for name, rows in (("catalogue", listed), ("drawn at random", ~listed)) if rows.any()
+            name: reported(rows) for name, rows in (("catalogue", listed), ("random shapes", ~listed)) if rows.any()
         },
     }
     write_json(args.out / "metrics.json", report)

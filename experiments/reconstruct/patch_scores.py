@@ -116,7 +116,7 @@ def report_of(
     chosen_prior: Mapping[str, Any],
     clusters: Sequence[np.ndarray],
 ) -> dict[str, list[float]]:
-    """Means and quantiles over touches, with intervals over objects and pads.
+    """Compute means and quantiles over touches, with intervals over objects and pads.
 
     Args:
         scores: Scores of a method at every touch.
@@ -124,6 +124,9 @@ def report_of(
         chosen: Indices of the method's mask thresholds.
         chosen_prior: Indices of the prior's mask thresholds.
         clusters: Object and pad of each touch.
+
+    Returns:
+        Value, lower end and upper end of each score's 95 % interval, by name of the score.
     """
     mask, mask_prior = scores["mask"][:, chosen["mask"]], prior["mask"][:, chosen_prior["mask"]]
 

@@ -3,7 +3,7 @@
 from experiments.common.cells import Measured
 from experiments.common.tables import cell, markdown
 
-SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "in the 90 % band": "0.88 to 0.92"}
+SURFACE_GOALS = {"5 touches": "0.45", "20 touches": "0.28", "IoU": "0.75", "90 % coverage": "0.88 to 0.92"}
 
 
 def reconstructions(measured: Measured) -> str:
@@ -31,19 +31,19 @@ def _main_columns(head: list[str], rows: list[list[str]]) -> str:
 
 def savings(measured: Measured) -> str:
     """Reduction of the distance relative to poses alone on the same objects, with the better choice of shapes."""
-    return _by_touches("nearer than by the better poses alone, by", measured["less_than_pose"])
+    return _by_touches("distance saved relative to the better pose-only condition", measured["less_than_pose"])
 
 
 def policies(measured: Measured) -> str:
     """Fraction of the gap between random sites and the oracle that each policy closes."""
-    return _by_touches("share of the oracle's gap", measured["share_of_oracles_gap"])
+    return _by_touches("closed share of the gap to the oracle", measured["share_of_oracles_gap"])
 
 
 def hidden(measured: Measured) -> str:
     """Distance of the surface hidden from the view, relative to its value after the view."""
     viewed = {name: results for name, results in measured["conditions"].items() if "view" in name}
     return _by_touches(
-        "hidden surface, left of the view's distance",
+        "distance to the hidden surface, relative to that after the view",
         {
             name: {count: scores["hidden_ratio"] for count, scores in results["after"].items() if count != "0"}
             for name, results in viewed.items()
@@ -81,4 +81,5 @@ def _surfaces(measured: Measured) -> tuple[list[str], list[list[str]]]:
         course = [_left(after[str(count)]) if str(count) in after else "" for count in counts]
         last = after[max(after, key=int)]
         rows.append([name, start, *course, *(cell(last[score][0], digits) for score, digits in final)])
-    return ["condition", "start, mm", *map(_touches, counts), "IoU", "F-score", "in the 90 % band", "band, mm"], rows
+    last_columns = ["IoU", "F-score", "90 % coverage", "90 % half-width, mm"]
+    return ["condition", "initial distance, mm", *map(_touches, counts), *last_columns], rows

@@ -82,7 +82,7 @@ class Reality(NamedTuple):
     fitted_skins: list[Callable[[], ExploringSkin]]  # the same, with pads fitted to presses of a ball
 
 
-class MetSurface(NamedTuple):
+class PadContact(NamedTuple):
     """First contact of a pad with an object."""
 
     advance: Array  # m, travel past the site
@@ -165,7 +165,7 @@ def make_reality(seed: int, split: ObjectSplit, sizes: ReconstructSizes) -> Real
 
 
 @jax.jit
-def _meet(key: Array, surface: Surface, T_w_o: Array, T_w_site: Array) -> MetSurface:
+def _meet(key: Array, surface: Surface, T_w_o: Array, T_w_site: Array) -> PadContact:
     """Approach a site along its z axis to first contact, with the errors of the arm."""
     key_arm, key_tilt = jax.random.split(key)
     moved = random_motion(key_arm, ERRORS.repeatability, 0.0) @ random_motion(key_tilt, 0.0, ERRORS.approach_angle)
@@ -175,7 +175,7 @@ def _meet(key: Array, surface: Surface, T_w_o: Array, T_w_site: Array) -> MetSur
         render_heights(surface, inverse(T_o_t), window, cells)
         for window, cells in ((PAD_WINDOW, GRID.cells), (PATCH_WINDOW, PERFECT_PATCH_SIZE))
     )
-    return MetSurface(distance, hit & jnp.isfinite(jnp.min(heights)), heights, patch)
+    return PadContact(distance, hit & jnp.isfinite(jnp.min(heights)), heights, patch)
 
 
 _press = jax.jit(partial(simulate_press_curve, errors=ERRORS, limits=PressLimits()))
@@ -243,14 +243,14 @@ class Session:
         return view_evidence(np.where(seen > WALL_M / 2, np.inf, seen), CAMERA, T_W_CAMERA)
 
 
-def reported_pose(site: Float[np.ndarray, "4 4"], contact: MetSurface) -> Float[np.ndarray, "4 4"]:
+def reported_pose(site: Float[np.ndarray, "4 4"], contact: PadContact) -> Float[np.ndarray, "4 4"]:
     """Pose of contact, or of the end of the path, as the arm reports it."""
     T_w_t = site.copy()
     T_w_t[:3, 3] += float(contact.advance) * site[:3, 2]
     return T_w_t
 
 
-def perfect_evidence(T_w_t: Float[np.ndarray, "4 4"], contact: MetSurface) -> SurfaceEvidence:
+def perfect_evidence(T_w_t: Float[np.ndarray, "4 4"], contact: PadContact) -> SurfaceEvidence:
     """Evidence of a touch that measures the whole patch in front of the pad, up to the patch's reach."""
     touch = contact_evidence(T_w_t, hit=bool(contact.hit), swept=APPROACH_M)
     at = ((np.arange(PERFECT_PATCH_SIZE) + 0.5) / PERFECT_PATCH_SIZE - 0.5) * PATCH_WINDOW

@@ -15,7 +15,7 @@ class ShapesArgs(ResumableOptions):
     """Classify stamps by touch, at new positions, travels and rotations and on new skins."""
 
     out: Path = Path("runs/shapes")  # folder for the results
-    preset: Literal["paper", "debug"] = "paper"
+    preset: Literal["paper", "debug"] = "paper"  # size of the experiment; debug runs every part once
     dataset: Path | None = None  # recorded presses instead of simulated ones; its objects are the shapes
     readings: Path | None = None  # table of labelled readings instead (.csv or .csv.gz), with one row per touch
     label: str | None = None  # with --readings: column of the label

@@ -2,7 +2,7 @@
 
   paper's classifier             15 readings, then layers of 500, 10 and 5 units (`i2t.paper.classifier`)
   classifier with pose           a network of the same kind and tuned size, with position, rotation and force as inputs
-  imagined touch                 the stamp whose predicted reading, on a skin fitted to the training presses, is most
+  predicted touch                the stamp whose predicted reading, on a skin fitted to the training presses, is most
                                  likely at the measured pose and force (`experiments.shapes.pad`)
 
 The first uses readings only, and the other two have the same additional inputs. Minibatches are drawn with replacement,
@@ -28,8 +28,8 @@ from i2t.paper.classifier import Classifier, Layers
 from i2t.skin.elasticity import GRID, Grid
 from i2t.types import Board, ReturnCode
 
-PAPER, POSED, IMAGINED = "paper's classifier", "classifier with pose", "imagined touch"
-METHODS = (PAPER, POSED, IMAGINED)
+PAPER, POSED, PREDICTED = "paper's classifier", "classifier with pose", "predicted touch"
+METHODS = (PAPER, POSED, PREDICTED)
 SPLITS = ("random", "location", "travel", "angle")
 FOLDS = 5
 

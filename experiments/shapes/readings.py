@@ -50,10 +50,11 @@ from i2t.recognition.metrics import calibration_error, confidence, confusion, hi
 from i2t.viz.style import Colour, Picture
 
 TREES = 500  # of the ensemble "extra trees"
-AMBIENT, RECORDED = "median over time alone", "as recorded"
-AT_REST, REST_PAIRS = "control: at rest, less the median", "control: at rest, less others at rest"
+AMBIENT, RECORDED = "median over time only", "raw readings"
+AT_REST = "control: samples at rest, median subtracted"
+REST_PAIRS = "control: samples at rest, mean of others at rest subtracted"
 WARPED, PATH = "time-warped strokes", "time-warped paths in a plane"
-BETTER_BY = f"{WARPED} better by"
+LEAD = f"lead of {WARPED}"
 SATURATIONS = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0)
 PENALTIES = (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0)
 
@@ -146,7 +147,7 @@ def make_part(data: StrokeTable, training: np.ndarray, cfg: Methods, seed: int) 
         for name, prediction in predictions.items():
             if name != WARPED:
                 gain = mean_interval(ours - right(prediction.p, truth), [truth])
-                scores[name][BETTER_BY] = list(to_json(gain).values())
+                scores[name][LEAD] = list(to_json(gain).values())
     return {"methods": scores, **part}
 
 
@@ -175,7 +176,7 @@ def baselines(data: StrokeTable, cfg: Methods, seed: int) -> dict[str, Fit]:
     inputs = {RECORDED: data.reading}
     fits: dict[str, Fit] = {}
     if data.reading.shape[1] > 1:
-        inputs["less ambient"] = strokes.less_ambient(data.reading)
+        inputs["ambient subtracted"] = strokes.less_ambient(data.reading)
         fits[AMBIENT] = of_model(models["extra trees"], around)
         quiet = strokes.quietest(data.reading)
         controls = quiet - around[:, None], quiet[:, ::2] - quiet[:, 1::2].mean(1, keepdims=True)
@@ -285,11 +286,11 @@ def report(result: Mapping[str, Any]) -> None:
                 cell(scores["accuracy"], ends=2),
                 cell(scores["log_loss"], ends=2),
                 f"{scores['calibration']['error']:.3f} ({scores['calibration']['chance']:.3f} by chance)",
-                cell(scores.get(BETTER_BY), 2, signed=True),
+                cell(scores.get(LEAD), 2, signed=True),
             ]
             for name, scores in part["methods"].items()
         ]
-        print(text_table(["method", "accuracy", "log loss", "calibration error", BETTER_BY], rows))
+        print(text_table(["method", "accuracy", "log loss", "calibration error", LEAD], rows))
         for name, scores in part["methods"].items():
             if scores["settings"]:
                 print(f"{name}: chosen " + ", ".join(f"{key} {value:g}" for key, value in scores["settings"].items()))

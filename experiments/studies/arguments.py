@@ -24,7 +24,7 @@ class StudyArgs(ResumableOptions):
     out: Path | None = None  # output folder; default: runs/STUDY
     pad_model: Path = Path("runs/train")  # folder of one run of experiments.train, or of several pads and seeds
     pads: tuple[str, ...] = ()  # numbers of the pads to use; default: all
-    preset: Literal["paper", "debug"] = "paper"
+    preset: Literal["paper", "debug"] = "paper"  # size of the experiment; debug runs every part once
     episodes: Count = 20  # episodes per object and setting, for each pad and seed
 
     @property

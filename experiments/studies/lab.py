@@ -116,6 +116,9 @@ class StudyLab:
             label: Title of the progress bar.
             surfaces: Objects of the simulation.
             world: Differences from the lab.
+
+        Returns:
+            The episodes, with the observations of every touch.
         """
         pad, errors, limits = (
             world.pad or self.run.pad,

@@ -24,7 +24,7 @@ from i2t.simulation.touches import SimulationErrors
 from i2t.types import Surface
 
 KINDS = ("fused", "readings")
-DEBUG_WORLDS = ("matched", "chip remembers twice as much", "meshes 3 % larger")
+DEBUG_WORLDS = ("matched", "twice the hysteresis", "meshes 3 % larger")
 
 
 def placed(errors: SimulationErrors, factor: float) -> SimulationErrors:
@@ -53,8 +53,8 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
     errors, limits = lab.cfg.errors, lab.cfg.limits
     all_worlds = {
         "matched": StudyWorld(),
-        "chip remembers twice as much": StudyWorld(errors=faulty(errors, hysteresis=0.6)),
-        "ambient once, before the episode": StudyWorld(errors=faulty(errors, ambient_every=0)),
+        "twice the hysteresis": StudyWorld(errors=faulty(errors, hysteresis=0.6)),
+        "ambient measured only before the episode": StudyWorld(errors=faulty(errors, ambient_every=0)),
         "arm twice as stiff": StudyWorld(limits=replace(limits, stiffness=2 * limits.stiffness)),
         "arm half as stiff": StudyWorld(limits=replace(limits, stiffness=0.5 * limits.stiffness)),
         **{
@@ -63,7 +63,7 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
             )
             for percent in (-3, -1, 1, 3)
         },
-        "camera biased by 1 mm and degree": StudyWorld(mesh=_shifted),
+        "camera biased by 1 mm and 1 degree": StudyWorld(mesh=_shifted),
     }
     return {name: world for name, world in all_worlds.items() if name in DEBUG_WORLDS or not lab.size.debug}
 

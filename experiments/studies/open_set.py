@@ -120,7 +120,9 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     last = p_unknown[:, -1]
     error = metrics.calibration_error(np.maximum(last, 1 - last), (last > 0.5) == unknown, 10)
     shown = [[str(t), estimate_at(area, t - 1)] for t in sorted({min(t, len(area.mean)) for t in (1, 3, 5, 10)})]
-    head = ["share of unknown objects", "known objects named right", "unknown objects called unknown"]
+    head = [
+        "prior share of unknown objects", "known objects identified correctly", "unknown objects reported as unknown",
+    ]  # fmt: skip
     tables = {
         "auroc": make_table(["touches", "AUROC of the unknown class [95 %]"], shown),
         "accuracy": make_table(head, rows),

@@ -37,7 +37,7 @@ WITHOUT = "position and presence"  # evidence of a belief without readings
 KINDS = ("fused", "readings")
 MATCHED = "bonded layer"
 TWO_LAYERS = "soft layer on a stiff one"
-ALL = "as many as the run"
+ALL = "all"  # as many as the run has
 ELSEWHERE = "none"  # no touches of its own: the pad model is that of the matched physics
 ORACLE = "oracle"
 
@@ -55,7 +55,7 @@ def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
         "softer layer": StudyWorld(pad=pad._replace(young=0.8 * pad.young, poisson=jnp.float32(0.4))),
         TWO_LAYERS: StudyWorld(law=partial(layered_skin.press_law, layers=((0.5, 0.5), (0.5, 2.0)))),
         "worn pad": StudyWorld(pad=worn, errors=faulty(errors, relaxation=0.15)),
-        "skin remounted by 0.5 mm": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
+        "skin remounted 0.5 mm off": StudyWorld(pad=pad._replace(board=Board(chips, pad.board.rotations))),
     }
     return {name: world for name, world in physics.items() if name in (MATCHED, TWO_LAYERS) or not lab.size.debug}
 
@@ -185,9 +185,9 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
             rows.append([name, kind, touches, mean, lost, float(loss.mean()), gained])
             inflations[f"{name}, {kind}, {touches}"] = judged.inflation
     head = [
-        "physics", "evidence", "own touches", Column("mean over touches [95 %]", 2),
-        Column(f"minus {MATCHED}", 2, signed=True), Column("log loss", 2),
-        Column("log loss minus that without readings", 2, signed=True),
+        "physics", "evidence", "touches of this skin", Column("mean over touches [95 %]", 2),
+        Column(f"difference from {MATCHED}", 2, signed=True), Column("log loss", 2),
+        Column("log loss, difference from that without readings", 2, signed=True),
     ]  # fmt: skip
     layers, tables = np.concatenate([part["layers"] for part in parts]), {"methods": make_table(head, rows)}
     calls = np.stack([part["calls"] for part in parts], axis=1)  # (physics, parts, values)

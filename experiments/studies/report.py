@@ -27,6 +27,9 @@ def make_table(columns: Sequence[Any], rows: Sequence[Sequence[Any]]) -> dict[st
     Args:
         columns: Columns, or their headings alone.
         rows: Cells that are text, numbers, or means with their intervals (`Estimate`, or the dict of its JSON).
+
+    Returns:
+        A dict with the descriptions of the columns and the cells of the rows.
     """
     described = [column if isinstance(column, Column) else Column(column) for column in columns]
     return {
@@ -88,8 +91,8 @@ def report_settings(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any
         rows.append([setting, evidence, estimate_at(accuracy, -1), lost.last, mean, lost.mean, log_loss])
     touches, reference = p.shape[1], rows[0][0]
     head = [
-        "setting", "evidence", Column(f"after {touches} [95 %]"), Column(f"minus {reference}", signed=True),
-        Column(f"mean of 1 to {touches} [95 %]"), Column(f"minus {reference}", signed=True),
+        "setting", "evidence", Column(f"after {touches} [95 %]"), Column(f"difference from {reference}", signed=True),
+        Column(f"mean over 1 to {touches} touches [95 %]"), Column(f"difference from {reference}", signed=True),
         Column("log loss", decimals=2),
     ]  # fmt: skip
     return {"episodes": len(truth), "tables": {"methods": make_table(head, rows)}}

@@ -23,8 +23,8 @@ from i2t.recognition import calibrated, metrics
 from i2t.recognition.episodes import run_belief
 from i2t.recognition.metrics import to_json
 
-LARGEST = "twice as far"
-PLACEMENTS = {"as stated": 1.0, "half as far": 0.5, LARGEST: 2.0}  # factors of the stated errors of placement
+LARGEST = "twice as large"
+PLACEMENTS = {"as stated": 1.0, "half as large": 0.5, LARGEST: 2.0}  # factors of the stated errors of placement
 KINDS = ("fused", "position")
 # Constants of the likelihood, with values around the default that are compared on validation objects.
 CONSTANTS = {
@@ -87,7 +87,7 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     validation, test = (pool_parts([part[name] for part in parts]) for name in SETS)
     clusters = clusters_of([part["test"] for part in parts], pads)
     temperatures = {}
-    for label, names in (("all placements", list(PLACEMENTS)), ("the largest", [LARGEST])):
+    for label, names in (("all placement errors", list(PLACEMENTS)), ("the largest", [LARGEST])):
         beliefs = np.concatenate([validation[f"fused, {name}"] for name in names]).astype(np.float64)
         temperatures[label] = calibrated.fit_temperature(beliefs, np.tile(validation["truth"], len(names)))
     rows = []
@@ -98,10 +98,10 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
             stops = [metrics.stopping(p, test["truth"], requested, clusters=clusters) for p in scaled]
             cells = [cell for stop in stops for cell in (stop.stopped, stop.stopped_error, stop.touches)]
             rows.append([name, f"{requested:.0%}", *cells])
-    head: list[Any] = ["placement", "asked error"]
+    head: list[Any] = ["placement errors", "requested error"]
     for label in temperatures:
         head += [
-            Column(f"{label}: stop early", 0, percent=True), Column("of these err", 1, percent=True),
+            Column(f"fitted to {label}: stopped early", 0, percent=True), Column("wrong when stopped", 1, percent=True),
             Column("touches", 1),
         ]  # fmt: skip
     groups = clusters_of([part["validation"] for part in parts], pads), clusters
@@ -116,6 +116,6 @@ def report(parts: Sequence[Part], pads: Sequence[str]) -> dict[str, Any]:
     tables = {
         "errors": make_table(head, rows),
         "constants": _constants(validation),
-        "hardness": make_table(["objects", "placement", *columns], hardness),
+        "hardness": make_table(["objects", "placement errors", *columns], hardness),
     }
     return {"episodes": len(test["truth"]), "temperatures": to_json(temperatures), "tables": tables}

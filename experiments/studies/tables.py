@@ -8,11 +8,14 @@ from experiments.common.tables import cell, markdown
 
 
 def study_table(name: str, hidden: Sequence[str] = ()) -> Table:
-    """Formatter of one table of a study's metrics (`experiments.studies.report.make_table`).
+    """Make the formatter of one table of a study's metrics (`experiments.studies.report.make_table`).
 
     Args:
         name: Name of the table.
         hidden: Words; rows whose first cell contains one are omitted.
+
+    Returns:
+        A function that formats the table of the metrics in Markdown.
     """
 
     def render(measured: Measured) -> str:

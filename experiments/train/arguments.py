@@ -17,7 +17,7 @@ class TrainArgs(ResumableOptions):
     """Train touch predictors, and score them on objects or places that were not used for training."""
 
     out: Path = Path("runs/train")  # folder for the results
-    preset: Literal["paper", "debug", "study"] = "paper"
+    preset: Literal["paper", "debug", "study"] = "paper"  # size: study has six pads, debug a few touches
     dataset: Path | None = None  # data set to train on instead of simulated touches
     skin_name: str | None = None  # with --dataset: skin to train on, if each touch has readings of several
     objects: tuple[Path, ...] = ()  # with --dataset: mesh files of objects outside the catalogue, for the pad model

@@ -33,7 +33,7 @@ class _TrainingPresses(NamedTuple):
 def position_readings(
     dataset: Dataset, split: Split, seed: int, *, max_calibration_presses: int = 1000
 ) -> dict[str, Reading]:
-    """Predict readings with a plain Gaussian process and with `i2t.calibrate`, for recordings of one tip.
+    """Predict readings with a tuned Gaussian process and with `i2t.calibrate`, for recordings of one tip.
 
     Args:
         dataset: The touches, with the corrections of `corrected_dataset`.

@@ -20,7 +20,7 @@ paper's network on contact masks or depths (paper-mask, paper-depth), in a study
 method on the validation touches is selected as the predictor, even if it is a baseline. A study also uses touches of
 four more objects for the selection, and reports the best method over its pads. If a model on predicted contact pressure
 loses to a baseline, `experiments.fidelity` tests likely causes. For a recording of one tip, results also include a
-plain Gaussian process and `i2t.calibrate`, which use the tip's position. The row "ceiling" shows the result of the same
+tuned Gaussian process and `i2t.calibrate`, which use the tip's position. The row "ceiling" shows the result of the same
 model without errors of camera and arm. A pad model for `experiments.recognize` is fitted to the touches of the training
 objects. With --dataset it needs the objects' meshes, and --rig gives the covariance of their poses. Results go to
 --out: metrics.json, config.json, figures, the data (data.h5), checkpoint/ for `i2t.load_predictor`, and pad_model.npz

@@ -14,7 +14,7 @@ class TsneArgs(RunOptions):
     """Map and cluster touches, and measure how far views and readings agree."""
 
     out: Path = Path("runs/tsne")  # folder for the results
-    preset: Literal["paper", "debug"] = "paper"
+    preset: Literal["paper", "debug"] = "paper"  # size of the experiment; debug runs every part once
     dataset: Path | None = None  # recorded touches instead of simulated ones
     kind: Literal["mask", "depth"] = "mask"  # view of a touch: contact mask or depth patch
 

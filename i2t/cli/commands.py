@@ -110,10 +110,10 @@ def _list(everything: bool) -> None:
     )
     print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(library)}")
     if (Path(__file__).parents[2] / "experiments").is_dir():
-        print(f"\nin the folder of the checkout:\n\n{_table(experiments)}")
+        print(f"\nin a checkout of the repository:\n\n{_table(experiments)}")
     print("\nEach has its own --help. Try python -m i2t.imagine first, then i2t.collect, which can simulate the lab.")
     if not everything:
-        print(f"--all lists all {len(COMMANDS) + len(EXPERIMENTS)}, --versions prints what a report of a fault needs.")
+        print(f"--all lists all {len(COMMANDS) + len(EXPERIMENTS)}, --versions lists the versions for a bug report.")
 
 
 def _table(commands: dict[str, str]) -> str:

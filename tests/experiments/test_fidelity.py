@@ -22,7 +22,7 @@ from i2t.recordings.read import SkinRecording, from_dataset
 FEW = HeadBudget(selection_rows=40, known_rows=60, rows=80)
 TINY = FidelityPreset(counts=(5,), draws=1, test_rows=15, forward_rows=40, heads=FEW)
 SKIN = presses_of_a_skin(90)
-PARTS = ("What it is", "Checks", "Noise and drift", "Hysteresis and creep", "Repeatability", "Calibration curves")
+PARTS = ("Overview", "Checks", "Noise and drift", "Hysteresis and creep", "Repeatability", "Calibration curves")
 
 
 def _targets(**changed):
@@ -132,8 +132,8 @@ def test_the_report_compares_sessions_and_is_kept_as_text(tmp_path, monkeypatch,
     r2 = metrics["recordings"]["mine <b>"]["Calibration curves"]["r2"]
     assert {"random presses", "later in time"} <= set(r2)
     assert set(r2["random presses"]) == {*BASELINES, CALIBRATED}
-    across = metrics["recordings"]["Across sessions"]["What one session says of another"]["r2"]
-    assert across["mine <b> -> other"]["as it is"] > 0.9  # they are the same presses
+    across = metrics["recordings"]["Across sessions"]["Predictions across sessions"]["r2"]
+    assert across["mine <b> -> other"]["predicted from the other session"] > 0.9  # they are the same presses
     capsys.readouterr()
     assert fidelity.main(args) not in (0, None)
     assert "finished run" in capsys.readouterr().err
@@ -252,7 +252,7 @@ def test_a_90_percent_range_is_too_wide_only_beyond_chance(inside, rows, too_wid
 def test_the_unit_is_predicted_from_the_steps(factor, unit):
     steps = np.tile([0.300 * 4, 0.300 * 4, 0.484 * 4], 5)
     big = presses_of_a_skin(400)
-    section = Section("What it is")
+    section = Section("Overview")
     values = np.round(big.readings / steps) * steps
     describe.describe(replace(big, readings=factor * values), section)
     if factor < 0.01:

@@ -134,7 +134,7 @@ def test_strokes_are_classified_by_their_path_and_not_by_the_ambient_field(table
         assert min(rate[readings.WARPED], rate[readings.PATH]) > 0.9
         assert rate[readings.AMBIENT] < 0.7
         assert rate[readings.REST_PAIRS] < 0.7
-        assert len(part["methods"][readings.AT_REST][readings.BETTER_BY]) == 3
+        assert len(part["methods"][readings.AT_REST][readings.LEAD]) == 3
         assert np.shape(part["mean_paths"]) == (3, 24, 2)
         assert np.sum(part["methods"][readings.WARPED]["confusion"]) == 15
     assert {path.name for path in (tmp_path / "run").glob("*.png")} == {"rates.png", "confusion.png", "paths.png"}

@@ -110,7 +110,7 @@ def test_designs_are_linear_readings_of_the_pad_itself():
     mean = pad.predict_reading(skin, phi)[np.arange(50), where.shape]
     left = np.sum((readings - mean)[40:] ** 2) / np.sum(readings[40:] ** 2)
     assert left < 0.25  # noise and tilt; a reading that is not explained leaves 1
-    log_p = benchmark.log_probability(methods.IMAGINED, train, np.arange(40, 50), 0)
+    log_p = benchmark.log_probability(methods.PREDICTED, train, np.arange(40, 50), 0)
     assert (log_p.argmax(1) == where.shape[40:]).mean() >= 0.7  # of ten; chance gives this with p < 0.001
 
 

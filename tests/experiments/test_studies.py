@@ -86,7 +86,7 @@ def test_settings_are_compared_with_the_first_and_counted_as_by_hand():
     usual, broken = table["rows"]
     assert (usual[0], usual[1], usual[2]["mean"], usual[3]["mean"]) == ("usual", "fused", 1.0, 0.0)
     assert (broken[0], broken[2]["mean"], broken[3]["mean"], broken[5]["mean"]) == ("broken", 0.5, -0.5, -0.5)
-    assert table["columns"][3] == {"name": "minus usual", "decimals": 3, "signed": True, "percent": False}
+    assert table["columns"][3] == {"name": "difference from usual", "decimals": 3, "signed": True, "percent": False}
     with pytest.raises(ValueError, match="'fused, usual' is missing in some"):
         report.report_settings([one, {name: one[name] for name in one if name != "fused, usual"}], ["0", "1"])
 
@@ -96,7 +96,7 @@ def test_each_world_differs_in_the_property_of_its_name():
     made = mismatch.worlds(lab)
     assert next(iter(made)) == "matched"
     assert made["arm twice as stiff"].limits.stiffness == 2 * lab.cfg.limits.stiffness
-    assert made["chip remembers twice as much"].errors.faults.hysteresis == 2 * lab.cfg.errors.faults.hysteresis
+    assert made["twice the hysteresis"].errors.faults.hysteresis == 2 * lab.cfg.errors.faults.hysteresis
     lab.size = StudySize(1, debug=True)
     assert set(mismatch.worlds(lab)) == set(mismatch.DEBUG_WORLDS)
 

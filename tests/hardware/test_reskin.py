@@ -131,7 +131,7 @@ while True:
 def test_a_port_read_by_another_program_is_not_reported_as_unplugged(tmp_path):
     link = tmp_path / "skin"  # of another name, as udev gives
     with run_board("--link", str(link)) as (port, _):
-        for lock, problem in (False, r"is read by \S+ \(process %d\) too"), (True, r"in use by \S+ \(process %d\)"):
+        for lock, problem in (False, r"is also read by \S+ \(process %d\)"), (True, r"in use by \S+ \(process %d\)"):
             with reader_of(port, lock) as other, pytest.raises(DeviceError, match=problem % other):
                 ReSkin(str(link)).connect()
         with ReSkin(port) as skin:

@@ -181,7 +181,7 @@ def test_blocks_are_held_out_of_presses_and_strokes_of_a_stream():
         ("travel", {"readings": np.ones((300, 15))}, "no channel changes"),
         ("colour", {}, "not a target of a head"),
         ("force", {}, "has no known force"),
-        ("travel", {"travel": np.full((300, 1), 2e-3)}, "has only one travel"),
+        ("travel", {"travel": np.full((300, 1), 2e-3)}, "has only one value of travel"),
         ("travel", {"travel": np.r_[np.arange(10.0), np.full(290, np.nan)][:, None]}, "20 are needed"),
         ("contact", {"contact": np.ones((300, 1))}, "not a target of a head"),
     ],

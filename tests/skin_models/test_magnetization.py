@@ -163,5 +163,5 @@ def test_tips_are_parsed_from_shape_and_radius():
         "sphere:4mm",
         "sphere:0.004",
     ):
-        with pytest.raises(ValueError, match=f'"{wrong}" is no tip'):
+        with pytest.raises(ValueError, match=f'"{wrong}" is not a tip'):
             parse_tip(wrong)

@@ -156,7 +156,8 @@ def test_presses_that_a_skin_needs_are_a_table_with_intervals_over_blocks():
         "inside_90": {"blocks of 6 mm": {CALIBRATED: _curve(0.9, 0.91, 0.92)}},
     }  # fmt: skip
     head, _, *rows = TABLES["calibrate"]["whole blocks"](shortened("calibrate", measured)).splitlines()
-    assert head == "| real, 80 presses in whole blocks [95 % over 7 blocks] | 5 | 20 | 100 |"
+    title = "R² on 80 held-out presses in whole blocks, real [95 % over 7 blocks]"
+    assert head == f"| {title} | 5 presses | 20 presses | 100 presses |"
     assert rows[0] == f"| {NEIGHBOURS} | 0.100 | 0.200 | 0.300 |"
     assert rows[2].startswith(f"| `{CALIBRATED}` | 0.400 [0.300, 0.500] |")
     assert "| +0.200 [+0.100, +0.300] |" in rows[3]
@@ -167,7 +168,7 @@ def test_kinds_of_simulated_skins_are_rows_with_gains():
             "inside_90": _curve(0.84, 0.9, 0.92)}  # fmt: skip
     table = TABLES["calibrate_simulated"]["kinds of skin"]({"source": "simulated", "cases": {"weak, force": case}})
     assert table.splitlines()[-1].startswith("| weak, force | 0.40, +0.20 [+0.10, +0.30] |")
-    assert table.endswith("| 0.84-0.92 |")
+    assert table.endswith("| 0.84 to 0.92 |")
 
 
 def _session(shear=False):
@@ -176,7 +177,7 @@ def _session(shear=False):
     splits = dict.fromkeys(("random rows", "whole blocks or strokes", "later in time"), test)
     noise = {"xy_uT": 2.0, "z_uT": 4.0, "how": "rows in air", "simulator": {"xy_uT": 3.1, "z_uT": 4.6}}
     return {
-        "What it is": {"rows": 10, "known": {}},
+        "Overview": {"rows": 10, "known": {}},
         "Noise and drift": {"noise": noise, "drift": {"median_uT": 1.0, "largest_uT": 2.0, "simulator_uT": 4.0}},
         "Hysteresis and creep": {} if shear else {"hysteresis": {"loop_share": [0.1, 0.3], "left_share": [0.0]}},
         "Repeatability": {"repeat_std_uT": [3.0, 4.0], "r2_repeatability_limit": 0.9},
@@ -198,7 +199,8 @@ def test_a_report_on_recordings_is_kept_for_two_tables():
     assert heads[2].count("0.500 (0.95), 0.500 |") == 3
     sessions = TABLES["fidelity"]["sessions"](kept)
     assert (
-        "| hysteresis of a stroke, left after it | 0.200, 0.000 | 0.200, 0.000 | 0.200, 0.000 | - | 0, 0 |" in sessions
+        "| stroke hysteresis, remainder after the stroke | 0.200, 0.000 | 0.200, 0.000 | 0.200, 0.000 | - | 0, 0 |"
+        in sessions
     )
     assert "| 3.5, 0.900 |" in sessions
     assert "creep" not in sessions  # of none

@@ -83,6 +83,9 @@ def tests(page: Path, text: str) -> Iterator[PageProblem]:
 def printed_commands(text: str) -> list[tuple[int, list[str]]]:
     """Extract the commands of i2t from fenced blocks, indented lines and sentences of a page.
 
+    Args:
+        text: Text of the page.
+
     Returns:
         Line number of each command, and its words after `python -m`.
     """

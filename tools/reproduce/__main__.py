@@ -49,6 +49,9 @@ class ReproduceArgs:
 def run(args: ReproduceArgs) -> None:
     """Run the selected steps, then write the tables.
 
+    Args:
+        args: Options of the command.
+
     Raises:
         ValueError: A step is unknown, fails, or lacks data or a step that it uses.
     """

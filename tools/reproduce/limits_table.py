@@ -8,12 +8,12 @@ from i2t.hardware.limits import SAFETY
 
 
 def safety_limits() -> str:
-    """List every safety limit with its value and unit, what it protects, and the test that tries it."""
+    """List every safety limit with its value and unit, its purpose, and its test."""
     rows = []
     for limit in fields(SAFETY):
         value = f"{_number(getattr(SAFETY, limit.name))} {limit.metadata['unit']}"
         rows.append([f"`{limit.name}`", value, limit.metadata["protects"], f"`{limit.metadata['tried']}`"])
-    return markdown(["limit", "value", "what it protects", "how it was tried"], rows)
+    return markdown(["limit", "value", "purpose", "test"], rows)
 
 
 def _number(value: Any) -> str:

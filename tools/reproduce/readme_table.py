@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from experiments.common.cells import Measured, at
 from experiments.common.tables import cell, markdown
-from tools.reproduce.shape_tables import BETTER_BY
+from tools.reproduce.shape_tables import LEAD
 from tools.reproduce.skin_tables import r2_of
 
 GP = "Gaussian process on predicted contact pressure"
@@ -20,7 +20,7 @@ VOTES = {
 def summary(results: Mapping[str, Measured]) -> str:
     """Table with a row for each function of i2t and links to the sources of its numbers; `results` is by step."""
     rows = [*_skins(results), *_objects(results), *_others(results)]
-    table = markdown(["", "real data", "simulated", "falls short"], rows)
+    table = markdown(["task", "real data", "simulated", "limits"], rows)
     return re.sub(r"\b0(?=\.\d\d\b)", "", table)  # .94 in place of 0.94
 
 
@@ -73,7 +73,7 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
         for evidence in ("readings", "fused")
         for touches in ("none", "200")
     )
-    matched, both = (means["bonded layer", evidence, "as many as the run"] for evidence in ("readings", "fused"))
+    matched, both = (means["bonded layer", evidence, "all"] for evidence in ("readings", "fused"))
     return [
         [
             "the paper's recognition, mean of its five objects, chance .40",
@@ -85,9 +85,9 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "recognition by the belief, ten touches, chance .20",
             "not yet",
-            f"{cell(fused, 2)} on six pads; for objects like these {others}; from readings alone "
+            f"{cell(fused, 2)} on six pads; interval for similar objects {others}; from readings alone "
             f"{cell(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            f"skins with free sides / soft / of springs, mean over all touches: readings alone {readings} "
+            f"skins with free sides / a soft layer / springs, mean over all touches: readings alone {readings} "
             f"instead of {matched} without touches of that skin, {readings_own} with 200; fused {belief_none} instead "
             f"of {both} without, "
             f"{belief_own} with 200",
@@ -102,10 +102,10 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
     fitted_read, fitted_posed = _with_and_without_readings(results["reconstruct_fitted"])
     tip = heads["position"]["whole blocks or strokes"]["kept"]["median"]
     later = results["strokes"]["splits"]["in file order"]["methods"]
-    warped, at_rest = later["time-warped strokes"], later["control: at rest, less the median"]
+    warped, at_rest = later["time-warped strokes"], later["control: samples at rest, median subtracted"]
     best, with_ambient = (
         max((scores for name, scores in later.items() if name.endswith(kind)), key=lambda scores: scores["accuracy"][0])
-        for kind in ("less ambient", "as recorded")
+        for kind in ("ambient subtracted", "raw readings")
     )
     stamps = {name: cell(scores["total"][0], 2) for name, scores in results["shapes"]["splits"]["random"].items()}
     of_paper, with_pose = stamps["paper's classifier"], stamps["classifier with pose"]
@@ -113,13 +113,13 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "recognise shapes",
             f"digits drawn on one skin, later strokes, chance .10: {cell(warped['accuracy'], 2)}, best baseline "
-            f"{cell(best['accuracy'], 2)}, better by {cell(best[BETTER_BY], 2)} "
+            f"{cell(best['accuracy'], 2)}, lead {cell(best[LEAD], 2)} "
             "([shapes](docs/shapes.md#on-a-real-skin))",
-            f"stamps: {stamps['imagined touch']}, paper's classifier {of_paper}, a tuned one with pose and force "
-            f"{with_pose}",
-            "each digit is one recording, so the background field gives it away: with it, the best baseline reaches "
-            f"{cell(with_ambient['accuracy'][0], 2)}; from samples at rest, less the median, "
-            f"{cell(at_rest['accuracy'][0], 2)}",
+            f"stamps: predicted touch {stamps['predicted touch']}, paper's classifier {of_paper}, a tuned one with "
+            f"pose and force {with_pose}",
+            "each digit is one recording, so the ambient field identifies it: without subtracting that field, the best "
+            f"baseline reaches {cell(with_ambient['accuracy'][0], 2)}; samples at rest alone, with the median "
+            f"subtracted, reach {cell(at_rest['accuracy'][0], 2)}",
         ],
         [
             "patches from depth images",

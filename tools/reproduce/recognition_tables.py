@@ -25,8 +25,8 @@ def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
 
 
 METHOD_HEAD = (
-    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "for objects like these", "mean of 1 to 10 [95 %]",
-    "ECE", "log loss",
+    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "[95 %] for similar objects",
+    "mean over 1 to 10 touches [95 %]", "ECE", "log loss",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
     *(lambda scores, touch=touch: cell(at(scores["accuracy"], touch)["mean"], 2) for touch in (1, 3, 5)),
@@ -53,7 +53,7 @@ def paper_methods(measured: Measured) -> str:
 
     sets, means = measured["sets"], measured["mean of the sets"]
     rows = [
-        [f"{name}, the paper, one real skin", *(cell(published[column], 2) for column in (*sets, "mean"))]
+        [f"{name} (published: one real skin)", *(cell(published[column], 2) for column in (*sets, "mean"))]
         for name, published in (("Imagine2touch", PUBLISHED_I2T), ("proprioception", PUBLISHED_PROPRIOCEPTION))
     ]
     chances = [1 / len(entry["objects"]) for entry in sets.values()]
@@ -97,7 +97,8 @@ def paper_differences(measured: Measured, hidden: Sequence[str] = ()) -> str:
         brief = re.sub(r"paper's network and measured force, (\w+)", r"\1 and force", brief)
         brief = re.sub(f"same rules, |, {rule}", "", brief)
         rows.append([f"{brief} ({rule})", *cells, mean])
-    return markdown(["after 10 touches", *(f"{name} [95 %]; pads" for name in sets), "mean of five"], rows)
+    head = ["difference after 10 touches", *(f"{name} [95 %]; pads needed" for name in sets), "mean of the five [95 %]"]
+    return markdown(head, rows)
 
 
 def sets_of_the_paper(measured: Measured) -> str:
@@ -128,7 +129,7 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
 
 
 def physics_by_touches(evidence: str) -> Table:
-    """Table with a row for each physics and a column for each number of its own touches: mean accuracy over touches
+    """Table with a row for each physics and a column for each number of touches of the skin: mean accuracy over touches
     from one kind of evidence, and its difference from the matched physics.
     """
 
@@ -141,7 +142,7 @@ def physics_by_touches(evidence: str) -> Table:
             cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {lost}"
         columns = max(cells.values(), key=len)
         rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
-        return markdown([f"{evidence}, own touches", *columns], rows)
+        return markdown([f"{evidence}; touches of this skin", *columns], rows)
 
     return render
 
@@ -150,7 +151,7 @@ def policies(measured: Measured) -> str:
     """Accuracy of every policy after some touches, with intervals over pads."""
     curves = measured["accuracy"].items()
     rows = [[name, *(cell(curve[touch - 1], 2) for touch in (1, 4, 16))] for name, curve in curves]
-    return markdown(["policy", "after 1", "4", "16"], rows)
+    return markdown(["policy", "after 1 touch [95 %]", "after 4 [95 %]", "after 16 [95 %]"], rows)
 
 
 IN_FILE_ORDER = "in file order"  # the split that keeps errors of later touches out of training
@@ -168,27 +169,34 @@ def rules_of_readings(measured: Measured) -> str:
         others = random["methods"][name]["accuracy"]
         at_random = f"{cell(at(others, 1)['mean'], 2)}, {cell(at(others, -1)['mean'], 2)}"
         rows.append([name, *cells, cell(at(accuracy, -1), 2), *scores, at_random])
-    head = ["after 1", "after 3", "after 5", f"after {last} [95 %]", "log loss", "ECE (by chance)"]
-    return markdown(["rule", *head, f"split at random: after 1, {last}"], rows)
+    head = ["after 1", "after 3", "after 5", f"after {last} [95 %]", "log loss", "ECE (expected by chance)"]
+    return markdown(["rule", *head, f"random split: after 1, {last}"], rows)
 
 
-def doubts_about_readings(measured: Measured) -> str:
-    """Stopping and error rates of the belief and of the product, and detection of unknown objects by the belief and by
-    distance.
-    """
-    methods, belief = measured["splits"][IN_FILE_ORDER]["methods"], "calibrated belief"
-    rows = []
-    for pair in zip(methods[belief]["stopping"], methods["product"]["stopping"], strict=True):
-        cells = [
-            f"{percent(rates['stopped'], 0)} stop, {percent(rates['stopped_error'])} of these err" for rates in pair
+BELIEF, NOVELTY = "calibrated belief", "distance to the training readings"
+
+
+def stopping_on_readings(measured: Measured) -> str:
+    """Shares of episodes that the belief and the product stop early, and their error rates, by requested error."""
+    methods = measured["splits"][IN_FILE_ORDER]["methods"]
+    rules = BELIEF, "product"
+    rows = [
+        [
+            f"{100 * pair[0]['requested_error']:.0f} %",
+            *(text for rates in pair for text in (percent(rates["stopped"], 0), percent(rates["stopped_error"]))),
         ]
-        rows.append([f"stop at an error of {100 * pair[0]['requested_error']:.0f} %", *cells])
+        for pair in zip(*(methods[rule]["stopping"] for rule in rules), strict=True)
+    ]
+    head = [f"{rule}: {title} [95 %]" for rule in rules for title in ("stopped early", "wrong when stopped")]
+    return markdown(["requested error", *head], rows)
+
+
+def unknown_in_readings(measured: Measured) -> str:
+    """Detection of unknown objects by the belief and by the distance to the training readings."""
     unknown = measured["unknown"]
-    first, last = unknown["touches"][0], unknown["touches"][-1]
-    for name in (belief, "distance from what was taught"):
-        areas = ", ".join(cell(at(unknown[name], touch), 2) for touch in (1, -1))
-        rows.append([f"unknown objects, by {name}: AUROC after {first}, {last}", areas, ""])
-    return markdown(["what [95 %]", belief, "product"], rows)
+    touches = unknown["touches"][0], unknown["touches"][-1]
+    rows = [[name, *(cell(at(unknown[name], touch), 2) for touch in (1, -1))] for name in (BELIEF, NOVELTY)]
+    return markdown(["AUROC for unknown objects [95 %]", *(f"after {touch}" for touch in touches)], rows)
 
 
 STUDY_TABLES = {
@@ -207,9 +215,9 @@ TABLES: dict[str, dict[str, Table]] = {
         "sets of the paper": sets_of_the_paper,
     },
     "active_touch": {"policies": policies},
-    "grasps": {"rules": rules_of_readings, "doubts": doubts_about_readings},
+    "grasps": {"rules": rules_of_readings, "stopping": stopping_on_readings, "unknown": unknown_in_readings},
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
 }
-TABLES["mismatch"]["settings"] = settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "chip "))
+TABLES["mismatch"]["settings"] = settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "hysteresis"))
 TABLES["physics"] |= {evidence: physics_by_touches(evidence) for evidence in ("readings", "fused")}
 TABLES["stopping"]["errors"] = study_table("errors", hidden=("half",))

@@ -6,11 +6,11 @@ from experiments.reconstruct.tables import conditions, conditions_and_goals, hid
 
 PATCH_SCORES = (
     ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
-    ("centre_mm_median", "centre, median mm"), ("coverage_90", "90 % covers"), ("crps_mm", "CRPS, mm"),
-    ("crps_ratio", "CRPS / prior's"),
+    ("centre_mm_median", "median centre error, mm"), ("coverage_90", "90 % coverage"), ("crps_mm", "CRPS, mm"),
+    ("crps_ratio", "CRPS / CRPS of the prior"),
 )  # fmt: skip
 METHOD_TITLES = ("prior", "one stop", "press curve", "press curve, pad fitted to 300 presses")
-BETTER_BY = "time-warped strokes better by"  # score of all other methods on the same strokes
+LEAD = "lead of time-warped strokes"  # over each other method, on the same strokes
 
 
 def local_shapes(measured: Measured) -> str:
@@ -26,15 +26,15 @@ def local_shapes(measured: Measured) -> str:
         ]
         for name, scores, goal in zip(METHOD_TITLES, methods, ("", "0.65", "0.52", ""), strict=False)
     ]
-    edges = f"edge, degrees and mm ({measured['edges']} presses)"
-    return markdown(["method", *(title for _, title in shown), "its goal", edges], rows)
+    edges = f"median edge error, degrees and mm ({measured['edges']} presses)"
+    return markdown(["method", *(title for _, title in shown), "CRPS goal", edges], rows)
 
 
 def local_shapes_by_source(measured: Measured) -> str:
     """Scores of masks, with a row for each source of test objects."""
-    shown = (("mask_iou", "IoU", 0), ("mask_skill", "skill", 1))  # score, title, first method
+    shown = (("mask_iou", "mask IoU", 0), ("mask_skill", "mask skill", 1))  # score, title, first method
     titles = METHOD_TITLES[: len(measured["methods"])]
-    head = [f"{title}, {stop}" for _, title, first in shown for stop in titles[first:]]
+    head = [f"{title}: {stop}" for _, title, first in shown for stop in titles[first:]]
     rows = [
         [
             f"{source} ({result['objects']})",
@@ -50,10 +50,10 @@ def local_shapes_by_source(measured: Measured) -> str:
 
 
 def stamps(measured: Measured) -> str:
-    """Accuracy of stamp recognition by way of holding out, below the paper's."""
+    """Accuracy of stamp recognition by the way of holding out, below the published accuracy."""
     held_out = {
-        "random": "random fifths", "location": "squares of position", "travel": "fifths of travel",
-        "angle": "sectors of rotation",
+        "random": "random fifths", "location": "position, by squares", "travel": "travel, by fifths",
+        "angle": "rotation, by sectors",
     }  # fmt: skip
     goals = {"random": "0.92 (classifier); 0.95 (best)", "location": "0.85", "20": "0.85"}
     methods = list(measured["splits"]["random"])
@@ -71,10 +71,10 @@ def stamps(measured: Measured) -> str:
             goals.get(name, ""),
         ]
         for name, by_method in (totals | measured["new"]).items()
-        for title in [held_out.get(name, f"a new skin, {name} presses of each shape known")]
+        for title in [held_out.get(name, f"new skin, {name} training presses per shape")]
     ]
     head = [f"held out, {measured['source']}", *(f"{method} [95 %]" for method in methods), "goal"]
-    published = ["random fifths, the paper, one real skin", "0.92", *[""] * len(methods)]
+    published = ["random fifths (published: one real skin)", "0.92", *[""] * len(methods)]
     return markdown(head, [published, *rows])
 
 
@@ -87,14 +87,15 @@ def strokes(measured: Measured) -> str:
             cell(scores["accuracy"], 2),
             cell(scores["log_loss"][0], 2),
             f"{cell(scores['calibration']['error'])} ({cell(scores['calibration']['chance'])})",
-            cell(scores[BETTER_BY], 2, signed=True) if BETTER_BY in scores else "",
+            cell(scores[LEAD], 2, signed=True) if LEAD in scores else "",
             cell(drawn[name]["accuracy"], 2),
         ]
         for name, scores in order.items()
     ]
     goal = ["goal", "0.95", "", "0.030", "", ""]
     head = [
-        "method", "later strokes [95 %]", "log loss", "calibration error (by chance)", BETTER_BY, "at random [95 %]",
+        "method", "accuracy on later strokes [95 %]", "log loss", "calibration error (expected by chance)", LEAD,
+        "accuracy, random split [95 %]",
     ]  # fmt: skip
     return markdown(head, [*rows, goal])
 

@@ -1,6 +1,6 @@
 """Tables of predictors, of calibration from few presses, and of the fidelity of recordings."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -23,7 +23,7 @@ ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / si
 
 def predictors_on_recording(over: str) -> Table:
     """Table of every predictor's scores on a recording's held-out presses; intervals resample `over`."""
-    head = ("on one skin, {source}", f"R² [95 % over {over}]", "median over channels", "in the 90 % range")
+    head = ("method ({source}, one skin)", f"R² [95 % over {over}]", "R², median channel", "90 % coverage")
     cells: tuple[Cell, ...] = (partial(r2_of, 3), *numbers_of(["r2_median"], 3), *numbers_of(["coverage_90"]))
     return rows_over("methods", head, *cells, kept=True)
 
@@ -36,7 +36,11 @@ def choice_on_validation(measured: Measured) -> str:
     heading = f"{counts['touches']} validation touches of {objects}, {measured['source']}"
     best, baseline = choice["best"], choice["best_baseline"]
     lead = cell(choice["over_best_baseline"], 2, signed=True)
-    rows = [[f"best: {best}", cell(r2[best], 2)], [f"best baseline: {baseline}", cell(r2[baseline], 2)], ["lead", lead]]
+    rows = [
+        [f"best: {best}", cell(r2[best], 2)],
+        [f"best baseline: {baseline}", cell(r2[baseline], 2)],
+        ["lead over that baseline", lead],
+    ]
     return markdown([heading, "R² [95 % over pads]"], rows)
 
 
@@ -49,21 +53,25 @@ SESSIONS = {  # titles of eFlesh sessions by folder
     "20250416_200533_probe": "`shear`",
 }
 KEPT_SECTIONS = {
-    "What it is": ("rows", "channels"),
+    "Overview": ("rows", "channels"),
     "Noise and drift": ("noise", "drift"),
     "Hysteresis and creep": ("hysteresis", "creep", "hysteresis_of_chips"),
     "Repeatability": ("repeat_std_uT", "r2_repeatability_limit"),
     "Heads": ("heads",),
-    "What one session says of another": ("r2",),
+    "Predictions across sessions": ("r2",),
 }
 
 
 def press_counts(test: str, held_out: str) -> Table:
-    """Table of R² on one skin by the number of presses, with intervals over blocks for `i2t.calibrate` and its gain.
+    """Make the table of R² on one skin by the number of presses, with intervals over blocks for `i2t.calibrate` and its
+    gain.
 
     Args:
         test: Key in the metrics of the way of holding out.
         held_out: Description of the held-out presses for the heading.
+
+    Returns:
+        A function that formats the metrics as a Markdown table.
     """
 
     def render(measured: Measured) -> str:
@@ -73,12 +81,12 @@ def press_counts(test: str, held_out: str) -> Table:
         rows = [
             *([name, *(cell(curves[name][n]["mean"]) for n in counts)] for name in (NEIGHBOURS, PLAIN)),
             [f"`{CALIBRATED}`", *(cell(with_intervals["r2"][n]) for n in counts)],
-            [f"its gain on the {PLAIN}", *(cell(with_intervals["differences"][GAIN][n], signed=True) for n in counts)],
-            ["in its 90 % range", *(cell(inside[n]["mean"], 2) for n in counts)],
+            [f"gain over the {PLAIN}", *(cell(with_intervals["differences"][GAIN][n], signed=True) for n in counts)],
+            ["90 % coverage", *(cell(inside[n]["mean"], 2) for n in counts)],
         ]
         over = f"[95 % over {with_intervals['blocks']} blocks]"
-        head = f"{measured['source']}, {measured['held_out'][test]} {held_out} {over}"
-        return markdown([head, *counts], rows)
+        head = f"R² on {measured['held_out'][test]} held-out {held_out}, {measured['source']} {over}"
+        return markdown([head, *_presses(counts)], rows)
 
     return render
 
@@ -90,12 +98,12 @@ def kinds_of_skin(measured: Measured) -> str:
         r2, gains = case["r2"][CALIBRATED], case["differences"][GAIN]
         inside = [rate["mean"] for rate in case["inside_90"].values()]
         reached = (f"{cell(r2[n]['mean'], 2)}, {cell(gains[n], 2, signed=True)}" for n in counts)
-        rows.append([name, *reached, f"{min(inside):.2f}-{max(inside):.2f}"])
-    return markdown([measured["source"], *counts, "in its 90 % range"], rows)
+        rows.append([name, *reached, f"{min(inside):.2f} to {max(inside):.2f}"])
+    return markdown([f"skin and load, {measured['source']}", *_presses(counts), "90 % coverage"], rows)
 
 
 def ranges_of_pads(measured: Measured) -> str:
-    """Coverage of the true values by the intervals of fitted pads, by parameter, and R² of left-out presses."""
+    """Coverage of the true values by the intervals of fitted pads, by parameter, and R² on held-out presses."""
     titles = {"young": "Young's modulus", "poisson": "Poisson's ratio", "tip_scale": "tip radius"}
     by_load = measured["by_load"]
     counts = [part["inside"] | {"all": part["inside_all"]} for part in by_load.values()]
@@ -104,14 +112,19 @@ def ranges_of_pads(measured: Measured) -> str:
         [titles.get(name, name.replace("_", " ")), *(" of ".join(map(str, part.get(name, "-"))) for part in counts)]
         for name in (*names, "all")
     ]
-    for key, title in (("r2", "R² of presses left out, mean"), ("r2_places", "R² of places left out, mean")):
+    for key, title in (("r2", "mean R² on held-out presses"), ("r2_places", "mean R² at held-out places")):
         rows.append([title, *(cell(sum(part[key]) / len(part[key])) for part in by_load.values())])
-    return markdown([measured["source"], *(f"presses by {load}" for load in by_load)], rows)
+    return markdown([f"parameter, {measured['source']}", *(f"presses by {load}" for load in by_load)], rows)
 
 
 def _shown(curve: Mapping[str, Any]) -> list[str]:
     """Numbers of presses that a table shows."""
     return [count for count in ("5", "20", "100", "300") if count in curve]
+
+
+def _presses(counts: Sequence[str]) -> list[str]:
+    """Headings of the columns of numbers of presses."""
+    return [f"{count} presses" for count in counts]
 
 
 def sections_of_recordings(recordings: Measured) -> Measured:
@@ -153,25 +166,25 @@ def eflesh_sessions(measured: Measured) -> str:
         return cell(sum(x["share_per_decade"]) / x["holds"])
 
     quantities: list[tuple[str, Measured, Cell, Callable[[Any], str]]] = [
-        ("noise in x and y, z (µT)", at_rest, noise, lambda x: noise(x["simulator"])),
+        ("noise: x and y, z (µT)", at_rest, noise, lambda x: noise(x["simulator"])),
         ("drift: median channel, largest (µT)", drift, lambda x: f"{x['median_uT']:.1f}, {x['largest_uT']:.1f}",
          lambda _: "-"),
-        ("hysteresis of a stroke, left after it", strokes, stroke, lambda _: "0, 0"),
-        ("creep per tenfold time", creep, growth, lambda x: cell(x["simulator"])),
-        ("kept of the press before", chips, lambda x: cell(max(map(abs, x["by_chip"]))),
+        ("stroke hysteresis, remainder after the stroke", strokes, stroke, lambda _: "0, 0"),
+        ("creep per tenfold increase in time", creep, growth, lambda x: cell(x["simulator"])),
+        ("remainder of the previous press", chips, lambda x: cell(max(map(abs, x["by_chip"]))),
          lambda x: cell(x["simulator"])),
-        ("scatter of repeats (µT), largest R²", ends, spread, lambda _: "-"),
+        ("scatter of repeated presses (µT), largest possible R²", ends, spread, lambda _: "-"),
     ]  # fmt: skip
     rows = [
         [title, *(cell(values[name]) if name in values else "-" for name in SESSIONS), own(next(iter(values.values())))]
         for title, values, cell, own in quantities
         if values
     ]
-    return markdown(["real skins", *SESSIONS.values(), "simulator"], rows)
+    return markdown(["quantity, real skins", *SESSIONS.values(), "simulator"], rows)
 
 
 def eflesh_heads(measured: Measured) -> str:
-    """Errors of heads on eFlesh's sessions: the kept head, with the coverage of its 90 % range, and a baseline."""
+    """Errors of heads on eFlesh's sessions: the kept head, with its 90 % coverage, and a baseline."""
     splits, rows = ("random rows", "whole blocks or strokes", "later in time"), []
     units = {"position": "mm", "travel": "mm", "force": "N", "shear": "N"}
     heads = ("position", "travel"), ("force",), ("force",), ("shear",)  # by session
@@ -184,7 +197,7 @@ def eflesh_heads(measured: Measured) -> str:
                 for nearest in [test["baselines"]["k nearest readings"]]
             ]
             rows.append([f"{title}, {target} ({units[target]})", *cells])
-    return markdown(["real", *splits], rows)
+    return markdown(["session and target, real", *splits], rows)
 
 
 def predictors_by_object(measured: Measured) -> str:
@@ -194,14 +207,14 @@ def predictors_by_object(measured: Measured) -> str:
         [name, r2_over(scores), *(cell(by_method[name][0], 2) for by_method in objects.values())]
         for name, scores in measured["over_pads"].items()
     ]
-    return markdown(["simulated", "R² [95 % over pads]", *objects], rows)
+    return markdown(["method (simulated)", "R² [95 % over pads]", *objects], rows)
 
 
 TABLES: dict[str, dict[str, Table]] = {
     "train": {
         "predictors": rows_over(
             "methods",
-            ("on six unseen objects, {source}", "R² [95 % over sessions]", *ERROR_TITLES),
+            ("method ({source}, six unseen objects)", "R² [95 % over sessions]", *ERROR_TITLES),
             partial(r2_of, 2),
             *numbers_of(ERRORS),
         )
@@ -211,7 +224,7 @@ TABLES: dict[str, dict[str, Table]] = {
     "study": {
         "predictors": rows_over(
             "over_pads",
-            ("method", "R² [95 % over pads]", *ERROR_TITLES),
+            ("method ({source}, six unseen objects)", "R² [95 % over pads]", *ERROR_TITLES),
             r2_over,
             *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS),
         ),
@@ -220,7 +233,7 @@ TABLES: dict[str, dict[str, Table]] = {
     "train_registered": {"predictors": predictors_by_object, "choice": choice_on_validation},
     "train_camera": {"predictors": predictors_by_object},
     "second_world": {
-        "predictors": rows_over("methods", ("{source}, another physics", "R² [95 % over skins]"), r2_over),
+        "predictors": rows_over("methods", ("method ({source}, other physics)", "R² [95 % over skins]"), r2_over),
     },
     "calibrate": {
         "random presses": press_counts("random presses", "random presses"),

@@ -24,11 +24,14 @@ class Step(NamedTuple):
         return next((path for flag, path in pairwise(words) if flag in flags), None)
 
     def arguments(self, out: Path, resume: bool) -> list[str]:
-        """Arguments of `python`.
+        """List the arguments of `python`.
 
         Args:
             out: Folder of all steps.
             resume: Whether there is an unfinished run.
+
+        Returns:
+            Words of the command after `python`.
         """
         words = [*shlex.split(self.command), "--out", str(out / self.name)]
         if self.uses:

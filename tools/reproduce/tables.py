@@ -57,6 +57,9 @@ def table(docs: Path, step: str, name: str, page: str = "") -> str:
         name: Name of the table.
         page: Name of the page, for error messages.
 
+    Returns:
+        The table in Markdown.
+
     Raises:
         ValueError: The table is unknown, or the step has no results.
     """
@@ -78,6 +81,9 @@ def shortened(step: str, measured: Measured) -> Measured:
     Args:
         step: Name of the step.
         measured: Contents of its metrics.json.
+
+    Returns:
+        The kept metrics, with numbers rounded to six decimals.
     """
     if step in recognition.STUDY_TABLES:
         kept = ("source", "pads", "runs", "episodes", "touches", "tables")
