@@ -30,6 +30,7 @@ OPCODES = re.compile(
     "|LONG[14]?|(BIN)?FLOAT|(SHORT_)?BIN(BYTES|STRING|UNICODE)8?|UNICODE|(EMPTY_)?(LIST|TUPLE|DICT)|APPENDS?|TUPLE[123]"
     "|SETITEMS?|(STACK_)?GLOBAL|REDUCE|BUILD|NEWOBJ"
 )
+# Parts of NumPy that a pickle may ask for: module and name, and the name of the inert part that stands in for it.
 _NUMPY_PARTS = {
     **{(f"numpy.{core}.multiarray", name): name for core in ("core", "_core") for name in ("_reconstruct", "scalar")},
     ("numpy", "ndarray"): "ndarray",

@@ -31,10 +31,7 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "slip": ("slip",),
 }
 # table columns of the position and the travel of a press
-PLACE_COLUMNS = (
-    *TARGET_COLUMNS["position"],
-    *TARGET_COLUMNS["travel"],
-)  # columns of the position and the travel of a press
+PLACE_COLUMNS = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])
 HEIGHT_COLUMNS = ("z_mm", "height_mm")  # table columns of the tip's height, which may replace the travel
 STEM_SYNONYMS = {"depth": "travel"}  # other names of quantities in users' tables, and i2t's names
 # table columns of the force, the time and the source (real or simulated)

@@ -39,13 +39,7 @@ from i2t.skin_models.base import load_fitted
 from i2t.types import in_one_line
 
 # mm, length scales of the maps from pressure to readings, from below a skin's thickness to its edge
-MAP_LENGTHS_MM = (
-    1.5,
-    3.0,
-    6.0,
-    12.0,
-    24.0,
-)  # mm, length scales of the maps g_c: from below a skin's thickness to its edge
+MAP_LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)
 FILE_KIND = "i2t pressure model"  # kind of file in the header of a saved pressure model
 Tree = TypeVar("Tree")
 
