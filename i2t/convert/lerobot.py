@@ -26,7 +26,7 @@ from i2t.errors import DataError, require_extra
 from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
 
-# path of the table in a data set of LeRobot, by its format
+# path of the table of touches in a data set of LeRobot, as its metadata state it
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 FRAME_RATE_HZ = 1  # Hz, nominal frame rate in LeRobot's metadata; each frame is a touch
 # Fields of i2t's touches and their columns in LeRobot's table; the column of any other field is touch.<field>.

@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeAlias
 Value: TypeAlias = int | float | Sequence[int | float]
 
 PACKET_HEADER = struct.Struct(">HB")  # header of an RTDE packet: its size in bytes and its type
-# codes of RTDE's types of values for `struct`
+# codes of the `struct` module for RTDE's types of values
 STRUCT_CODES = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}
 # RTDE's type of a value, and the pattern of the names of values of that type.
 TYPE_OF_NAME = (

@@ -43,7 +43,7 @@ class _KindOfDevice(NamedTuple):
     address_flag: str
 
 
-# Kinds of devices: entry-point group of the drivers, protocol, and option that names the device.
+# Kinds of devices: entry-point group of their drivers, protocol, and command-line option that names a device.
 KINDS: dict[DeviceKind, _KindOfDevice] = {
     "arm": _KindOfDevice("i2t.arms", GuardedArm, "--host"),
     "skin": _KindOfDevice("i2t.skins", Skin, "--port"),

@@ -55,9 +55,9 @@ class TemperatureScaling(NamedTuple):
         return softmax(_logs(p) / divisor, axis=-1)
 
 
-# Default temperature of an episode's posterior. It was fitted to 1020 simulated episodes on six pads, whose validation
-# objects were twice as far from their stated poses as stated (`experiments.studies stopping`). Up to that distance, an
-# episode that stops is wrong about as rarely as requested.
+# Default temperature by which the log posterior of an episode is divided. It was fitted to 1020 simulated episodes on
+# six pads, whose validation objects were twice as far from their stated poses as stated (`experiments.studies
+# stopping`). Up to that distance, an episode that stops is wrong about as rarely as requested.
 POSTERIOR_TEMPERATURE = TemperatureScaling(initial=1.88, growth=0.22)
 
 

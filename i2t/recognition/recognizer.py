@@ -50,7 +50,7 @@ from i2t.types import in_one_line
 MAX_EMPTY_DRAWS = 10  # number of draws of candidates without an allowed site after which no touch is chosen
 # Calibration of the probability that the object is unknown, for a prior of 0.5. It was fitted on validation objects and
 # others of which half were unknown (`experiments.studies open_set`).
-UNKNOWN_SCALING = calibrated.PlattScaling(0.40, 0.65, 0.18)
+UNKNOWN_SCALING = calibrated.PlattScaling(offset=0.40, slope=0.65, growth=0.18)
 
 
 @dataclass(frozen=True)

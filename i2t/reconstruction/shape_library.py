@@ -22,8 +22,8 @@ STEP_M = 0.25e-3  # m, resolution of the signed distances that a shape library s
 TURNS = np.stack(
     [np.diag((*signs, 1))[[*order, 2]] for order in ((0, 1), (1, 0)) for signs in product((1, -1), repeat=2)]
 )
-# Matrices that turn one of the 6 axis directions of a shape upwards. Their products with `TURNS` are the 48 rotations
-# and reflections of a cube.
+# Matrices that bring one of the 6 axis directions of a shape to the top. Their products with `TURNS` are the 48
+# rotations and reflections of a cube.
 STANCES = np.stack(
     [np.roll(np.eye(3, dtype=int), axis, axis=1) * (1, 1, sign) for axis in range(3) for sign in (1, -1)]
 )

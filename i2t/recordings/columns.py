@@ -13,9 +13,7 @@ from i2t.recordings.cells import parse_number
 
 NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of one gram under standard gravity
 # i2t's unit of each quantity in tables, and the factors that convert other units to it.
-UNIT_FACTORS: dict[
-    str, tuple[str, dict[str, float]]
-] = {  # i2t's unit of each quantity, and factors from other units to it
+UNIT_FACTORS: dict[str, tuple[str, dict[str, float]]] = {
     "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
     "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": NEWTONS_PER_GRAM, "kg": 9.80665}),
@@ -32,7 +30,7 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {
 }
 # table columns of the position and the travel of a press
 PLACE_COLUMNS = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # table columns of the tip's height, which may replace the travel
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # table columns that hold the height of the tip instead of a travel
 STEM_SYNONYMS = {"depth": "travel"}  # other names of quantities in users' tables, and i2t's names
 # table columns of the force, the time and the source (real or simulated)
 FORCE_COLUMN, TIME_COLUMN, SOURCE_COLUMN = "force_N", "time_s", "source"

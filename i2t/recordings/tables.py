@@ -53,7 +53,8 @@ COMMENT_MARK = "#"  # sign that begins a comment line of a table
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
 # characters of empty cells of tables; \x1a is the end-of-file mark of DOS
 EMPTY_CELL_CHARACTERS = " \t\r\n\0\x1a\ufeff\u00a0"
-EXCEL_DAYS = (36526.0, 73051.0)  # days, the years 2000 to 2099 as spreadsheets count days
+# day numbers of spreadsheets that begin the years 2000 and 2100; numbers between them may be dates
+EXCEL_DAYS = (36526.0, 73051.0)
 
 
 class TextTable(NamedTuple):

@@ -87,8 +87,10 @@ class Grid:
 
 
 GRID = Grid()  # default grid of cells on the skin
-CELL_GRID = Grid(20, 32)  # grid of 1 mm cells on the skin, for the pressures of many contacts, which need not be fine
-FINE_GRID = Grid(80, 128)  # grid on the skin for sharp edges, if they matter more than speed; see `docs/physics.md`
+# grid of 1 mm cells on the skin, for the pressures of many contacts, which need not be fine
+CELL_GRID = Grid(cells=20, modes=32)
+# grid on the skin for sharp edges, if they matter more than speed; see `docs/physics.md`
+FINE_GRID = Grid(cells=80, modes=128)
 
 
 class Load(NamedTuple):

@@ -55,10 +55,10 @@ class LayerParameters(NamedTuple):
     noise_std: Float[Array, ""]  # uT, standard deviation of a reading's noise and of model errors
 
 
-# Parameters of the layer that change the design matrices; the other parameters only scale their products.
+# Fields of `LayerParameters` that change the design matrices; the other fields only scale their products.
 DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
                      "tip_scale", "board_offset", "board_rotation")  # fmt: skip
-# parameters of the layer that change the features by more than a scale
+# fields of `LayerParameters` that change the features by more than a scale
 SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")
 
 

@@ -51,8 +51,8 @@ from i2t.types import Board, in_one_line
 
 # N, loads at which touches are predicted; most presses that end at 25 uT end between the outer ones
 LOADS_N = (0.3, 0.9, 2.7)
-# Elastic layers that a pad's fit tries, from stiff to soft: Poisson's ratio and Young's modulus (Pa). At a Poisson's
-# ratio of 0 a bonded layer yields most to a flat press.
+# Elastic layers from which a reading model chooses, from stiff to soft: Poisson's ratio and Young's modulus (Pa). At a
+# Poisson's ratio of 0 a bonded layer yields most to a flat press.
 LAYERS = tuple(
     Layer(poisson, factor * NOMINAL_SKIN.young)
     for poisson, factor in (

@@ -38,7 +38,8 @@ Message: TypeAlias = dict[str, Any]
 POLL_S = 0.01  # s between two polls of the arm's state
 STATE_RATE_HZ = 125.0  # Hz, rate at which the controller is asked to send states of the arm
 RTDE_PORT = 30004  # TCP port of RTDE on a UR controller
-PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2  # RTDE's runtime_state while a program plays; bits of RTDE's safety_status
+# RTDE's runtime_state while a program plays, and two bits of RTDE's safety_status_bits
+PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2
 # ms since data last arrived: field tcpi_last_data_recv of Linux's struct tcp_info
 TCP_LAST_RECEIVED = struct.Struct("52xI")
 
