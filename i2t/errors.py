@@ -9,9 +9,11 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import NamedTuple
 
-NAMED_WRONGLY = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
-MIN_SIMILARITY = 0.7  # ratio of `difflib` from which a name counts as a misspelling of another
-# Control characters, line and paragraph separators, marks that reverse the direction of writing, and lone surrogates.
+# Operating-system errors that mean that the user gave a wrong path, not that the system failed.
+WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
+MIN_SIMILARITY = 0.7  # smallest similarity ratio by `difflib` at which a name counts as a misspelling of another
+# Characters that messages escape: control characters, line and paragraph separators, marks that reverse the direction
+# of writing, and lone surrogates.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
@@ -81,7 +83,8 @@ class Extra(NamedTuple):
     extra: str
 
 
-EXTRAS = {  # optional packages, keyed by the name to import
+# Optional packages and the extras of i2t that install them, by the name to import.
+EXTRAS = {
     "ContactMechanics": Extra("ContactMechanics", "bench"),
     "embreex": Extra("embreex", "bench"),
     "gymnasium": Extra("Gymnasium", "environments"),

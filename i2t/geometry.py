@@ -24,8 +24,10 @@ from jaxtyping import Bool, Float, Key
 from i2t.patches.dimensions import LAST_ROW_TOLERANCE, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 from i2t.types import Array
 
-TWO_TERM_SERIES_SQUARE = 1e-8  # rad^2; a series of two terms replaces quotients of angles whose square is smaller
-THREE_TERM_SERIES_SQUARE = 1e-4  # rad^2; a series of three terms replaces quotients of angles whose square is smaller
+# rad^2, squared angle below which a series of two terms replaces quotients such as sin(x) / x
+TWO_TERM_SERIES_SQUARE = 1e-8
+# rad^2, squared angle below which a series of three terms replaces quotients such as (1 - cos(x)) / x^2
+THREE_TERM_SERIES_SQUARE = 1e-4
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -22,10 +22,10 @@ from scipy import stats
 
 from i2t.types import Array
 
-RESAMPLES = 1000  # number of resampled data sets from which an interval is computed
-COVERAGE = 0.95  # probability that an interval holds the truth
-MIN_CLUSTERS = 3  # number of clusters below which a factor has no interval
-ROUNDING_VARIANCE = 1e-12  # variance below which values differ by rounding only
+RESAMPLES = 1000  # number of bootstrap samples from which an interval is computed
+COVERAGE = 0.95  # probability that a confidence interval contains the true value
+MIN_CLUSTERS = 3  # number of clusters below which a factor has no confidence interval
+ROUNDING_VARIANCE = 1e-12  # variance below which values count as equal up to rounding
 
 Clusters = Sequence[Shaped[Array, " n"]]  # labels of the episodes, one array for each factor
 Statistic = Callable[[Float[np.ndarray, " n"]], Array]  # maps weights of the episodes to a value

@@ -21,7 +21,7 @@ from scipy.linalg import lapack
 Array: TypeAlias = Any  # a NumPy or JAX array
 
 STDS_WITHIN_90 = 1.645  # half width, in standard deviations, of the interval that holds 90 % of a normal distribution
-# largest number of rows of matrices for which NumPy inverts a stack faster than LAPACK one by one
+# Largest number of rows of matrices that NumPy inverts faster as a stack than LAPACK inverts one by one.
 MAX_BATCHED_SIZE = 40
 UNINFORMED_VARIANCE = 1e6  # variance predicted where rounding left a matrix that is not positive definite
 

@@ -14,9 +14,10 @@ import numpy as np
 from i2t.errors import did_you_mean
 from i2t.patches.dimensions import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORCE_N, ORTHOGONALITY_TOLERANCE
 
-ROUND_TIPS = ("sphere", "cylinder")
-MIN_TIP_RADIUS_MM = 0.1  # mm, smallest accepted radius; a smaller one was probably given in metres
-MAX_TIP_RADIUS_MM = 100.0  # on a skin of 20 mm, a larger tip is flat to 0.5 mm
+ROUND_TIPS = ("sphere", "cylinder")  # shapes of indenters that are given by a radius
+MIN_TIP_RADIUS_MM = 0.1  # mm, smallest accepted radius of a round tip; a smaller one was probably given in metres
+# mm, largest accepted radius of a round tip; on a skin of 20 mm, a larger one is flat to 0.5 mm
+MAX_TIP_RADIUS_MM = 100.0
 
 
 def is_traced(*values: Any) -> bool:

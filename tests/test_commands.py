@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from i2t.cli.commands import COMMANDS, EXPERIMENTS, FIRST, main
+from i2t.cli.commands import COMMANDS, COMMON_COMMANDS, EXPERIMENTS, main
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -30,8 +30,8 @@ def test_ten_commands_are_listed_by_default_and_all_on_request(capsys):
         assert main(words) == 0
         return [line.split()[2] for line in capsys.readouterr().out.splitlines() if line.startswith("python")]
 
-    assert len(FIRST) == 10
-    assert sorted(listed()) == sorted(FIRST)
+    assert len(COMMON_COMMANDS) == 10
+    assert sorted(listed()) == sorted(COMMON_COMMANDS)
     assert listed("--all") == [*COMMANDS, *EXPERIMENTS]
 
 

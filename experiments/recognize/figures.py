@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from i2t.intervals import Estimate
-from i2t.viz.style import COLOURS, titled
+from i2t.viz.style import CURVE_COLOURS, titled
 
 
 def accuracy(methods: Mapping[str, Estimate], title: str, simulated: bool) -> Figure:
@@ -20,7 +20,7 @@ def accuracy(methods: Mapping[str, Estimate], title: str, simulated: bool) -> Fi
     figure = Figure(figsize=(8.4, 4), layout="constrained")
     axes = figure.subplots()
     axes.set_title(titled(title, simulated), fontsize=11)
-    styles = zip(cycle(COLOURS), cycle("osD^vPX"), cycle(("-", "--", "-.", ":")), strict=False)
+    styles = zip(cycle(CURVE_COLOURS), cycle("osD^vPX"), cycle(("-", "--", "-.", ":")), strict=False)
     for (name, (mean, low, high)), (colour, marker, line) in zip(methods.items(), styles, strict=False):
         x = np.arange(1, len(mean) + 1)
         axes.fill_between(x, low, high, color=colour, alpha=0.18, lw=0)

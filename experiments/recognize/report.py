@@ -19,8 +19,8 @@ from i2t.intervals import MIN_CLUSTERS, Estimate, cluster_interval, estimate_at,
 from i2t.objects.solids import Mesh
 from i2t.recognition import calibrated, metrics
 from i2t.recognition.belief import TouchObservation
-from i2t.recognition.calibrated import TEMPERATURE_SCALING, TemperatureScaling
-from i2t.recognition.episodes import EVIDENCE, Episodes
+from i2t.recognition.calibrated import POSTERIOR_TEMPERATURE, TemperatureScaling
+from i2t.recognition.episodes import EVIDENCE_WEIGHTS, Episodes
 from i2t.recognition.metrics import to_json
 from i2t.recognition.paper_rules import PROPRIOCEPTION
 from i2t.types import Board
@@ -146,10 +146,10 @@ def calibrate(parts: Sequence[Results]) -> tuple[list[Results], dict[str, Temper
     """Scale beliefs by temperatures. Returns the beliefs and the temperature of each method.
 
     Temperatures are fitted to the validation objects of all pads. Without validation objects, all methods have that of
-    the fused belief (`TEMPERATURE_SCALING`). The paper's rules are not scaled.
+    the fused belief (`POSTERIOR_TEMPERATURE`). The paper's rules are not scaled.
     """
-    methods = [method for method in next(iter(parts[0].values())).beliefs if method.split(", ")[0] in EVIDENCE]
-    temperatures = dict.fromkeys(methods, TEMPERATURE_SCALING)
+    methods = [method for method in next(iter(parts[0].values())).beliefs if method.split(", ")[0] in EVIDENCE_WEIGHTS]
+    temperatures = dict.fromkeys(methods, POSTERIOR_TEMPERATURE)
     if "validation" in parts[0]:
         validation = pool_set(parts, "validation")
         temperatures = {m: calibrated.fit_temperature(validation.beliefs[m], validation.truth) for m in methods}
@@ -213,7 +213,7 @@ def score_method(episodes: PooledEpisodes, method: str) -> dict[str, Any]:
         "log_loss": metrics.log_loss(p, truth).mean(0).tolist(),
         "confusion": metrics.confusion(p[:, -1], truth).tolist(),
     }
-    if method.split(", ")[0] in EVIDENCE:
+    if method.split(", ")[0] in EVIDENCE_WEIGHTS:
         stops = [metrics.stopping(p, truth, error, clusters=clusters) for error in REQUESTED_ERRORS]
         scores["stopping"] = [to_json(stop) for stop in stops]
     return scores
@@ -379,7 +379,7 @@ def write_figures(name: str, episodes: PooledEpisodes, out: Path, simulated: boo
     shown = {
         method: metrics.accuracy(p, episodes.truth, clusters=episodes.clusters())
         for method, p in episodes.beliefs.items()
-        if method in EVIDENCE or method.endswith(", votes")
+        if method in EVIDENCE_WEIGHTS or method.endswith(", votes")
     }
     viz.save_figure(figures.accuracy(shown, f"Accuracy, {name}", simulated), out / f"accuracy_{name}.png")
     if "fused" in episodes.beliefs:

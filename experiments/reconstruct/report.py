@@ -15,7 +15,7 @@ from i2t.reconstruction.evidence import SurfaceEvidence, Sweep
 from i2t.reconstruction.signed_distances import interpolate
 from i2t.reconstruction.surface import SurfaceEstimate
 from i2t.types import Array
-from i2t.viz.style import COLOURS, Colour, Picture, titled
+from i2t.viz.style import CURVE_COLOURS, Colour, Picture, titled
 
 Episodes = dict[str, dict[int, Episode]]  # by condition, then by object number
 
@@ -108,7 +108,7 @@ def draw_errors(report: dict[str, Any]) -> Picture:
     """Plot the distance to the true surface against touches, for each condition."""
     figure = Picture(figsize=(6.5, 4), layout="constrained")
     axes = figure.subplots()
-    for colour, (name, scores) in zip(COLOURS, report["conditions"].items(), strict=False):
+    for colour, (name, scores) in zip(CURVE_COLOURS, report["conditions"].items(), strict=False):
         touches = sorted(map(int, scores["after"]))
         rows = np.array([scores["after"][str(count)]["chamfer_mm"] for count in touches])
         axes.plot(touches, rows[:, 0], "o-", color=colour, label=name, ms=4)

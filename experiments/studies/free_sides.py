@@ -24,7 +24,7 @@ from experiments.studies.press_laws import LinearSkin
 from i2t.errors import require_extra
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.skin.contact import GRID, Grid
-from i2t.skin.dipoles import CELL_NODES
+from i2t.skin.dipoles import DIPOLE_SHEETS
 from i2t.types import Pad
 
 PARITIES = ((1, 1), (1, -1), (-1, 1), (-1, -1))  # along x and y: even 1, odd -1
@@ -65,7 +65,7 @@ def tabulate(thickness: float, poisson: float, *, cells: int = 20, layers: int =
     far = np.linspace(half[-1], half[-1] + 4 * thickness, 6)
     deep = np.linspace(-thickness, 0, layers + 1)
     free, wide = _Block(half, deep, poisson), _Block(np.concatenate([half, far[1:]]), deep, poisson)
-    roots, _ = np.polynomial.legendre.leggauss(CELL_NODES)
+    roots, _ = np.polynomial.legendre.leggauss(DIPOLE_SHEETS)
     depths = thickness * (0.5 + 0.5 * roots)
     changes = []
     for parity in PARITIES:

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from experiments.studies.press_laws import LinearSkin
 from i2t.skin.contact import Grid
-from i2t.skin.dipoles import CELL_NODES, sheets
+from i2t.skin.dipoles import DIPOLE_SHEETS, sheets
 from i2t.skin.elasticity import evaluate, load
 from i2t.skin.layered import Sheet, stack_motion
 from i2t.types import Pad
@@ -31,7 +31,7 @@ class LayeredSkin(LinearSkin):
     def __init__(self, thickness: float, poisson: float, layers: Layers) -> None:
         self.sheets = [Sheet(part * thickness, factor, poisson) for part, factor in layers]  # Young's modulus is 1
         self.bonded = [Sheet(thickness, 1.0, poisson)]
-        roots, weights = np.polynomial.legendre.leggauss(CELL_NODES)
+        roots, weights = np.polynomial.legendre.leggauss(DIPOLE_SHEETS)
         tops = thickness * np.cumsum([0.0, *(part for part, _ in layers)])
         # The slope of the motion jumps between layers, so each has its own sheets of magnets.
         self.depths = np.concatenate([

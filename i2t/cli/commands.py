@@ -16,6 +16,7 @@ from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.pipes import ExitCode
 from i2t.errors import did_you_mean
 
+# Modules of the library that run with python -m, with the purpose that the list of commands prints.
 COMMANDS = {
     "i2t.imagine": "predict and draw the readings of a skin on an object",
     "i2t.collect": "collect simulated or real touches",
@@ -29,6 +30,7 @@ COMMANDS = {
     "i2t.hardware.realsense": "show a depth camera and save its views",
     "i2t.emulators.lab": "emulate an arm and skins, with their protocols",
 }
+# Modules of the checkout that run with python -m and are not installed, with their purposes.
 EXPERIMENTS = {
     "experiments.train": "train a predictor of readings",
     "experiments.recognize": "recognise objects by touch",
@@ -49,7 +51,8 @@ EXPERIMENTS = {
     "tools.check_docs": "check the documentation",
     "tools.reproduce": "repeat the studies and tables of the documentation",
 }
-FIRST = (  # most common commands, listed first and in this order
+# The most common commands, which are listed by default.
+COMMON_COMMANDS = (
     "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",
     "experiments.train", "experiments.recognize", "experiments.calibrate", "experiments.fidelity",
 )  # fmt: skip
@@ -102,7 +105,7 @@ def versions() -> str:
 
 def _list(everything: bool) -> None:
     library, experiments = (
-        {name: purpose for name, purpose in commands.items() if everything or name in FIRST}
+        {name: purpose for name, purpose in commands.items() if everything or name in COMMON_COMMANDS}
         for commands in (COMMANDS, EXPERIMENTS)
     )
     print(f"i2t {__version__}: imagine a touch before making it\n\n{_table(library)}")

@@ -20,10 +20,11 @@ from typing import Any
 
 from i2t.cli.options import check_options, read_options
 from i2t.cli.pipes import ExitCode, output_is_closed
-from i2t.errors import NAMED_WRONGLY, DeviceError, FullDiskError, printable
+from i2t.errors import WRONG_PATH_ERRORS, DeviceError, FullDiskError, printable
 from i2t.runtime.compile_cache import use_compile_cache
 
-REMEDIES: dict[type[OSError], str] = {  # advice for the operating system's errors that name a file
+# Advice that ends the message of an operating system's error about a path, by the class of the error.
+OS_ERROR_REMEDIES: dict[type[OSError], str] = {
     FileNotFoundError: "check the name",
     FileExistsError: "give another name",
     NotADirectoryError: "name a folder",
@@ -57,7 +58,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
         if isinstance(error, BrokenPipeError) and output_is_closed():
             return ExitCode.OUTPUT_CLOSED
         print(f"error: {printable(_sentence(error))}", file=sys.stderr)
-        wrong_use = isinstance(error, (ValueError, *NAMED_WRONGLY)) and not isinstance(error, FullDiskError)
+        wrong_use = isinstance(error, (ValueError, *WRONG_PATH_ERRORS)) and not isinstance(error, FullDiskError)
         return ExitCode.WRONG_USE if wrong_use else ExitCode.FAILED
     except KeyboardInterrupt:
         print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
@@ -111,7 +112,7 @@ def _sentence(error: Exception) -> str:
         return f"a file cannot be written ({error.strerror}); make room on its disk, or name another (--out)"
     if not isinstance(error, OSError) or error.filename is None or error.strerror is None:
         return str(error)
-    remedy = next((f"; {advice}" for kind, advice in REMEDIES.items() if isinstance(error, kind)), "")
+    remedy = next((f"; {advice}" for kind, advice in OS_ERROR_REMEDIES.items() if isinstance(error, kind)), "")
     return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}{remedy}"
 
 

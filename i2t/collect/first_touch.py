@@ -46,6 +46,7 @@ from i2t.simulation.depth_camera import render_view
 from i2t.simulation.sites import is_above_table
 from i2t.types import Array
 
+# Remedy if the camera's depth contradicts the object's registered pose.
 CHECK_CAMERA_ADVICE = (
     "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (python -m i2t.place)"
 )
@@ -95,7 +96,7 @@ class FirstTouchConfig:
     max_air_force: float = 3.0
 
 
-_CONFIG = FirstTouchConfig()
+_FIRST_TOUCH = FirstTouchConfig()  # choice and tolerances of the first looks and slow touches of a session
 
 
 class RigContradictedError(DeviceError):
@@ -146,12 +147,12 @@ def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPl
     Raises:
         UnreachableError: If no site can be reached, or touched slowly in one motion.
     """
-    path, candidates = procedure.path, [sampler.site(number) for number in range(_CONFIG.num_candidates)]
+    path, candidates = procedure.path, [sampler.site(number) for number in range(_FIRST_TOUCH.num_candidates)]
     refused = [path.explain_unreachable(site) for site in candidates]
     sites = [site for site, why in zip(candidates, refused, strict=True) if not why]
     if not sites:
         raise UnreachableError(
-            f"none of {_CONFIG.num_candidates} sites can be reached, the last not because {refused[-1]}"
+            f"none of {_FIRST_TOUCH.num_candidates} sites can be reached, the last not because {refused[-1]}"
         )
     places = np.array([site.T_w_t[:3, 3] for site in sites])
     up = np.array([-site.T_w_t[2, 2] for site in sites])
@@ -166,7 +167,7 @@ def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPl
             f"past it, can be made at none of {len(sites)}; lower settings.prepare, or pass --skip-first-touch"
         )
     chosen = [first]
-    while len(chosen) < min(_CONFIG.num_looks, len(sites)):
+    while len(chosen) < min(_FIRST_TOUCH.num_looks, len(sites)):
         distances = np.linalg.norm(places[:, None] - places[chosen], axis=2).min(1)
         chosen.append(int(np.argmax(distances)))
     looks = tuple(sites[i] for i in chosen)
@@ -175,7 +176,7 @@ def plan_first_touch(procedure: Procedure, sampler: SiteSampler) -> FirstTouchPl
 
 def _turned_pair(procedure: Procedure, looks: tuple[Site, ...]) -> tuple[Site, ...]:
     """Choose a site and the same with the tool turned by the first of the angles that can be reached, if any."""
-    for turn in _CONFIG.turns_deg:
+    for turn in _FIRST_TOUCH.turns_deg:
         T_t_turned = transform(Rotation.from_euler("z", turn, degrees=True).as_matrix(), np.zeros(3))
         for site in looks:
             turned = site._replace(T_w_t=site.T_w_t @ T_t_turned)
@@ -196,7 +197,7 @@ def touch_tolerance(rig: Rig, site: Site) -> float:
     """
     along = site.T_w_t[:3, 2]
     variance = float(along @ place_covariance(rig, site.T_w_t[:3, 3]) @ along)
-    return max(_CONFIG.min_touch_tolerance, _CONFIG.num_standard_deviations * float(np.sqrt(variance)))
+    return max(_FIRST_TOUCH.min_touch_tolerance, _FIRST_TOUCH.num_standard_deviations * float(np.sqrt(variance)))
 
 
 def place_covariance(rig: Rig, point: Array) -> np.ndarray:
@@ -223,7 +224,9 @@ def _sides(procedure: Procedure, sampler: SiteSampler) -> list[SlowTouch]:
     """
     rig = procedure.rig
     yaw = np.degrees(np.arctan2(rig.T_world_object[1, 0], rig.T_world_object[0, 0]))
-    turns = [(tilt, yaw + turn) for tilt in _CONFIG.side_tilts_deg for turn in range(0, 360, _CONFIG.side_step_deg)]
+    turns = [
+        (tilt, yaw + turn) for tilt in _FIRST_TOUCH.side_tilts_deg for turn in range(0, 360, _FIRST_TOUCH.side_step_deg)
+    ]
     directions = Rotation.from_euler("yz", turns, degrees=True).apply([0.0, 0.0, 1.0])
     sites = [_side(sampler.placed, direction, rig.T_tool_camera) for direction in directions]
     sites = [site for site in sites if is_above_table(site.T_w_t, sampler.limits)]
@@ -233,7 +236,7 @@ def _sides(procedure: Procedure, sampler: SiteSampler) -> list[SlowTouch]:
         return []
     across = np.array([site.T_w_t[:2, 2] / np.linalg.norm(site.T_w_t[:2, 2]) for site in (first.site, *sites)])
     cosines = np.round(np.abs(across[1:] @ across[0]), 2)
-    perpendicular = [sites[i] for i in np.argsort(cosines, kind="stable") if cosines[i] < _CONFIG.max_side_cosine]
+    perpendicular = [sites[i] for i in np.argsort(cosines, kind="stable") if cosines[i] < _FIRST_TOUCH.max_side_cosine]
     second = next(filter(None, (_plan_slow_touch(procedure, "side", site) for site in perpendicular)), None)
     return [first] if second is None else [first, second]
 
@@ -243,7 +246,7 @@ def _side(placed: Mesh, from_: Array, T_tool_camera: Array) -> Site:
     side.
     """
     reach = placed.vertices @ from_
-    point = placed.vertices[reach > reach.max() - _CONFIG.side_edge].mean(0)
+    point = placed.vertices[reach > reach.max() - _FIRST_TOUCH.side_edge].mean(0)
     point += (reach.max() - point @ from_) * from_
     up = contact_frame(point, from_)[2, :2]
     quarters = round(2 / np.pi * float(np.arctan2(T_tool_camera[1, 3], T_tool_camera[0, 3])))
@@ -258,23 +261,25 @@ def _plan_slow_touch(procedure: Procedure, name: str, site: Site, past: float | 
     """
     path, settings, limits = procedure.path, procedure.settings, procedure.rig.limits
     tolerance = touch_tolerance(procedure.rig, site)
-    past = tolerance + _CONFIG.max_onset_travel if past is None else past
+    past = tolerance + _FIRST_TOUCH.max_onset_travel if past is None else past
     if not settings.prepare + past <= limits.approach_distance:
         return None
     prepare = path.poses(site)[1]
     upright = max(-float(prepare[2, 2]), 0.1)  # cosine of the tool's tilt
-    room = min((path.transfer_height() - prepare[2, 3]) / upright, limits.approach_distance, _CONFIG.max_prepare)
+    room = min((path.transfer_height() - prepare[2, 3]) / upright, limits.approach_distance, _FIRST_TOUCH.max_prepare)
     count = int(
-        np.clip(_CONFIG.averaging_s * procedure.skins[0].skin.features.rate, settings.ambient, _CONFIG.max_samples)
+        np.clip(
+            _FIRST_TOUCH.averaging_s * procedure.skins[0].skin.features.rate, settings.ambient, _FIRST_TOUCH.max_samples
+        )
     )
     for part in (1.0, 0.5, 0.0):
         slow = replace(
             settings,
-            prepare=min(settings.prepare + part * max(room, 0.0), _CONFIG.max_prepare),
+            prepare=min(settings.prepare + part * max(room, 0.0), _FIRST_TOUCH.max_prepare),
             near=settings.prepare,
             overtravel=past,
-            press=min(_CONFIG.speed, settings.approach),
-            force=_CONFIG.force,
+            press=min(_FIRST_TOUCH.speed, settings.approach),
+            force=_FIRST_TOUCH.force,
             ambient=count,
             contact=count,
         )
@@ -303,14 +308,14 @@ def check_rig_by_touch(procedure: Procedure, sampler: SiteSampler, report: Calla
     procedure.retreat()
     looks = [_look(procedure, sampler, site) for site in (*plan.looks, *plan.pair[1:])]
     wrong, missed = (float(np.mean(shares)) for shares in zip(*(look[:2] for look in looks), strict=True))
-    if not wrong <= _CONFIG.max_wrong_pixel_fraction:
+    if not wrong <= _FIRST_TOUCH.max_wrong_pixel_fraction:
         raise _displaced_error("in the first looks", wrong, procedure, plan.looks[0])
     report(f"first looks: {100 * wrong:.0f} % of the object's pixels are not at their place in the rig")
     if plan.pair:
         report(_compare_looks(looks[plan.looks.index(plan.pair[0])], looks[-1]))
     else:
         report("first looks: none can be repeated with the tool turned; a lateral error of the TCP may go unnoticed")
-    if not missed > _CONFIG.max_wrong_pixel_fraction:
+    if not missed > _FIRST_TOUCH.max_wrong_pixel_fraction:
         report(
             "first looks: they are inconclusive, because they would look alike without the object; the slow touches "
             "decide"
@@ -323,8 +328,10 @@ def check_rig_by_touch(procedure: Procedure, sampler: SiteSampler, report: Calla
             raise
         procedure.retreat()
     sides = len(plan.touches) - 1
-    if sides < _CONFIG.num_sides:
-        report(f"first touches: {sides} of {_CONFIG.num_sides} sides can be touched; a lateral error may go unnoticed")
+    if sides < _FIRST_TOUCH.num_sides:
+        report(
+            f"first touches: {sides} of {_FIRST_TOUCH.num_sides} sides can be touched; a lateral error may go unnoticed"
+        )
 
 
 def depth_contradiction(
@@ -381,7 +388,7 @@ def expected_view(
     with np.errstate(invalid="ignore", divide="ignore"):
         near = (
             np.linalg.norm(depth[..., None] * rays - (site - T_w_c[:3, 3]) @ T_w_c[:3, :3], axis=-1)
-            < _CONFIG.look_radius
+            < _FIRST_TOUCH.look_radius
         )
         table = -T_w_c[2, 3] / (rays @ T_w_c[2, :3])
     return depth, near & (which >= 0), np.where(table > 0, table, np.nan)
@@ -390,7 +397,7 @@ def expected_view(
 def _check_air(procedure: Procedure) -> None:
     state = procedure.arm.state()
     force = float(np.linalg.norm(state.wrench[:3]))
-    if not (state.moving or force <= _CONFIG.max_air_force):
+    if not (state.moving or force <= _FIRST_TOUCH.max_air_force):
         raise RigContradictedError(
             f"the arm measures {force:.1f} N before anything is touched, as if {force / 9.81:.1f} kg of payload "
             "were missing or too much: check tool.mass and tool.centre of the rig, or free the tool"
@@ -412,12 +419,12 @@ def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> Look:
     depth, middle = np.asarray(view.depth, float), float(np.median(expected[on_object]))
     within = tolerance, max(1, round(camera.fx * tolerance / middle))
     seen, wrong = depth_contradiction(depth, expected, on_object, *within)
-    if not seen >= _CONFIG.min_measured_pixel_fraction:
+    if not seen >= _FIRST_TOUCH.min_measured_pixel_fraction:
         raise RigContradictedError(
             f"the camera measured {100 * seen:.0f} % of the pixels where site {site.number} should be; check whether "
             f"it is covered, shiny or too near, and {CHECK_CAMERA_ADVICE}"
         )
-    if not wrong <= _CONFIG.max_wrong_pixel_fraction_of_look:
+    if not wrong <= _FIRST_TOUCH.max_wrong_pixel_fraction_of_look:
         raise _displaced_error(f"at site {site.number}", wrong, procedure, site)
     missed = depth_contradiction(table, expected, on_object, *within)[1]
     pixel = middle / camera.fx, middle / camera.fy
@@ -428,13 +435,13 @@ def _look(procedure: Procedure, sampler: SiteSampler, site: Site) -> Look:
 def _compare_looks(first: Look, second: Look) -> str:
     """Compare a look with one for which the tool was turned. Return a sentence, or raise RigContradictedError."""
     along, offset, uncertainty = lateral_offset(first.shifts, second.shifts, (first.R_w_t, second.R_w_t))
-    measured = ~(uncertainty > _CONFIG.max_offset_uncertainty)
+    measured = ~(uncertainty > _FIRST_TOUCH.max_offset_uncertainty)
     if not measured.any():
         return "first looks: the lateral offset of the camera could not be measured"
     worst = int(np.argmax(np.abs(offset) * measured))
     x, y = 1e3 * offset[worst] * along[worst]
     if not abs(offset[worst]) <= max(
-        _CONFIG.min_offset_tolerance, _CONFIG.num_standard_deviations * _CONFIG.camera_std
+        _FIRST_TOUCH.min_offset_tolerance, _FIRST_TOUCH.num_standard_deviations * _FIRST_TOUCH.camera_std
     ):
         raise RigContradictedError(
             f"two looks at a site, with the tool turned in between, show that the camera is off by {x:+.0f} and "
@@ -454,8 +461,8 @@ def look_tolerance(rig: Rig, point: Array) -> float:
     Returns:
         Distance (m): three standard deviations of object and camera together, and at least 6 mm.
     """
-    variance = np.linalg.eigvalsh(place_covariance(rig, point))[-1] + _CONFIG.camera_std**2
-    return max(_CONFIG.min_depth_tolerance, _CONFIG.num_standard_deviations * float(np.sqrt(variance)))
+    variance = np.linalg.eigvalsh(place_covariance(rig, point))[-1] + _FIRST_TOUCH.camera_std**2
+    return max(_FIRST_TOUCH.min_depth_tolerance, _FIRST_TOUCH.num_standard_deviations * float(np.sqrt(variance)))
 
 
 def _displaced_error(where: str, share: float, procedure: Procedure, site: Site) -> RigContradictedError:

@@ -25,8 +25,9 @@ from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 
+# file, in a collection's folder, with the settings that a resumed collection must share
 NOTES_FILE = ".collection.json"
-_SITE_LIMITS_BEFORE = {"half": "half_edge"}  # names in notes of earlier versions, with those of today
+_SITE_LIMITS_BEFORE = {"half": "half_edge"}  # site limits in notes of earlier versions: old name, present name
 
 
 def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:

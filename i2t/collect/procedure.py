@@ -69,6 +69,7 @@ from i2t.hardware.skin_health import frozen_sentence
 from i2t.skin.boards import mean_finite
 from i2t.types import Array, ReturnCode
 
+# Return code of a press, by the reason for which it stopped.
 RETURN_CODES: Mapping[StopReason, ReturnCode] = {
     "condition": ReturnCode.SKIN,
     "force": ReturnCode.WRENCH,

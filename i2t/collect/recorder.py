@@ -44,8 +44,10 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 INTERRUPTED = ".interrupted"  # folder of the raw files of touches that were not saved
+# first line of the raw file of a touch, which is kept until the touch is saved
 RAW_FILE_HEADER = b'{"touch": "i2t raw", "version": 4}'
-POSE_CHANNELS = tuple(f"T_w_t[{i},{j}]" for i in range(4) for j in range(4))
+POSE_CHANNELS = tuple(f"T_w_t[{i},{j}]" for i in range(4) for j in range(4))  # elements of the tool's pose in the world
+# elements of the wrench on the tool
 WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for axis in "xyz"))
 
 

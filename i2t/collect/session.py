@@ -33,12 +33,14 @@ from i2t.hardware.rig import Rig
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
-ENDS = {  # how a press ended, in words
+# How a press ended, in the words of the progress line, by return code.
+PRESS_ENDS = {
     ReturnCode.SKIN: "stopped by the skin",
     ReturnCode.WRENCH: "stopped by force or torque",
     ReturnCode.AIR: "no contact",
     ReturnCode.FAILED: "failed",
 }
+# Words of the first line of a collection, by the source of its touches.
 SOURCE_DESCRIPTIONS = {
     "simulated": "SIMULATED: no real device takes part",
     "mixed": "MIXED: some of these devices are not real",
@@ -225,7 +227,7 @@ class _Session:
         self.done.add(number)
         left = (self.args.touches - len(self.done)) * (now - self.begun) / max(1, len(self.done) - self.before)
         felt = "  ".join(
-            f"{printable(name)} {ENDS[skin.code]}  {np.sqrt(np.nansum(skin.reading**2)):.1f} uT".strip()
+            f"{printable(name)} {PRESS_ENDS[skin.code]}  {np.sqrt(np.nansum(skin.reading**2)):.1f} uT".strip()
             for name, skin in touch.skins.items()
         )
         print(
@@ -237,7 +239,7 @@ class _Session:
     def summary(self) -> str:
         """Summarise the session."""
         saved, seconds = len(self.recorder.saved), time.monotonic() - self.begun
-        ends = ", ".join(f"{count} {ENDS[code]}" for code, count in sorted(self.codes.items()))
+        ends = ", ".join(f"{count} {PRESS_ENDS[code]}" for code, count in sorted(self.codes.items()))
         counts = [on_tool.skin.counters for on_tool in self.procedure.skins]
         samples, lost = sum(count.samples for count in counts), sum(count.lost for count in counts)
         lines = [

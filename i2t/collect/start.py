@@ -21,6 +21,7 @@ from i2t.hardware.rig_checks import require_plausible
 from i2t.objects.named import describe_placement, read_object
 from i2t.objects.solids import Object, highest_point
 
+# Error if a collection with a real arm is started without a rig.
 MISSING_RIG_MESSAGE = (
     "a real arm needs the calibration of its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
 )

@@ -15,7 +15,7 @@ from i2t.errors import DeviceError
 from i2t.hardware.protocols import Skin, SkinCounters, StopReason, View
 from i2t.types import Array, Board, ReturnCode
 
-TOOL = ""  # name of the pressing skin in a touch
+TOOL = ""  # key, in a touch's dictionaries of skins, of the skin that presses the object
 
 
 @dataclass

@@ -28,7 +28,7 @@ from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, STANDOFF
 from i2t.runtime.batching import map_batches
 from i2t.runtime.compiling import traced_floats
 from i2t.skin.contact import GRID, Grid, solve
-from i2t.skin.dipoles import CELL_NODES, linear_response
+from i2t.skin.dipoles import DIPOLE_SHEETS, linear_response
 from i2t.skin.dipoles import response as skin_response
 from i2t.skin.lanes import by_lanes
 from i2t.skin.pad import Press
@@ -37,7 +37,8 @@ from i2t.types import Pad, ReturnCode
 
 # Function (pad, height, indentation, *, grid, start) -> press, such as `i2t.skin.pad.press`.
 PressLaw = Callable[..., Press]
-FINE_SHEETS = 2  # number of upper dipole sheets that are as fine as a fine final grid; readings are within 0.04 uT
+# number of dipole sheets, from the surface down, that are as fine as a fine final grid; readings stay within 0.04 uT
+FINE_SHEETS = 2
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class StopSearch:
     max_exact_readings: int = 8
 
 
-_SEARCH = StopSearch()
+_STOP_SEARCH = StopSearch()  # accuracy of the search for the indentation at which a press ends
 
 
 @traced_floats
@@ -131,7 +132,7 @@ def _final_dipoles(final: Grid) -> tuple[Grid, ...] | None:
     Return None if the grid is not a finer one of the same period.
     """
     finer = final.cells > GRID.cells and final.modes * final.spacing == GRID.modes * GRID.spacing
-    return (final,) * FINE_SHEETS + (GRID,) * (CELL_NODES - FINE_SHEETS) if finer else None
+    return (final,) * FINE_SHEETS + (GRID,) * (DIPOLE_SHEETS - FINE_SHEETS) if finer else None
 
 
 def press_at_stop(
@@ -167,7 +168,7 @@ def press_at_stop(
         return stop._replace(force=pressed.force, reading=pressed.reading)
     deep = (pad_response(pad, final) if response is None else response).deep
     start = jax.image.resize(stop.pressure, height.shape, "linear")
-    contact = solve(pad, height, indentation, final, start=start, tolerance=_SEARCH.secant_tolerance)
+    contact = solve(pad, height, indentation, final, start=start, tolerance=_STOP_SEARCH.secant_tolerance)
     reading = _reading_in_batches(final, dipoles)(pad, contact.pressure[None])[0]
     return stop._replace(force=contact.force, reading=reading + jnp.einsum("cij,ij->c", deep, contact.pressure))
 
@@ -301,16 +302,16 @@ class _Bracket(NamedTuple):
 def _bracket(world: _World) -> _Bracket:
     """Bracket the first crossing of the linear excess, with the last trial near it or at the largest indentation."""
     deepest = world.deepest
-    stride = -math.log(_SEARCH.start_fraction) / (world.limits.scan - 1)
+    stride = -math.log(_STOP_SEARCH.start_fraction) / (world.limits.scan - 1)
 
     def unfinished(now: _Bracket) -> Array:
-        near = jnp.where(now.found, jnp.abs(now.f) < _SEARCH.bracket_excess, now.x >= deepest)
-        return ~near & (now.trials < _SEARCH.max_bracket_steps)
+        near = jnp.where(now.found, jnp.abs(now.f) < _STOP_SEARCH.bracket_excess, now.x >= deepest)
+        return ~near & (now.trials < _STOP_SEARCH.max_bracket_steps)
 
     def try_next(now: _Bracket) -> _Bracket:
         secant = now.low - now.f_low * (now.high - now.low) / (now.f_high - now.f_low)
         x = jnp.where(now.found, secant, jnp.minimum(now.low + stride, deepest))
-        pressure, felt = world.press_linearly(x, now.pressure * jnp.exp(x - now.x), _SEARCH.bracket_tolerance)
+        pressure, felt = world.press_linearly(x, now.pressure * jnp.exp(x - now.x), _STOP_SEARCH.bracket_tolerance)
         f, _ = world.excess(felt)
         return _narrowed(now, x, f)._replace(pressure=pressure)
 
@@ -376,7 +377,7 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         """Take one secant step, and compute the linear reading and force there."""
         trial, _ = last
         x = jnp.clip(trial.x - jnp.clip(trial.f / trial.slope, -1.0, 1.0), now.low, now.high)
-        pressure, felt = world.press_linearly(x, trial.pressure * jnp.exp(x - trial.x), _SEARCH.secant_tolerance)
+        pressure, felt = world.press_linearly(x, trial.pressure * jnp.exp(x - trial.x), _STOP_SEARCH.secant_tolerance)
         f, _ = world.excess(felt + now.remainder * jnp.exp(2 * (x - now.measured_at)))
         run = x - trial.x
         slope = (f - trial.f) / jnp.where(run == 0, 1, run)
@@ -390,7 +391,9 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         trial, felt = jax.lax.fori_loop(0, steps, lambda _, last: step(now, last), first)
         true = world.read(trial.x, trial.pressure, felt)
         f, code = world.excess(true)
-        tolerance = jnp.where(trial.slope < _SEARCH.flat_slope, _SEARCH.flat_excess_tolerance, _SEARCH.excess_tolerance)
+        tolerance = jnp.where(
+            trial.slope < _STOP_SEARCH.flat_slope, _STOP_SEARCH.flat_excess_tolerance, _STOP_SEARCH.excess_tolerance
+        )
         beyond = (trial.x >= deepest) & (f < 0)
         code = jnp.where(beyond, ReturnCode.UNDEFINED, code)
         stop = PressResult(jnp.exp(trial.x), true[-1], true[:-1], code, trial.pressure)
@@ -418,8 +421,10 @@ def _approach_stop(world: _World, bracket: _Bracket) -> PressResult:
         low=jnp.asarray(-jnp.inf), high=deepest, nearest=jnp.asarray(jnp.inf), stop=nothing, done=jnp.asarray(False),
         readings=jnp.asarray(0),
     )  # fmt: skip
-    return jax.lax.while_loop(lambda now: ~now.done & (now.readings < _SEARCH.max_exact_readings), read, start).stop
+    return jax.lax.while_loop(
+        lambda now: ~now.done & (now.readings < _STOP_SEARCH.max_exact_readings), read, start
+    ).stop
 
 
 def _clipped(slope: Array) -> Array:
-    return jnp.clip(slope, _SEARCH.min_slope, _SEARCH.max_slope)
+    return jnp.clip(slope, _STOP_SEARCH.min_slope, _STOP_SEARCH.max_slope)

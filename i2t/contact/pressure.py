@@ -34,13 +34,15 @@ from i2t.skin.pad import nominal_pad
 from i2t.types import Array as AnyArray
 from i2t.types import Pad, Surface, in_one_line
 
-CELL_MM = 1.0  # edge of a cell of `ContactPressure`
-SOLVER_TOLERANCE = 1e-3  # relative tolerance of contacts, far below the uncertainty of the heights
-MAX_STEPS = 25  # steps in which the contact solver reaches this tolerance from any start
+CELL_MM = 1.0  # mm, edge of a cell of `ContactPressure`
+SOLVER_TOLERANCE = 1e-3  # relative tolerance of the contact solver, far below the uncertainty of the heights
+MAX_SOLVER_STEPS = 25  # number of steps in which the contact solver reaches `SOLVER_TOLERANCE` from any start
 
-# Three-point Gauss-Hermite rule, exact to the fifth moment of the tilt.
-_NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
-_WEIGHTS = np.array(
+# Nodes of the three-point Gauss-Hermite rule in the two tilts, in standard deviations; exact to the fifth moment of the
+# tilt.
+_TILT_NODES = np.array([(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]) * np.sqrt(3)
+# Weights of `_TILT_NODES` in the mean over the tilt.
+_TILT_WEIGHTS = np.array(
     [{0: 2 / 3, 1: 1 / 6}[abs(x)] * {0: 2 / 3, 1: 1 / 6}[abs(y)] for x in (-1, 0, 1) for y in (-1, 0, 1)]
 )
 
@@ -65,7 +67,7 @@ class PressureModelConfig:
     control: Literal["force", "travel"] = "force"  # measurement that determines how hard the skin is pressed
     # m, edge of a cell of the contact grid; it must divide 1 mm
     cell: float = field(default=0.5e-3, metadata={"static": True})
-    iterations: int = MAX_STEPS  # steps of the contact solver
+    iterations: int = MAX_SOLVER_STEPS  # steps of the contact solver
     floor: float = 0.02  # N, smallest load that is used; a noisy wrench sensor may report less
     softness: float = 1.0  # factor that divides Young's modulus of the pad: a layer twice as soft has softness 2
 
@@ -91,7 +93,7 @@ def press_heights(
     load: Float[Array, ""] | float,
     grid: Grid = CELL_GRID,
     *,
-    max_steps: int = MAX_STEPS,
+    max_steps: int = MAX_SOLVER_STEPS,
 ) -> tuple[Float[Array, "g g"], Float[Array, ""]]:
     """Compute the pressure on a pad's elastic layer that is pressed onto a height map with a given load.
 
@@ -218,12 +220,15 @@ def predict_pressure(
         return solve(pad, tilted, indentation, grid, tolerance=SOLVER_TOLERANCE, max_steps=cfg.iterations).pressure
 
     # Without a tilt, only the central node is pressed.
-    tilted, middle, nodes = cfg.tilt > 0, len(_NODES) // 2, jnp.float32(_NODES)
-    first, last = jnp.where(tilted, 0, middle), jnp.where(tilted, len(_NODES), middle + 1)
+    tilted, middle, nodes = cfg.tilt > 0, len(_TILT_NODES) // 2, jnp.float32(_TILT_NODES)
+    first, last = jnp.where(tilted, 0, middle), jnp.where(tilted, len(_TILT_NODES), middle + 1)
     pressures = jax.lax.fori_loop(
-        first, last, lambda i, parts: parts.at[i].set(press(nodes[i])), jnp.zeros((len(_NODES), grid.cells, grid.cells))
+        first,
+        last,
+        lambda i, parts: parts.at[i].set(press(nodes[i])),
+        jnp.zeros((len(_TILT_NODES), grid.cells, grid.cells)),
     )
-    weights = jnp.where(tilted, jnp.float32(_WEIGHTS), jnp.arange(len(_NODES)) == middle)
+    weights = jnp.where(tilted, jnp.float32(_TILT_WEIGHTS), jnp.arange(len(_TILT_NODES)) == middle)
     pressure = jnp.einsum("t,tij->ij", weights, pressures)
     newtons = newtons_on_cells(pressure, grid)
     return ContactPressure(newtons, jnp.maximum(jnp.sum(newtons), cfg.floor))

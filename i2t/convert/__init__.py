@@ -10,6 +10,6 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(__name__, submod_attrs={"common": ["Converted"]})
 
 # Assumptions of converters. They are here because the command line shows them without importing the converters.
-CAMERA_OFFSET_M = 64e-3  # distance of Imagine2touch's camera behind the tool's origin
-TIP_RADIUS_M = 4e-3  # radius of eFlesh's tip
-EFLESH_WINDOW_M = 40e-3  # edge of a square around the 31 x 31 mm grid of eFlesh's `spatial` sessions
+PAPER_CAMERA_OFFSET_M = 64e-3  # m, distance of Imagine2touch's camera behind the tool's origin
+EFLESH_TIP_RADIUS_M = 4e-3  # m, assumed radius of the spherical tip that presses eFlesh
+EFLESH_WINDOW_M = 40e-3  # m, edge of a square around the 31 x 31 mm grid of eFlesh's `spatial` sessions

@@ -28,7 +28,7 @@ import tyro
 
 from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import require_writable
-from i2t.convert import CAMERA_OFFSET_M, EFLESH_WINDOW_M, TIP_RADIUS_M
+from i2t.convert import EFLESH_TIP_RADIUS_M, EFLESH_WINDOW_M, PAPER_CAMERA_OFFSET_M
 from i2t.errors import DataError, printable, require_extra
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 
@@ -165,7 +165,7 @@ class FromImagine2touch(Recording):
     # board of the skin, which determines order and rotation of its chips
     board: Literal["reskin", "anyskin"] = "reskin"
     pad: str = "reskin"  # name of the skin in the data set
-    camera_mm: float = 1e3 * CAMERA_OFFSET_M  # distance (mm) of the camera behind the tool's origin
+    camera_mm: float = 1e3 * PAPER_CAMERA_OFFSET_M  # distance (mm) of the camera behind the tool's origin
     # number of counter-clockwise quarter turns after which image rows run along tool y and columns along tool x
     quarter_turns: int = 0
     tool_forces: bool = False  # forces are given in the tool's axes, not in those of the robot base
@@ -190,7 +190,7 @@ class FromEflesh(Recording):
     # edge (mm) of the square that a patch shows; presses outside it are left out
     window_mm: float = 1e3 * EFLESH_WINDOW_M
     # radius (mm) of the probe's spherical tip, which the recordings do not state
-    tip_radius_mm: float = 1e3 * TIP_RADIUS_M
+    tip_radius_mm: float = 1e3 * EFLESH_TIP_RADIUS_M
     # the robot's z (mm) at first contact; by default, where readings begin, or the highest z
     z0_mm: float | None = None
     pad: str | None = None  # name of the skin for all sessions; by default, each session has its own
@@ -301,6 +301,7 @@ class ToLeRobot(WriteCommand):
         print(f"wrote {len(dataset)} touches to {lerobot.write(self.target, dataset)}")
 
 
+# Subcommands of python -m i2t.convert.
 COMMANDS: dict[str, Callable[..., ReadCommand]] = {
     "summary": Summary,
     "imagine2touch": FromImagine2touch,

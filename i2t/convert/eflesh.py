@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from i2t.convert import EFLESH_WINDOW_M, TIP_RADIUS_M
+from i2t.convert import EFLESH_TIP_RADIUS_M, EFLESH_WINDOW_M
 from i2t.convert.common import Converted, converted
 from i2t.convert.press_table import (
     SessionCheck,
@@ -50,7 +50,7 @@ from i2t.types import Board
 def convert(
     source: Path,
     *,
-    radius: float = TIP_RADIUS_M,
+    radius: float = EFLESH_TIP_RADIUS_M,
     window: float = EFLESH_WINDOW_M,
     reach: float = REACH,
     zero: float | None = None,

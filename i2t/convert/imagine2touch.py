@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from i2t.convert import CAMERA_OFFSET_M, npy, samples
+from i2t.convert import PAPER_CAMERA_OFFSET_M, npy, samples
 from i2t.convert.common import Converted, converted
 from i2t.dataset import Dataset, concatenate, missing_views
 from i2t.dataset.sets import NOT_STATED
@@ -46,7 +46,7 @@ def convert(
     order: str = "auto",
     window: float = PATCH_WINDOW,
     reach: float = REACH,
-    camera: float = CAMERA_OFFSET_M,
+    camera: float = PAPER_CAMERA_OFFSET_M,
     quarter_turns: int = 0,
     tool_forces: bool = False,
     pad: str = "reskin",

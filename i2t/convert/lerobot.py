@@ -26,10 +26,13 @@ from i2t.errors import DataError, require_extra
 from i2t.files.writing import unwritable
 from i2t.skin.boards import name_of_board
 
+# path of the table of touches in a data set of LeRobot, as its metadata state it
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-FRAME_RATE_HZ = 1  # nominal rate: a frame is a touch
-NAMED_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "view": "observation.view"}
-POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")  # names of a pose's numbers: position (m) and unit quaternion
+FRAME_RATE_HZ = 1  # Hz, nominal frame rate in LeRobot's metadata; each frame is a touch
+# Fields of i2t's touches and their columns in LeRobot's table; the column of any other field is touch.<field>.
+LEROBOT_COLUMNS = {"reading": "observation.tactile", "patch": "observation.patch", "view": "observation.view"}
+# elements of a pose: position (m) and unit quaternion, scalar last
+POSE_NAMES = ("x", "y", "z", "qx", "qy", "qz", "qw")
 
 
 def write(target: Path, dataset: Dataset) -> Path:
@@ -102,7 +105,7 @@ def _frames(dataset: Dataset) -> dict[str, np.ndarray]:
     if dataset.touches.truth is not None:
         fields |= {f"truth_{name}": values for name, values in dataset.touches.truth._asdict().items()}
     columns = {
-        NAMED_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDEX_FIELDS else values
+        LEROBOT_COLUMNS.get(name, f"touch.{name}"): values.astype(np.int64) if name in INDEX_FIELDS else values
         for name, values in fields.items()
         if values is not None and not (name == "view" and np.isnan(values).all())
     }

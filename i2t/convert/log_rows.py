@@ -28,7 +28,7 @@ from i2t.recordings.clocks import (
 )
 from i2t.recordings.log import ReadingLog
 
-ROWS_READ_AT_ONCE = 8192  # 20 s at 400 Hz; rate and noise are estimated from the first piece
+ROWS_READ_AT_ONCE = 8192  # rows of a log read at once, 20 s at 400 Hz; rate and noise are estimated from the first ones
 
 
 class LabelColumn(IntEnum):

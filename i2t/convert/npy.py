@@ -24,11 +24,13 @@ from i2t.files.kinds import kind_of
 from i2t.files.limits import READ_LIMITS
 from i2t.recordings.files import data_error, read_bytes
 
+# Opcodes of pickled NumPy arrays of objects that are accepted; any other is refused, for safety.
 OPCODES = re.compile(
     "PROTO|FRAME|STOP|MARK|POP|POP_MARK|MEMOIZE|(LONG_)?BIN(PUT|GET)|PUT|GET|NONE|NEWTRUE|NEWFALSE|(BIN)?INT[12]?"
     "|LONG[14]?|(BIN)?FLOAT|(SHORT_)?BIN(BYTES|STRING|UNICODE)8?|UNICODE|(EMPTY_)?(LIST|TUPLE|DICT)|APPENDS?|TUPLE[123]"
     "|SETITEMS?|(STACK_)?GLOBAL|REDUCE|BUILD|NEWOBJ"
 )
+# Parts of NumPy that a pickle may ask for: module and name, and the name of the inert part that stands in for it.
 _NUMPY_PARTS = {
     **{(f"numpy.{core}.multiarray", name): name for core in ("core", "_core") for name in ("_reconstruct", "scalar")},
     ("numpy", "ndarray"): "ndarray",

@@ -29,12 +29,12 @@ from i2t.errors import DataError
 from i2t.files.kinds import MESH_SUFFIXES
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.recordings.columns import (
-    FORCE,
+    FORCE_COLUMN,
     HEIGHT_COLUMNS,
     NAME_COLUMNS,
-    PLACES,
+    PLACE_COLUMNS,
     SOURCE_COLUMN,
-    TIME,
+    TIME_COLUMN,
     ambient_columns,
     field_columns,
 )
@@ -130,8 +130,8 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     height = next((name for name in HEIGHT_COLUMNS if name in table.header and "travel_mm" not in table.header), None)
     header = ["travel_mm" if name == height else name for name in table.header]
     values, ambient = _value_columns(source, header, chips, notes)
-    places = [name for name in PLACES if name in header]
-    columns = [*places, *values, *ambient, *([FORCE] if FORCE in header else [])]
+    places = [name for name in PLACE_COLUMNS if name in header]
+    columns = [*places, *values, *ambient, *([FORCE_COLUMN] if FORCE_COLUMN in header else [])]
 
     def needed(empty: np.ndarray) -> np.ndarray:
         """Compute the mask of fields that may not be empty: places, and the values of chips that answered."""
@@ -166,7 +166,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
         readings = readings - np.column_stack([column[name] for name in ambient])
     presses = Presses(
         M_PER_MM * np.column_stack([column["x_mm"], column["y_mm"]]), readings,
-        height=-M_PER_MM * travel, force=column.get(FORCE, unknown),
+        height=-M_PER_MM * travel, force=column.get(FORCE_COLUMN, unknown),
         time=np.array([_time(header, cells) for _, cells in rows]),
         **{kind: np.array([names_in(header, cells, kind) for _, cells in rows]) for kind in NAME_COLUMNS},
     ).rows(kept)  # fmt: skip
@@ -200,7 +200,7 @@ def _silent(source: Path, fields: np.ndarray, chips: int, notes: ReadingLog) -> 
 def _time(header: list[str], cells: list[str]) -> float:
     """Read the time of a press (s), NaN if it was not recorded."""
     try:
-        return float(cells[header.index(TIME)])
+        return float(cells[header.index(TIME_COLUMN)])
     except ValueError:
         return math.nan
 
@@ -225,8 +225,8 @@ def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]])
 
 def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLog) -> tuple[list[str], list[str]]:
     """List the columns of a board's values and of its ambient field; refuse a table that lacks some."""
-    by_force = "travel_mm" not in header and FORCE in header
-    values = field_columns(source, header, chips, PLACES[:2] if by_force else PLACES)
+    by_force = "travel_mm" not in header and FORCE_COLUMN in header
+    values = field_columns(source, header, chips, PLACE_COLUMNS[:2] if by_force else PLACE_COLUMNS)
     if by_force:
         notes.info("no travel was recorded: presses are described by their force")
     ambient = ambient_columns(values)
@@ -235,7 +235,15 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLo
         raise DataError(
             f"{source}: some of the ambient columns {ambient[0]} ... {ambient[-1]} are missing; give all or none"
         )
-    understood = {*PLACES, *values, FORCE, TIME, SOURCE_COLUMN, *NAME_COLUMNS, *(ambient if has_ambient else ())}
+    understood = {
+        *PLACE_COLUMNS,
+        *values,
+        FORCE_COLUMN,
+        TIME_COLUMN,
+        SOURCE_COLUMN,
+        *NAME_COLUMNS,
+        *(ambient if has_ambient else ()),
+    }
     if unknown := [name for name in header if name not in understood]:
         notes.info(f"left out: columns {', '.join(unknown)}, which are not used")
     return values, ambient if has_ambient else []

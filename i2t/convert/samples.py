@@ -17,9 +17,9 @@ from i2t.recordings.files import data_error
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
 from i2t.skin.boards import AXES_OF_CHIP, mean_finite, without_silent_chips
 
-CHIPS = 5  # number of chips on the boards of this layout
-AUTHORS_READINGS = AXES_OF_CHIP * CHIPS
-MAX_SAMPLE_VALUE = 1e6  # uT, largest plausible value; the range of the chips ends at 1.3e5
+CHIPS = 5  # number of chips on the board of the paper's skin
+PAPER_READING_SIZE = AXES_OF_CHIP * CHIPS  # number of values in a sample of the paper's skin
+MAX_SAMPLE_VALUE = 1e6  # uT, largest plausible value of a sample; the range of the chips ends at 1.3e5 uT
 
 
 def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:
@@ -110,14 +110,14 @@ def _samples(path: Path, item: Any) -> list[list[float]]:
     delay, values, device].
     """
     if isinstance(item, list):
-        if len(item) in (AUTHORS_READINGS, 4 * CHIPS) and all(isinstance(value, int | float) for value in item):
+        if len(item) in (PAPER_READING_SIZE, 4 * CHIPS) and all(isinstance(value, int | float) for value in item):
             return [[float(value) for value in item]]
         if len(item) == 4 and isinstance(item[2], list) and not isinstance(item[0], list):
             return _samples(path, item[2])
         if item and all(isinstance(part, list) for part in item):
             return [sample for part in item for sample in _samples(path, part)]
     kind = f"a list of {len(item)}" if isinstance(item, list) else repr(item)[:40]
-    raise data_error(path, f"holds {kind} where a sample of {AUTHORS_READINGS} or {4 * CHIPS} values should be")
+    raise data_error(path, f"holds {kind} where a sample of {PAPER_READING_SIZE} or {4 * CHIPS} values should be")
 
 
 def _time(item: Any) -> float:
@@ -134,7 +134,7 @@ def _mean(samples: list[list[float]], order: str) -> np.ndarray:
     """Compute the mean field (15,) of the samples in which a chip answered, chip by chip."""
     fields = without_silent_chips(np.array([_field(sample, order) for sample in samples]))
     if np.any(np.abs(fields) >= MAX_SAMPLE_VALUE):
-        return np.full(AUTHORS_READINGS, np.inf)
+        return np.full(PAPER_READING_SIZE, np.inf)
     return mean_finite(fields, axis=0)
 
 

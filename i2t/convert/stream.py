@@ -30,7 +30,7 @@ from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.recordings.clocks import pause_threshold
-from i2t.recordings.columns import FORCE, HEIGHT_COLUMNS, PLACES, TEXT_COLUMNS, TIME, field_columns
+from i2t.recordings.columns import FORCE_COLUMN, HEIGHT_COLUMNS, PLACE_COLUMNS, TEXT_COLUMNS, TIME_COLUMN, field_columns
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
     OpenRecording,
@@ -64,7 +64,7 @@ class PartRules:
     max_unseen_travel: float = 0.05  # largest motion of the tip in a gap before a press, as a fraction of the travel
 
 
-_RULES = PartRules()
+_PART_RULES = PartRules()  # rules for the parts of a log, at whose ends presses may be cut
 
 
 class _Columns(NamedTuple):
@@ -99,8 +99,8 @@ class _Search:
         order = 1e-6 * step * np.arange(self.rows, self.rows + len(rows.time))  # of rows that share a time
         rows = rows._replace(time=rows.time - self.origin + order)
         self.rows += len(rows.time)
-        self.head = rows.readings[: _RULES.head_rows].copy() if self.head is None else self.head
-        self.tail = rows.select(slice(-_RULES.head_rows, None))
+        self.head = rows.readings[: _PART_RULES.head_rows].copy() if self.head is None else self.head
+        self.tail = rows.select(slice(-_PART_RULES.head_rows, None))
         if self.recording is not None:
             self.recording, more = extend_recording(self.recording, rows.time, rows.readings, rows.labels)
             self.presses += more
@@ -114,21 +114,21 @@ class _Search:
         if self.head is None or self.tail is None or not len(rows.time) or self.rows < SegmentationConfig().min_rows:
             return False
         tail = self.tail.readings
-        last, following = tail[-_RULES.level_rows :].mean(0), rows.readings[: _RULES.level_rows].mean(0)
+        last, following = tail[-_PART_RULES.level_rows :].mean(0), rows.readings[: _PART_RULES.level_rows].mean(0)
 
         def distance(difference: np.ndarray, rows: np.ndarray) -> float:
             between_rows = np.diff(rows, axis=0).std(0) if len(rows) > 1 else np.zeros(rows.shape[1])
             return float((np.abs(difference) / np.maximum(between_rows, SegmentationConfig().min_noise_ut)).max())
 
-        pressed = distance(last - np.median(self.head, axis=0), self.head) > _RULES.min_pressed
+        pressed = distance(last - np.median(self.head, axis=0), self.head) > _PART_RULES.min_pressed
         elsewhere = (
             np.abs(rows.labels[0, LabelColumn.FIRST_VALUE :] - self.tail.labels[-1, LabelColumn.FIRST_VALUE :])
-            > _RULES.max_label_change
+            > _PART_RULES.max_label_change
         )
         return (
             pressed
             and not elsewhere.any()
-            and distance(following - last, np.vstack([tail, self.head])) < _RULES.max_same_level
+            and distance(following - last, np.vstack([tail, self.head])) < _PART_RULES.max_same_level
         )
 
     def finish(self) -> None:
@@ -259,7 +259,7 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
             "give a log that begins at rest and has presses"
         )
     log_presses.note(notes)
-    header = [*columns.names, TIME, *log_presses.labels, *columns.values]
+    header = [*columns.names, TIME_COLUMN, *log_presses.labels, *columns.values]
     rows = [log_presses.row(press, names) for press in log_presses.presses]
     return TextTable(header, rows, notes.sentences())
 
@@ -297,10 +297,10 @@ class _LogPresses:
             return
         for press in search.presses:
             steady = (press.steady_end - press.steady_start) / (press.end - press.start)
-            if not press.over and steady < _RULES.min_steady_fraction:
+            if not press.over and steady < _PART_RULES.min_steady_fraction:
                 self.unsteady += 1
                 continue
-            if press.gap > _RULES.max_gap_rows * state.rules.step and self._travelled(press):
+            if press.gap > _PART_RULES.max_gap_rows * state.rules.step and self._travelled(press):
                 press.at_start[LabelColumn.FIRST_VALUE + (self.height or 0)] = np.nan
                 self.hidden += 1
             self.presses.append(press)
@@ -314,7 +314,7 @@ class _LogPresses:
             return False
         heights = press.across[:, LabelColumn.FIRST_VALUE + self.height]
         travel = abs(heights[0] - press.steady[LabelColumn.FIRST_VALUE + self.height])
-        return bool(abs(np.diff(heights)).max(initial=0.0) > _RULES.max_unseen_travel * travel)
+        return bool(abs(np.diff(heights)).max(initial=0.0) > _PART_RULES.max_unseen_travel * travel)
 
     def note(self, notes: ReadingLog) -> None:
         """Note findings, assumptions and omissions."""
@@ -361,14 +361,14 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
     """List the columns of a log; refuse a table without time or without the values of the board."""
     header = table.header
     remedy = f"so this is not a log of a board of {chips} chips: name columns as in docs/data.md"
-    if timed and TIME not in header:
+    if timed and TIME_COLUMN not in header:
         remedy = "name the column of time by its unit (time_s, time_ms, time_us), or give --rate-hz where there is none"
-    values = field_columns(source, header, chips, [TIME] if timed else [], remedy)
-    labels = [name for name in (*PLACES, FORCE) if name in header]
+    values = field_columns(source, header, chips, [TIME_COLUMN] if timed else [], remedy)
+    labels = [name for name in (*PLACE_COLUMNS, FORCE_COLUMN) if name in header]
     if "travel_mm" not in header:
         labels += [name for name in HEIGHT_COLUMNS if name in header][:1]
     names = [name for name in TEXT_COLUMNS if name in header]
-    unread = [name for name in header if name not in {TIME, *values, *labels, *names}]
+    unread = [name for name in header if name not in {TIME_COLUMN, *values, *labels, *names}]
     notes = [f"left out: columns {', '.join(unread)}, which are not read in a log"] if unread else []
     return _Columns(names, values, labels, notes)
 
@@ -377,7 +377,7 @@ def _rows(
     source: Path, table: TableRows, columns: _Columns, notes: ReadingLog, all_names: list[tuple[str, ...]]
 ) -> Iterator[LogRows]:
     """Read the rows of a log in pieces. Count those in which a chip did not answer, and add new names."""
-    timed = [TIME] if TIME in table.header else []
+    timed = [TIME_COLUMN] if TIME_COLUMN in table.header else []
     wanted = [*timed, *columns.values, *columns.labels]
     first, end = len(timed), len(timed) + len(columns.values)
     which = [table.header.index(name) for name in columns.names]

@@ -9,7 +9,7 @@ from i2t.dataset.sets import NOT_STATED, Dataset, source_phrase
 from i2t.errors import printable
 from i2t.files.writing import replacing
 
-CARD = "README.md"  # name of the file with a data set's card
+CARD = "README.md"  # name of the file, in a data set's folder, that describes the data set to people
 
 
 def card_of(dataset: Dataset, *, board_name: str = "", max_notes: int = 40) -> str:

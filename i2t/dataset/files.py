@@ -33,10 +33,11 @@ from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import open_regular
 from i2t.files.writing import replacing, unwritable
 
-SCHEMA = "i2t-touches"
-SCHEMA_VERSION = 3  # versions 1 and 2, which are still read, have other names for some fields
-ENDING = ".h5"  # ending of the names of packed data sets
-HEADER_BYTES = 512  # size of the header in front of the HDF5 data
+SCHEMA = "i2t-touches"  # name of the schema, at the start of the header of each file of touches
+# version of the schema that is written; versions 1 and 2, which name some fields differently, are still read
+SCHEMA_VERSION = 3
+ENDING = ".h5"  # ending of the name of a packed data set's file
+HEADER_BYTES = 512  # size of the text header in front of the HDF5 data of a file of touches
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,7 @@ class _H5Limits:
     text_bytes: int = 2**28
 
 
-_LIMITS = _H5Limits()
+_H5_LIMITS = _H5Limits()  # largest accepted contents of a file of touches, far above those of real files
 
 
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:
@@ -142,17 +143,17 @@ class _Inspection:
     """
 
     def __init__(self, size: int) -> None:
-        self._size, self._left, self._entries = size, READ_LIMITS.unpacked_spare_bytes + _LIMITS.growth * size, 0
+        self._size, self._left, self._entries = size, READ_LIMITS.unpacked_spare_bytes + _H5_LIMITS.growth * size, 0
 
     def group(self, group: h5py.Group, level: int) -> None:
         """Raise DataError, without the file's name, for contents that no file of this schema has."""
-        if level > _LIMITS.levels:
+        if level > _H5_LIMITS.levels:
             raise DataError("its groups are nested too deeply")
         self._attributes(group)
         for name in group:
             self._entries += 1
-            if self._entries > _LIMITS.entries:
-                raise DataError(f"it holds more than {_LIMITS.entries} groups and arrays")
+            if self._entries > _H5_LIMITS.entries:
+                raise DataError(f"it holds more than {_H5_LIMITS.entries} groups and arrays")
             link = group.get(name, getlink=True)
             if not isinstance(link, h5py.HardLink):
                 kind = "another file" if isinstance(link, h5py.ExternalLink) else "another place"
@@ -188,18 +189,18 @@ class _Inspection:
         flat, total = int(array.size), 0
         if array.ndim > 1:
             raise DataError(f"{name!r} is a table of texts, which the schema does not have")
-        step = max(1, _LIMITS.text_bytes // max(self._size, 1))
+        step = max(1, _H5_LIMITS.text_bytes // max(self._size, 1))
         for start in range(0, flat, step):
             texts: Any = array[start : start + step] if array.ndim else [array[()]]
             total += sum(len(text) for text in texts)
-            if total > _LIMITS.text_bytes:
+            if total > _H5_LIMITS.text_bytes:
                 raise DataError(f"the texts of {name!r} are longer than a file of {self._size} bytes can hold")
 
     def _attributes(self, item: h5py.Group | h5py.Dataset) -> None:
         for name in item.attrs:
             attribute = item.attrs.get_id(name)
             count = int(np.prod(attribute.shape or (), dtype=object))
-            shared = attribute.dtype.hasobject and count > 1 and count * self._size > 8 * _LIMITS.text_bytes
+            shared = attribute.dtype.hasobject and count > 1 and count * self._size > 8 * _H5_LIMITS.text_bytes
             if shared or count * attribute.dtype.itemsize > READ_LIMITS.unpacked_spare_bytes:
                 raise DataError(f"the attribute {name!r} claims to hold {count} values, more than any attribute has")
 

@@ -15,10 +15,12 @@ from i2t.patches.dimensions import PATCH_WINDOW, REACH, VIEW_PIXELS
 from i2t.types import Board, Pad, ReturnCode, Touches, Truth
 
 NOT_STATED = "not stated"  # source of recordings whose format does not state whether they are real
-SOURCES = ("simulated", "mixed", "real", NOT_STATED)
+SOURCES = ("simulated", "mixed", "real", NOT_STATED)  # sources of the touches of a data set
+# fields of touches that hold integers: indices of names, and the return code
 INDEX_FIELDS = ("object", "pad", "session", "code")
+# fields of touches without a default
 REQUIRED_FIELDS = tuple(name for name in Touches._fields if name not in Touches._field_defaults)
-AXIS_NAMES = ("x", "y", "z")
+AXIS_NAMES = ("x", "y", "z")  # axes of a vector, in their order
 
 
 @dataclass(frozen=True, repr=False)

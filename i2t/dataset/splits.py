@@ -18,7 +18,7 @@ import numpy as np
 from i2t.dataset.sets import Dataset
 from i2t.errors import DataError
 
-SAME_PLACE_M = 0.2e-3  # m, maximum distance between presses that count as at the same place
+SAME_PLACE_M = 0.2e-3  # m, largest distance between presses that count as at the same place of the skin
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,8 @@ from i2t.files.reading import explain_no_dataset
 from i2t.files.writing import as_path
 from i2t.types import Board, Touches, Truth
 
-UNITS = {
+# Units that a file of touches states for its fields.
+FIELD_UNITS = {
     **dict.fromkeys(("patch", "view", "nearest", "travel", "indentation"), "m"),
     "reading": "uT",
     "force": "N",
@@ -37,14 +38,15 @@ UNITS = {
     **dict.fromkeys(("object", "pad", "session", "code"), "1"),
     "time": "s",
 }
+# Names of fields and attributes in files of earlier schema versions, by their present names.
 EARLIER_NAMES = {
     "session": "run", "sessions": "runs",  # schema version 1
     "travel": "depth", "view": "wide", "view_pixels": "wide_pixels",  # schema versions 1 and 2
 }  # fmt: skip
 
-# Series of the skin at the tool. The series of a further skin have its name appended.
+# Time series of the skin on the tool that a file holds for a touch. A further skin's have its name appended.
 SKIN_SERIES = ("tactile", "temperature", "ambient", "ambient_predicted")
-SKIN_NAME = "skin name"  # key in `Dataset.meta` of the skin's name, if there were several
+SKIN_NAME = "skin name"  # key, in `Dataset.meta`, of the name of the touches' skin, if there were several skins
 
 T = TypeVar("T")
 
@@ -359,9 +361,9 @@ def _put_dataset(file: h5py.Group, dataset: Dataset) -> None:
     _put(file, "board/rotations", dataset.board.rotations, "1")
     for name, values in touches._asdict().items():
         if name != "truth" and values is not None and not (name == "view" and np.isnan(values).all()):
-            _put(file, f"touches/{name}", values, UNITS[name])
+            _put(file, f"touches/{name}", values, FIELD_UNITS[name])
     for name, values in touches.truth._asdict().items() if touches.truth is not None else ():
-        _put(file, f"truth/{name}", values, UNITS[name])
+        _put(file, f"truth/{name}", values, FIELD_UNITS[name])
     file["touches"].attrs["view_pixels"] = touches.view.shape[-1]
 
 

@@ -27,10 +27,10 @@ from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path
 
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff")
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff")  # file name endings of depth images that can be read
 MAX_DEPTH_M = 20.0  # m, largest depth that counts as measured; larger values mark holes or an empty background
-MAX_UINT16 = 2**16 - 1
-# Metres per unit of 16-bit images: millimetres, RealSense L515, TUM RGB-D, RealSense SR300, RealSense D405
+MAX_UINT16 = 2**16 - 1  # largest 16-bit value, with which some depth images mark pixels without depth
+# Metres per unit of 16-bit depth images: millimetres, RealSense L515, TUM RGB-D, RealSense SR300, RealSense D405.
 COMMON_UNITS_M = (1e-3, 2.5e-4, 2e-4, 1.25e-4, 1e-4)
 
 
@@ -79,7 +79,7 @@ class Distortion(StrEnum):
 
 
 # Lens models by their names in ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV. None marks a fisheye lens.
-MODEL_NAMES: dict[str, Distortion | None] = {
+LENS_MODELS: dict[str, Distortion | None] = {
     **dict.fromkeys(("", "pinhole", "perspective", "no_distortion"), Distortion.NONE),
     **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential", "opencv", "brown", "rational_polynomial"),
                     Distortion.BROWN_CONRADY),
@@ -142,10 +142,10 @@ def _lens_model(name: Any, coefficients: tuple[float, ...]) -> tuple[Distortion,
     """Find a lens model by one of its names and complete its five coefficients, or refuse another model."""
     plain = str(name).strip().lower().replace(" ", "_").replace("-", "_")
     plain = plain.removeprefix("distortion.").removeprefix("rs2_distortion_")  # librealsense's names in Python and C
-    if plain not in MODEL_NAMES:
+    if plain not in LENS_MODELS:
         names = ", ".join(Distortion)
         raise ValueError(f"camera: model {name!r} is not known; choose from {names} (ROS's plumb_bob is brown_conrady)")
-    model = MODEL_NAMES[plain]
+    model = LENS_MODELS[plain]
     if model is None:
         raise ValueError(f"camera: model {name!r} is a fisheye lens, which is not supported; undistort to a pinhole")
     if any(coefficients[5:]):

@@ -38,8 +38,8 @@ from i2t.hardware.skin_stream import QueuedSkin, StreamConfig, StreamRow
 from i2t.simulation.depth_camera import add_depth_noise, render_view, shade_view
 from i2t.types import Array
 
-TICK_S = 2.5e-3  # period of motion and of the skin's samples
-SLOW_FIELD_S = 1.0  # s, assumed correlation time of the slow ambient field common to all chips
+TICK_S = 2.5e-3  # s, period at which the emulated arm moves and the emulated skin is sampled
+SLOW_FIELD_S = 1.0  # s, assumed correlation time of the slow ambient field that all chips of the emulated skin share
 
 
 class VirtualClock:

@@ -16,7 +16,7 @@ from i2t.geometry import so3_exp, so3_log
 Array: TypeAlias = NDArray[np.float64]
 Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotation (3, 3) of the tool -> wrench on it
 
-ROTATION_LEVER_M = 0.25  # m, length of path that counts as a rotation by one radian
+ROTATION_LEVER_M = 0.25  # m, length of path of the emulated arm that counts as a rotation by one radian
 
 
 class LinearMotion(NamedTuple):

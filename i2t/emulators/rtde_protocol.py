@@ -17,15 +17,17 @@ from typing import NamedTuple, TypeAlias
 
 Value: TypeAlias = int | float | Sequence[int | float]
 
-PACKET_HEADER = struct.Struct(">HB")
-FORMATS = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}
-TYPE_OF_NAME = (  # type of a value, and the pattern of its names
+PACKET_HEADER = struct.Struct(">HB")  # header of an RTDE packet: its size in bytes and its type
+# codes of the `struct` module for RTDE's types of values
+STRUCT_CODES = {"UINT32": "I", "INT32": "i", "DOUBLE": "d", "VECTOR6D": "6d"}
+# RTDE's type of a value, and the pattern of the names of values of that type.
+TYPE_OF_NAME = (
     ("INT32", r"(in|out)put_int_register_\d+"),
     ("DOUBLE", r"(in|out)put_double_register_\d+|timestamp|target_speed_fraction|speed_slider_fraction"),
     ("UINT32", r"runtime_state|robot_status_bits|safety_status_bits|speed_slider_mask"),
     ("VECTOR6D", r"actual_(q|TCP_(pose|speed|force))|external_force_torque"),
 )
-NOT_FOUND = "NOT_FOUND"  # type of an unknown name
+NOT_FOUND = "NOT_FOUND"  # type that RTDE reports for an unknown name of a value
 
 
 class PacketType(IntEnum):
@@ -54,7 +56,7 @@ class Recipe(NamedTuple):
     @property
     def layout(self) -> struct.Struct:
         """Big-endian binary layout of a data packet's body: the recipe's number and the values."""
-        return struct.Struct(">B" + "".join(FORMATS[kind] for kind in self.types))
+        return struct.Struct(">B" + "".join(STRUCT_CODES[kind] for kind in self.types))
 
 
 def recipe(names: str) -> Recipe:

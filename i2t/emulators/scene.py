@@ -33,10 +33,12 @@ from i2t.skin.dipoles import rest_field
 from i2t.skin.pad import press_force
 from i2t.types import Array, Board, Pad, Surface
 
-LINE_LENGTH_M = 0.12  # m, length of the line along tool z on which the object is searched for
-LINE_TOLERANCE_M = 20e-6  # maximum distance of a tool that counts as on its line
+LINE_LENGTH_M = 0.12  # m, length of the line along tool z on which the emulated scene searches for the object
+LINE_TOLERANCE_M = 20e-6  # m, largest distance of the tool from its line of contact at which the line is still used
+# N, loads at which the contact of the skin with the object is computed; others are interpolated
 TABULATED_LOADS_N = np.geomspace(0.02, 60.0, 14)
-ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])  # uT in base axes: about the Earth's field on the southern hemisphere
+# uT, ambient field in base axes: about the Earth's field on the southern hemisphere
+ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])
 
 
 class ContactLine(NamedTuple):

@@ -16,8 +16,8 @@ from i2t.emulators.robot_motion import Robot
 
 log = logging.getLogger(__name__)
 
-TICK = 0.002  # s, period of the controller
-STOPPED, PLAYING, PAUSED = 1, 2, 4  # values of the runtime state
+TICK = 0.002  # s, period of the emulated controller
+STOPPED, PLAYING, PAUSED = 1, 2, 4  # values of RTDE's runtime_state
 
 
 class Handshake(IntEnum):

@@ -22,8 +22,9 @@ log = logging.getLogger(__name__)
 
 Serve: TypeAlias = Callable[["Client"], Awaitable[None]]
 
-SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT = 30003, 29999, 30004
-FAULT_PORT = 30100  # port for faults on demand, which a real controller does not have
+SCRIPT_PORT, DASHBOARD_PORT, RTDE_PORT = 30003, 29999, 30004  # TCP ports of a UR controller
+# TCP port on which the emulated controller takes requests to fail; a real controller has no such port
+FAULT_PORT = 30100
 
 
 class Client:
@@ -237,7 +238,7 @@ class Server:
                     controller.forged.clear()
                 case ["forge", name, *numbers] if numbers:
                     values = [float(number) for number in numbers]
-                    size = struct.calcsize(rtde_protocol.FORMATS[rtde_protocol.recipe(name).types[0]]) // 8
+                    size = struct.calcsize(rtde_protocol.STRUCT_CODES[rtde_protocol.recipe(name).types[0]]) // 8
                     controller.forged[name] = values[0] if size <= 1 else (values * size)[:size]
                 case ["mute"]:
                     self.muted = True

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from i2t.hardware.rig import Rig
     from i2t.types import Pad
 
-DEFAULT_PAD_KEY = 1000  # seed of the default random pad, which is pad 0 of experiments.train
+DEFAULT_PAD_KEY = 1000  # random seed of the emulated skin's default pad, which is pad 0 of experiments.train
 
 
 def read_pad(path: Path | None, board: str | None = None) -> "Pad":

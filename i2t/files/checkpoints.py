@@ -9,8 +9,8 @@ from typing import Any
 
 from i2t.files.reading import read_json
 
-MAX_METADATA_BYTES = 2**26
-_METADATA_FILE = "_CHECKPOINT_METADATA"
+MAX_METADATA_BYTES = 2**26  # bytes, largest accepted metadata file of a checkpoint
+_METADATA_FILE = "_CHECKPOINT_METADATA"  # file in which Orbax keeps a checkpoint's metadata
 
 
 def is_checkpoint(folder: Path) -> bool:

@@ -8,11 +8,11 @@ from pathlib import Path
 from i2t.errors import DataError
 from i2t.files.limits import READ_LIMITS
 
-MARK_OF_TOUCHES = b"i2t-touches "  # the first bytes of a file of touches (`i2t.dataset.files`)
-GZIP_MARK = b"\x1f\x8b"
-TABLE_SUFFIXES = (".csv", ".tsv", ".txt")
-MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")
-UTF_8, WINDOWS_1252 = "utf-8-sig", "cp1252"
+MARK_OF_TOUCHES = b"i2t-touches "  # first bytes of a file of touches (`i2t.dataset.files`)
+GZIP_MARK = b"\x1f\x8b"  # first bytes of a gzip file
+TABLE_SUFFIXES = (".csv", ".tsv", ".txt")  # file name endings of text tables
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")  # file name endings of meshes that can be read
+UTF_8, WINDOWS_1252 = "utf-8-sig", "cp1252"  # encodings of text files, tried in this order
 
 
 class _Remedy(StrEnum):
@@ -24,7 +24,7 @@ class _Remedy(StrEnum):
     SAVETXT = "write its columns with numpy.savetxt, with their names as the header"
 
 
-# The first bytes of files that are not tables, by the specification of each format: mark, kind and remedy.
+# First bytes of files that are not tables, from the specification of each format, with their kind and remedy.
 FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (b"\x93NUMPY", "a NumPy array (.npy)", _Remedy.SAVETXT),
     (b"PK\x03\x04", "a zip archive", _Remedy.UNPACK),
@@ -48,7 +48,7 @@ FILE_MARKS: tuple[tuple[bytes, str, str], ...] = (
     (GZIP_MARK, "a gzip archive", _Remedy.UNPACK),
     *((b"\x80" + bytes([protocol]), "a Python pickle", _Remedy.EXPORT) for protocol in range(2, 6)),
 )
-# Zip archives that are documents, by a name among their entries: name, kind and remedy.
+# Zip archives that are documents, recognised by the name of an entry: name, kind of document and remedy.
 ZIP_ENTRY_NAMES: tuple[tuple[bytes, str, str], ...] = (
     (b"xl/", "an Excel workbook (.xlsx)", _Remedy.SAVE_AS_CSV),
     (b"[Content_Types].xml", "an Excel workbook or another Office document", _Remedy.SAVE_AS_CSV),

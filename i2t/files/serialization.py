@@ -23,7 +23,7 @@ from i2t.files.archives import check_archive
 from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path, replacing
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 1  # version of the archives that `save` writes and `load` reads
 HEADER_ENTRY = "about"  # name of the archive's entry that holds kind and version of the file
 
 Tree = TypeVar("Tree")

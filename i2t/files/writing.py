@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from i2t.errors import NAMED_WRONGLY, DataError, FullDiskError
+from i2t.errors import WRONG_PATH_ERRORS, DataError, FullDiskError
 
 
 def as_path(name: str, value: Any) -> Path:
@@ -44,7 +44,7 @@ def unwritable(path: str | Path, error: OSError) -> DataError:
     """
     inner = re.search("error message = '([^']*)'", str(error))  # as HDF5 words it
     why = error.strerror or (inner[1] if inner else str(error))
-    if isinstance(error, NAMED_WRONGLY):
+    if isinstance(error, WRONG_PATH_ERRORS):
         return DataError(f"{path}: cannot be written ({why}); choose a folder you may write to")
     return FullDiskError(f"{path}: cannot be written ({why}); make room on its disk, or choose another")
 

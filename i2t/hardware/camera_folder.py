@@ -33,8 +33,9 @@ from i2t.files.reading import read_text, read_toml
 from i2t.files.writing import as_path
 from i2t.hardware.protocols import View
 
-DEPTH_UNIT_M = 1e-4  # m per unit of the files that `save_views` writes: 16 bits hold up to 6.5 m
-DESCRIPTION = "camera.toml"
+DEPTH_UNIT_M = 1e-4  # m per unit of the depth images that `save_views` writes: 16 bits hold up to 6.5 m
+DESCRIPTION = "camera.toml"  # file, in a folder of depth images, that describes the camera
+# Problem and remedy if the camera's description is another file than camera.toml.
 NOT_TOML = (
     f"not TOML: write its numbers to {DESCRIPTION}, as KEY = VALUE under the same names (width, height, K, "
     "distortion_model, D), and add the depth's scale"
@@ -51,7 +52,7 @@ FOREIGN_KEYS = {
     "roi": "part", "binning_x": "part", "binning_y": "part",
     "header": "text", "camera_name": "text", "frame_id": "text",
 }  # fmt: skip
-LENS_TOLERANCE = 1e-3  # largest relative difference between two matrices of one lens
+LENS_TOLERANCE = 1e-3  # largest relative difference between two camera matrices that describe the same lens
 
 
 def read_view(path: str | Path) -> tuple[Camera, View]:

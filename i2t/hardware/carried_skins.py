@@ -21,8 +21,9 @@ import numpy as np
 from i2t.skin.boards import DEFAULT_BOARD, make_board
 from i2t.types import Array
 
-TOOL_SKIN = "tool"  # default name of the skin in the tool's frame
-TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")  # text keys of a table
+TOOL_SKIN = "tool"  # default name of the skin in the tool's frame, which presses
+# keys of a skin's table in a rig file whose values are texts
+TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")
 
 
 @dataclass(frozen=True, eq=False)

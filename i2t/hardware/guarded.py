@@ -27,7 +27,7 @@ from i2t.hardware.protocols import ApproachResult, Arm, ArmFeatures, ArmState, S
 from i2t.types import Array
 
 T = TypeVar("T")
-# Windows has no SIGHUP.
+# Signals at which the arm is braked before the program ends. Windows has no SIGHUP.
 BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 

@@ -32,7 +32,7 @@ from i2t.types import Array
 
 DeviceKind: TypeAlias = Literal["arm", "skin", "camera"]
 
-UR, REALSENSE = "ur", "realsense"
+UR, REALSENSE = "ur", "realsense"  # names of the drivers that come with i2t
 
 
 class _KindOfDevice(NamedTuple):
@@ -43,6 +43,7 @@ class _KindOfDevice(NamedTuple):
     address_flag: str
 
 
+# Kinds of devices: entry-point group of their drivers, protocol, and command-line option that names a device.
 KINDS: dict[DeviceKind, _KindOfDevice] = {
     "arm": _KindOfDevice("i2t.arms", GuardedArm, "--host"),
     "skin": _KindOfDevice("i2t.skins", Skin, "--port"),

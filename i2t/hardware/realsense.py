@@ -39,8 +39,10 @@ from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, ColourImage, View
 from i2t.types import Array
 
+# pixels, widths and heights of depth images that RealSense cameras offer
 SIZES_PX = ((424, 240), (480, 270), (640, 360), (640, 480), (848, 480), (1280, 720))
-NEAREST_MM = {  # shortest depth (mm) that each model measures, at each of the sizes in SIZES_PX
+# mm, shortest depth that each RealSense model measures, at each of `SIZES_PX`
+NEAREST_MM = {
     "D405": (40, 45, 55, 70, 70, 100),
     "D415": (160, 180, 240, 310, 310, 450),
     "D435": (105, 120, 150, 175, 195, 280),

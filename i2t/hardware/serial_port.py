@@ -17,7 +17,7 @@ try:
 except ImportError:  # Windows, where a port can be opened only once
     fcntl = grp = termios = None  # type: ignore[assignment]
 
-COMMON_PORT_USERS = "ModemManager or a serial monitor"
+COMMON_PORT_USERS = "ModemManager or a serial monitor"  # programs that commonly occupy a serial port, for messages
 
 
 def users_of(port: str) -> dict[int, str]:

@@ -47,7 +47,7 @@ from i2t.hardware.rig import Rig
 from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M, PAD_WINDOW
 from i2t.types import Array
 
-# signs of x and y of the skin's corners, in their order around the skin
+# Signs of x and y of the corners of the skin, in their order around the skin.
 CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 

@@ -56,7 +56,8 @@ from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.read import TARGETS, SkinRecording, is_stream
 
-FILE_KIND_OF_HEAD = "i2t head"
+FILE_KIND_OF_HEAD = "i2t head"  # kind of file in the header of a saved head
+# targets that a head can predict: all but the binary ones
 HEAD_TARGETS = tuple(name for name, kind in TARGETS.items() if not kind.binary)
 
 
@@ -98,7 +99,7 @@ class HeadConfig:
     unfamiliar_factor: float = 2.0
 
 
-HEAD_CONFIG = HeadConfig()
+HEAD_CONFIG = HeadConfig()  # default validation of heads, and the uncertainty of their predictions
 
 
 class HeadPrediction(NamedTuple):

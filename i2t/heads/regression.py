@@ -24,10 +24,11 @@ from scipy.linalg import cho_factor, cho_solve
 from i2t.leave_one_out import leave_out_blocks
 from i2t.recordings.diagnose.smooth import subsample
 
+# methods that predict a target, such as the position, from a reading
 MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS = "mean", "linear", "k nearest readings"
-READINGS_GP = "Gaussian process"
-BASELINE_HEADS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS)
-HEAD_METHODS = (*BASELINE_HEADS, READINGS_GP)  # files store indices into these
+READINGS_GP = "Gaussian process"  # method that predicts a target by a Gaussian process on readings
+BASELINE_HEADS = (MEAN_TARGET, LINEAR_MAP, NEAREST_READINGS)  # simple methods, for comparison with the Gaussian process
+HEAD_METHODS = (*BASELINE_HEADS, READINGS_GP)  # all methods of heads; files store indices into this order
 Settings: TypeAlias = tuple[float, ...]
 
 

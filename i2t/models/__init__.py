@@ -19,7 +19,7 @@ from i2t.files.reading import read_json
 from i2t.files.writing import as_path
 
 Part = Literal["predictor", "pad_model.npz", "calibration.npz", "metrics.json"]
-# Files of each ready model.
+# Files of each model that comes with the package.
 READY_MODELS: dict[str, tuple[Part, ...]] = {
     "nominal": ("predictor", "pad_model.npz", "metrics.json"),
     "eflesh": ("calibration.npz", "metrics.json"),

@@ -1,9 +1,9 @@
 """Each name and its home, read by type checkers and by lazy_loader."""
 
+from .catalogue import HAND_TOOLS as HAND_TOOLS
 from .catalogue import NAMES as NAMES
 from .catalogue import PRIMITIVES as PRIMITIVES
 from .catalogue import STAMPS as STAMPS
-from .catalogue import TOOLS as TOOLS
 from .catalogue import make_object as make_object
 from .catalogue import random_object as random_object
 from .catalogue import surrogate_unknown as surrogate_unknown

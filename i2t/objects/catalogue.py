@@ -14,13 +14,16 @@ import numpy as np
 from i2t.errors import did_you_mean, require_extra
 from i2t.objects.solids import Mesh, Object
 
-PRIMITIVES = (  # the first six are those of the paper
+# Names of the catalogue's geometric primitives, of which the first six are the paper's.
+PRIMITIVES = (
     "hexagon", "parallelogram", "star", "square", "flower", "cylinder", "triangle", "pentagon", "octagon", "cross",
     "dome", "cone", "pyramid", "ellipsoid", "torus", "wedge", "stairs", "ridge",
 )  # fmt: skip
+# names of the catalogue's stamps, each with a raised shape
 STAMPS = ("stamp-T", "stamp-circle", "stamp-angle", "stamp-triangle", "stamp-cross")
-TOOLS = ("cutter", "screwdriver", "spanner", "hammer", "marker", "pliers", "scissors")
-NAMES = PRIMITIVES + STAMPS + TOOLS
+# names of the catalogue's hand tools
+HAND_TOOLS = ("cutter", "screwdriver", "spanner", "hammer", "marker", "pliers", "scissors")
+NAMES = PRIMITIVES + STAMPS + HAND_TOOLS  # names of all objects in the catalogue
 
 
 def make_object(name: str) -> Object:

@@ -21,8 +21,9 @@ from i2t.objects.formats.parse import parse_mesh
 from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
 from i2t.objects.solids import Mesh, Object, table_transform, transform_mesh
 
+# metres per unit in which the vertices of a mesh file may be given
 METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}
-MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, limits of the longest side of an object
+MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, smallest and largest accepted longest side of an object
 
 
 def read_mesh(

@@ -11,6 +11,7 @@ from i2t.errors import did_you_mean
 if TYPE_CHECKING:
     from i2t.objects.solids import Object
 
+# Remedy in messages about an object name that is not in the catalogue.
 CATALOGUE_HINT = 'see its names with: python -c "import i2t.objects; print(i2t.objects.NAMES)"'
 
 

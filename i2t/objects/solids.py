@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from i2t.types import in_one_line
 
-MM_PER_M = 1e3  # primitives take metres, solids are drawn in millimetres
+MM_PER_M = 1e3  # mm per m: primitives take metres, and solids are drawn in millimetres
 STAMP_RELIEF_MM = 3.5  # mm, height of a stamp's relief above its base
 STAMP_BASE_MM = (20.0, 5.0)  # mm, edge and height of a stamp's base
 

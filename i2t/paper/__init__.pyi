@@ -3,7 +3,7 @@
 from .classifier import Classifier as Classifier
 from .config import PaperConfig as PaperConfig
 from .config import PaperOptions as PaperOptions
-from .loop import TOUCHES as TOUCHES
+from .loop import PAPER_TOUCHES as PAPER_TOUCHES
 from .loop import LoopResult as LoopResult
 from .loop import beliefs as beliefs
 from .loop import choose_hypothesis as choose_hypothesis
@@ -13,7 +13,7 @@ from .loop import site_informativeness as site_informativeness
 from .loss import losses as losses
 from .network import Prediction as Prediction
 from .network import prepare_patch as prepare_patch
-from .rules import RULES as RULES
+from .rules import BELIEF_RULES as BELIEF_RULES
 from .rules import average as average
 from .rules import distances as distances
 from .rules import product as product

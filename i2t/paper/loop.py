@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from i2t.paper.rules import RULES
+from i2t.paper.rules import BELIEF_RULES
 from i2t.types import Surface
 
 State = TypeVar("State")  # state of the episodes
 
-TOUCHES = 10  # number of touches of an episode in the paper
+PAPER_TOUCHES = 10  # number of touches of an episode in the paper
 
 
 class LoopResult(NamedTuple):
@@ -40,7 +40,7 @@ def run(
     score: Callable[[Any], Float[np.ndarray, "e objects"]],
     informativeness: Float[np.ndarray, "e objects sites"],
     *,
-    count: int = TOUCHES,
+    count: int = PAPER_TOUCHES,
     rule: str = "votes",
     progress: Callable[[int], object] = lambda touches: None,
 ) -> LoopResult:
@@ -58,7 +58,8 @@ def run(
         informativeness: `(e, objects, sites)` probability with which the heuristic chooses each site
             (`site_informativeness`).
         count: Number of touches of each episode.
-        rule: Name of one of `RULES`, which gives the belief that hypotheses are sampled from; the paper uses votes.
+        rule: Name of the rule in `BELIEF_RULES` that gives the belief from which hypotheses are sampled; the paper's is
+            votes.
         progress: Function that is called with the number of touches just made.
 
     Returns:
@@ -84,12 +85,12 @@ def beliefs(distance: Float[np.ndarray, "e t objects"], rule: str) -> Float[np.n
 
     Args:
         distance: `(e, t, objects)` distances of each touch from each object, for e episodes of t touches.
-        rule: Name of one of `RULES`.
+        rule: Name of one of `BELIEF_RULES`.
 
     Returns:
         `(e, t, objects)` beliefs after each touch.
     """
-    return np.asarray(_believe(RULES[rule], jnp.asarray(distance)))
+    return np.asarray(_believe(BELIEF_RULES[rule], jnp.asarray(distance)))
 
 
 def sample_hypothesis(key: Key[Array, ""], belief: Float[Array, " objects"]) -> Int[Array, ""]:

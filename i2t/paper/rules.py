@@ -74,4 +74,5 @@ def _mean_so_far(values: Float[Array, "n objects"]) -> Float[Array, "n objects"]
     return jnp.cumsum(values, axis=0) / touch[:, None]
 
 
-RULES = {"votes": votes, "average": average, "product": product}
+# Rules that combine the distances of the touches so far into a belief over the objects, by name.
+BELIEF_RULES = {"votes": votes, "average": average, "product": product}

@@ -23,7 +23,7 @@ from i2t.patches.dimensions import PAD_WINDOW, PATCH_PIXELS, REACH
 from i2t.types import Array as AnyArray
 from i2t.types import Patch, in_one_line
 
-# m, five times a camera's depth noise: pixels whose depths differ by less are taken for one surface
+# m, depth difference below which pixels count as one surface: five times a camera's depth noise
 SAME_SURFACE_M = 1.5e-3
 
 

@@ -48,7 +48,8 @@ class BaselineConfig:
     min_std: float = 1e-6  # uT, smallest standard deviation
 
 
-_CONFIG = BaselineConfig()
+# options from which the baseline predictors choose, and lower bounds of their standard deviations
+_BASELINES = BaselineConfig()
 
 
 @in_one_line
@@ -167,7 +168,7 @@ def image_components(images: Float[np.ndarray, "n h w"]) -> Components:
     """
     flat = images.reshape(len(images), -1).astype(np.float64)
     mean = flat.mean(0)
-    basis = np.linalg.svd(flat - mean, full_matrices=False)[2][: _CONFIG.max_components]
+    basis = np.linalg.svd(flat - mean, full_matrices=False)[2][: _BASELINES.max_components]
     length = np.sqrt((((flat - mean) @ basis.T) ** 2).sum(1).mean()) or 1.0  # 1 if all images are equal
     return _plain(mean), _plain(basis), _plain(np.asarray(length))
 
@@ -219,7 +220,7 @@ def assign_folds(groups: Int[np.ndarray, " n"]) -> Int[np.ndarray, " n"]:
     names, group = np.unique(groups, return_inverse=True)
     if len(names) < 2:
         names = group = np.arange(len(groups))
-    return np.random.default_rng(0).permutation(len(names))[group.ravel()] % min(_CONFIG.folds, len(names))
+    return np.random.default_rng(0).permutation(len(names))[group.ravel()] % min(_BASELINES.folds, len(names))
 
 
 def ridge(
@@ -304,7 +305,7 @@ def _fit_nearest(
 ) -> NearestTouches:
     x = np.asarray(points, np.float64)
 
-    k, error = best_option(nearest_neighbours, _CONFIG.neighbour_counts, x, readings, fold)
+    k, error = best_option(nearest_neighbours, _BASELINES.neighbour_counts, x, readings, fold)
     spread = _floored(np.sqrt((error**2).mean(0)))
     away = np.empty(len(x))
     for i in np.unique(fold):
@@ -318,7 +319,7 @@ def _fit_ridge(
     features: TouchFeatures, conditions: tuple[str, ...], points: np.ndarray, readings: np.ndarray, fold: np.ndarray
 ) -> RidgeOnImages:
     x = np.asarray(points, np.float64)
-    penalty, error = best_option(ridge, _CONFIG.penalties, x, readings, fold)
+    penalty, error = best_option(ridge, _BASELINES.penalties, x, readings, fold)
     centre, mean, inverse = x.mean(0), readings.mean(0), np.linalg.inv(_system(x, penalty))
     weights = inverse @ (x - centre).T @ (readings - mean)
     growth = 1 + _leverage(inverse, x - centre)
@@ -342,12 +343,12 @@ def _mean_square_distance(points: np.ndarray, at: np.ndarray, k: float) -> np.nd
 
 
 def _grown(growth: np.ndarray, square: np.ndarray) -> np.ndarray:
-    return np.maximum(growth[0] + growth[1] * square, _CONFIG.min_relative_variance)
+    return np.maximum(growth[0] + growth[1] * square, _BASELINES.min_relative_variance)
 
 
 def _floored(spread: np.ndarray) -> np.ndarray:
-    lowest = _CONFIG.min_relative_std * float(np.sqrt((spread**2).mean()))
-    return _plain(np.maximum(spread, max(lowest, _CONFIG.min_std)))
+    lowest = _BASELINES.min_relative_std * float(np.sqrt((spread**2).mean()))
+    return _plain(np.maximum(spread, max(lowest, _BASELINES.min_std)))
 
 
 def _plain(values: np.ndarray) -> np.ndarray:

@@ -31,7 +31,8 @@ from i2t.skin.boards import board_as_lists
 from i2t.training import TrainConfig
 from i2t.validation import random_key
 
-METHODS: Mapping[str, str] = {  # by the name on the command line; of equally good methods the first one is kept
+# Prediction methods, by the name on the command line; of equally good methods the first one is kept.
+METHODS: Mapping[str, str] = {
     "mean": "i2t.prediction.baselines:Mean",
     "nearest": "i2t.prediction.baselines:Nearest",
     "nearest-measured": "i2t.prediction.baselines:NearestMeasured",
@@ -48,7 +49,7 @@ METHODS: Mapping[str, str] = {  # by the name on the command line; of equally go
     "pressure-network": "i2t.prediction.networks:OnPressure",
     "gp": "i2t.prediction.gp_method:GaussianProcess",
 }
-ASSUMED_FORCE_N = 1.0  # N, force of touches whose force was not recorded
+ASSUMED_FORCE_N = 1.0  # N, force assumed for touches whose force was not recorded
 
 Shared = TypeVar("Shared")
 

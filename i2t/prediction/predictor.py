@@ -40,9 +40,10 @@ from i2t.runtime.batching import size_classes
 from i2t.skin.boards import board_from_lists
 from i2t.types import Board, Surface
 
-PREDICTOR_FORMAT = "i2t predictor"
-PREDICTOR_VERSION = 5
-READ_VERSIONS = (4, PREDICTOR_VERSION)  # version 4 called travel depth
+PREDICTOR_FORMAT = "i2t predictor"  # name of the format in the description of a saved predictor
+PREDICTOR_VERSION = 5  # version of the format of predictors that is written
+# versions of the format of predictors that are read; version 4 called travel depth
+READ_VERSIONS = (4, PREDICTOR_VERSION)
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
@@ -291,7 +292,7 @@ def save(directory: Path | str, predictor: Predictor) -> None:
         "format": PREDICTOR_FORMAT,
         "version": PREDICTOR_VERSION,
         "model": model,
-        **{name: getattr(predictor, name) for name in _FIELDS},
+        **{name: getattr(predictor, name) for name in _PREDICTOR_FIELDS},
         "shapes": jax.tree.map(lambda leaf: [str(leaf.dtype), *leaf.shape], arrays),
     }
     kept = _with_values(arrays)
@@ -328,7 +329,7 @@ def load_predictor(directory: Path | str) -> Predictor:
             about["model"]["settings"] = _with_travel(about["model"]["settings"])
         _drop_conventions(directory, about)
         arrays = _load_arrays(directory, about)
-        return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _FIELDS})
+        return Predictor(from_disk(arrays, about["model"]), **{name: about[name] for name in _PREDICTOR_FIELDS})
     except CheckpointError:
         raise
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -365,8 +366,8 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
     return float(np.mean(np.abs(readings - prediction.mean) < STDS_WITHIN_90 * prediction.std))
 
 
-# Numbers and texts of a predictor's file.
-_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
+# Fields of a predictor that its file stores as numbers or texts.
+_PREDICTOR_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
 
 
 def _description(directory: Path, hint: str) -> dict[str, Any]:
@@ -388,7 +389,7 @@ def _description(directory: Path, hint: str) -> dict[str, Any]:
         )
     if version == 4 and "default_depth" in about:
         about["default_travel"] = about.pop("default_depth")
-    missing = [name for name in ("model", "shapes", *_FIELDS) if name not in about]
+    missing = [name for name in ("model", "shapes", *_PREDICTOR_FIELDS) if name not in about]
     if missing:
         raise CheckpointError(f"the predictor in {directory} lacks {', '.join(missing)}; train again")
     return about

@@ -41,7 +41,7 @@ class InputLimits:
     pixel_tolerance: float = 1e-6  # m, rounding error of single precision
 
 
-_LIMITS = InputLimits()
+_INPUT_LIMITS = InputLimits()  # limits beyond which a user's input to a predictor is refused or causes a warning
 
 
 class SeenTouches(NamedTuple):
@@ -116,7 +116,7 @@ def check_size_of_patches(seen: SeenTouches, window: float, reach: float) -> Non
     """
     for name, given, own in (("window", seen.window, window), ("reach", seen.reach, reach)):
         sizes = np.atleast_1d(np.array(given, np.float64))
-        wrong = sizes[np.abs(sizes - own) > _LIMITS.size_tolerance * own]
+        wrong = sizes[np.abs(sizes - own) > _INPUT_LIMITS.size_tolerance * own]
         if len(wrong):
             raise ValueError(
                 f"patch: its {name} is {_mm(float(wrong[0]))} mm, and the model was trained on patches of {_mm(own)} "
@@ -145,23 +145,23 @@ def checked_patches(patch: Any, reach: float) -> Float[np.ndarray, "n p p"]:
             "patch holds NaN or infinity; give pixels without a surface as `reach`, and mark unseen ones by valid="
         )
     nearest, farthest = patches.min((1, 2)), patches.max((1, 2))
-    if nearest.min() < -_LIMITS.pixel_tolerance:
+    if nearest.min() < -_INPUT_LIMITS.pixel_tolerance:
         raise ValueError(
             f"patch has negative pixels, down to {nearest.min():.3g}; it is metres behind the nearest point, so "
             "heights h above a plane are h.max() - h"
         )
-    if farthest.max() > reach + max(_LIMITS.pixel_tolerance, 1e-3 * reach):
+    if farthest.max() > reach + max(_INPUT_LIMITS.pixel_tolerance, 1e-3 * reach):
         in_mm = farthest.max() <= 1e3 * reach * 1.001
         raise ValueError(
             f"patch has pixels of {farthest.max():.3g}, and it is metres behind the nearest point, at most {reach:g}; "
             + ("divide millimetres by 1000" if in_mm else "clip it there")
         )
-    empty = nearest >= reach - _LIMITS.pixel_tolerance
+    empty = nearest >= reach - _INPUT_LIMITS.pixel_tolerance
     if empty.any():
         raise ValueError(
             f"patch shows no surface{_which(empty)}: all pixels are at the reach, so the skin would touch nothing"
         )
-    late = nearest > _LIMITS.max_nearest_pixel
+    late = nearest > _INPUT_LIMITS.max_nearest_pixel
     if late.any():
         raise ValueError(
             f"patch begins {1e3 * nearest.max():.3g} mm behind its nearest point{_which(late)}; it counts from that "
@@ -194,12 +194,12 @@ def checked_views(view: Any, patches: Float[np.ndarray, "n p p"], reach: float) 
     middle = centre(views, pixels)
     if not np.isfinite(middle).all():
         raise ValueError("view is NaN or infinite where the patch is; give what the camera saw there, or leave it out")
-    if np.nanmax(views) > reach + max(_LIMITS.pixel_tolerance, 1e-3 * reach) or np.isinf(views).any():
+    if np.nanmax(views) > reach + max(_INPUT_LIMITS.pixel_tolerance, 1e-3 * reach) or np.isinf(views).any():
         raise ValueError(
             f"view has pixels of {np.nanmax(views):.3g}, and it is metres behind the patch's nearest point, at most "
             f"{reach:g}; clip it there, or divide millimetres by 1000"
         )
-    other = np.quantile(np.abs(np.clip(middle, 0, reach) - patches), 0.9, axis=(1, 2)) > _LIMITS.max_centre_error
+    other = np.quantile(np.abs(np.clip(middle, 0, reach) - patches), 0.9, axis=(1, 2)) > _INPUT_LIMITS.max_centre_error
     if other.any():
         raise ValueError(
             f"view differs from the patch in its middle{_which(other)}, or has pixels of another size; its middle must "
@@ -257,9 +257,9 @@ def check_press(
             not in metres.
     """
     validation.forces("force", force)
-    trained = largest_force or _LIMITS.unknown_force_ratio * usual_force
+    trained = largest_force or _INPUT_LIMITS.unknown_force_ratio * usual_force
     about = f"presses of at most {trained:.2g} N" if largest_force else f"presses of about {usual_force:.2g} N"
-    hardest, allowed = float(force.max()), _LIMITS.max_force_ratio * trained
+    hardest, allowed = float(force.max()), _INPUT_LIMITS.max_force_ratio * trained
     if trained and hardest > allowed:
         raise ValueError(
             f"force is {hardest:g} N, and the model was trained on {about}: it cannot predict such a hard press; "
@@ -272,8 +272,8 @@ def check_press(
             stacklevel=3,
         )
     longest = np.max(np.abs(travel), initial=0.0, where=np.isfinite(travel))
-    if longest > _LIMITS.max_travel:
-        raise ValueError(f"travel is {longest:g} m, more than {_LIMITS.max_travel:g}; give metres")
+    if longest > _INPUT_LIMITS.max_travel:
+        raise ValueError(f"travel is {longest:g} m, more than {_INPUT_LIMITS.max_travel:g}; give metres")
 
 
 def check_met(
@@ -305,26 +305,26 @@ def check_met(
         stands_out = np.maximum(-np.nanmin(on_skin, axis=(1, 2)), 0.0)
     gap = np.nan_to_num(nearest - stands_out)
     worst = int(gap.argmax())
-    if gap[worst] > _LIMITS.max_gap:
+    if gap[worst] > _INPUT_LIMITS.max_gap:
         raise ValueError(
             f"the surface begins {_mm(float(gap[worst]))} mm in front of the skin at this pose"
-            f"{_which(gap > _LIMITS.max_gap)}; {remedy}"
+            f"{_which(gap > _INPUT_LIMITS.max_gap)}; {remedy}"
         )
-    behind = nearest < -_LIMITS.max_gap
+    behind = nearest < -_INPUT_LIMITS.max_gap
     if behind.any():
         raise ValueError(
             f"the surface begins {_mm(float(-np.nanmin(nearest)))} mm behind the skin at this pose"
             f"{_which(behind)}: the object is in the way, as in a cup, or tool z points away from the object instead "
             f"of into it; {remedy}"
         )
-    if warn and gap[worst] > _LIMITS.unnoticed_gap:
+    if warn and gap[worst] > _INPUT_LIMITS.unnoticed_gap:
         warnings.warn(
             f"the surface begins {1e3 * gap[worst]:.3g} mm in front of the skin at this pose"
-            f"{_which(gap > _LIMITS.unnoticed_gap)}: a press that ends there meets nothing and reads zero; the "
+            f"{_which(gap > _INPUT_LIMITS.unnoticed_gap)}: a press that ends there meets nothing and reads zero; the "
             "prediction is for a skin that moves on until it presses",
             stacklevel=stacklevel,
         )
-    if warn and stands_out.max() > _LIMITS.unnoticed_gap:
+    if warn and stands_out.max() > _INPUT_LIMITS.unnoticed_gap:
         warnings.warn(
             f"the object stands out by {1e3 * stands_out.max():.3g} mm next to the patch and under the skin's rim at "
             "this pose: the skin meets it first, and the prediction is the reading of a press on it",
@@ -356,12 +356,12 @@ def checked_valid(valid: Any, shape: tuple[int, ...]) -> Bool[np.ndarray, "n p p
             f"image, or the surface is more than {1e3 * STANDOFF:g} mm behind the skin; look again, or correct pose "
             "and unit"
         )
-    if seen.min() < _LIMITS.min_seen_fraction:
+    if seen.min() < _INPUT_LIMITS.min_seen_fraction:
         raise ValueError(
-            f"only {100 * seen.min():.0f} % of the patch was seen{_which(seen < _LIMITS.min_seen_fraction)}, too "
+            f"only {100 * seen.min():.0f} % of the patch was seen{_which(seen < _INPUT_LIMITS.min_seen_fraction)}, too "
             "little for a prediction; look again, from another side"
         )
-    if seen.min() < _LIMITS.warned_seen_fraction:
+    if seen.min() < _INPUT_LIMITS.warned_seen_fraction:
         warnings.warn(f"only {100 * seen.min():.0f} % of the patch was seen; the rest is guessed", stacklevel=3)
     return mask
 

@@ -40,7 +40,7 @@ from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.skin_models.likelihood import Likelihood, outlier_range
 from i2t.types import in_one_line
 
-MIN_PROBABILITY = 1e-30  # probability below which probabilities are treated as equal
+MIN_PROBABILITY = 1e-30  # floor of probabilities in logarithms; smaller probabilities count as equal
 
 
 @in_one_line

@@ -32,8 +32,9 @@ from i2t.types import ReturnCode, Surface, Touches
 
 EPISODES_PER_BATCH = 8  # number of episodes whose posteriors are computed together
 
-# Weights of each kind of evidence: of readings, of positions of the ends of presses, and of presence.
-EVIDENCE = {
+# Weights of the log likelihoods in the posterior, by kind of evidence: of the reading, of the position at which the
+# press ended, and of presence, which is whether the press met the object.
+EVIDENCE_WEIGHTS = {
     "readings": (1.0, 0.0, 0.0),
     "presence": (0.0, 0.0, 1.0),
     "position": (0.0, 1.0, 0.0),
@@ -160,7 +161,7 @@ def run_belief(
     episodes: Episodes,
     likelihood: Likelihood,
     particles: Particles,
-    kinds: Sequence[str] = tuple(EVIDENCE),
+    kinds: Sequence[str] = tuple(EVIDENCE_WEIGHTS),
 ) -> dict[str, Float[np.ndarray, "e t objects"]]:
     """Compute posteriors over the objects along e episodes of t touches, from each kind of evidence.
 
@@ -169,7 +170,7 @@ def run_belief(
         episodes: Record of the episodes.
         likelihood: The distribution of measurements about predictions.
         particles: Pose particles of each object.
-        kinds: Kinds of evidence, keys of `EVIDENCE`.
+        kinds: Kinds of evidence, keys of `EVIDENCE_WEIGHTS`.
 
     Returns:
         `(e, t, objects)` probabilities of the objects after each touch, by kind of evidence.
@@ -188,12 +189,12 @@ def select_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
 
     Args:
         likelihood: The distribution of measurements about predictions.
-        kind: Kind of evidence, a key of `EVIDENCE`.
+        kind: Kind of evidence, a key of `EVIDENCE_WEIGHTS`.
 
     Returns:
         Likelihood with these weights.
     """
-    tactile, spatial, presence = (jnp.float32(weight) for weight in EVIDENCE[kind])
+    tactile, spatial, presence = (jnp.float32(weight) for weight in EVIDENCE_WEIGHTS[kind])
     return likelihood._replace(tactile_weight=tactile, spatial_weight=spatial, presence_weight=presence)
 
 
@@ -202,7 +203,7 @@ class BeliefModel(NamedTuple):
 
     reading_model: LinearReadingModel
     likelihood: Likelihood
-    kinds: Sequence[str] = tuple(EVIDENCE)
+    kinds: Sequence[str] = tuple(EVIDENCE_WEIGHTS)
 
 
 def believe(

@@ -23,7 +23,7 @@ from i2t.intervals import (
 )
 from i2t.types import Array
 
-PROBABILITY_FLOOR = 1e-6  # smallest probability in a logarithm; smaller ones are raised to it
+PROBABILITY_FLOOR = 1e-6  # smallest probability in a log loss; smaller ones are raised to it
 
 
 def to_json(values: Any) -> Any:

@@ -47,8 +47,8 @@ from i2t.skin.elasticity import CELL_GRID
 from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.types import Pad, Surface, in_one_line
 
-PROPRIOCEPTION = "proprioception"  # name of the scorer that uses only where presses end
-VIEW_BATCH = 64  # number of views rendered and predicted together, so that they compile once
+PROPRIOCEPTION = "proprioception"  # name of the scorer that uses only the poses at which presses ended
+VIEW_BATCH = 64  # number of views that are rendered and predicted together, so that the program compiles once
 
 
 Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]]  # distances of touches from objects
@@ -71,7 +71,7 @@ class PaperEpisodes(NamedTuple):
         """Compute the beliefs over the objects by one of the paper's rules.
 
         Args:
-            rule: Name of one of `i2t.paper.rules.RULES`.
+            rule: Name of one of `i2t.paper.rules.BELIEF_RULES`.
 
         Returns:
             `(e, t, objects)` beliefs after each touch.
@@ -82,7 +82,7 @@ class PaperEpisodes(NamedTuple):
         """Score whether the decisions by one of the paper's rules are right.
 
         Args:
-            rule: Name of one of `i2t.paper.rules.RULES`.
+            rule: Name of one of `i2t.paper.rules.BELIEF_RULES`.
 
         Returns:
             `(e, t)` scores after each touch: 1 if right, 0 if wrong, and 1/n if the true object ties with n - 1 others.
@@ -214,7 +214,7 @@ def beliefs_by_rule(distance: Float[np.ndarray, "e t objects"]) -> dict[str, Flo
     Returns:
         `(e, t, objects)` beliefs after each touch, by rule.
     """
-    return {rule: loop.beliefs(distance, rule) for rule in rules.RULES}
+    return {rule: loop.beliefs(distance, rule) for rule in rules.BELIEF_RULES}
 
 
 def paper_rules(
@@ -308,7 +308,7 @@ def run_paper_loop(
     *,
     reading_std: Float[np.ndarray, " c"],
     episodes: int,
-    touches: int = loop.TOUCHES,
+    touches: int = loop.PAPER_TOUCHES,
     errors: SimulationErrors | None = None,
     limits: PressLimits | None = None,
     site_limits: SiteLimits = RECOGNITION_LIMITS,

@@ -31,8 +31,8 @@ from i2t.rendering.ops import element
 from i2t.runtime.batching import map_batches
 from i2t.skin_models.likelihood import Likelihood, outlier_range
 
-NUM_CANDIDATES = 48  # candidate sites, drawn anew for each touch
-NO_SITE = -1  # index of the chosen site if no site is allowed
+NUM_CANDIDATES = 48  # number of candidate sites from which the next touch is chosen, drawn anew for each touch
+NO_SITE = -1  # index of the chosen site if no candidate site is allowed
 
 
 class InformationGain(NamedTuple):

@@ -47,10 +47,10 @@ from i2t.skin_models.likelihood import Likelihood
 from i2t.skin_models.pad_model import PadModel
 from i2t.types import in_one_line
 
-MAX_EMPTY_DRAWS = 10  # number of draws of candidates without an allowed site, after which no touch is chosen
-# Calibration of the unknown class for a prior of 0.5, fitted on validation objects and others of which half were
-# unknown (`experiments.studies open_set`).
-UNKNOWN_SCALING = calibrated.PlattScaling(0.40, 0.65, 0.18)
+MAX_EMPTY_DRAWS = 10  # number of draws of candidates without an allowed site after which no touch is chosen
+# Calibration of the probability that the object is unknown, for a prior of 0.5. It was fitted on validation objects and
+# others of which half were unknown (`experiments.studies open_set`).
+UNKNOWN_SCALING = calibrated.PlattScaling(offset=0.40, slope=0.65, growth=0.18)
 
 
 @dataclass(frozen=True)
@@ -425,7 +425,7 @@ class ObjectRecognizer:
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
         """Calibrate probabilities of the known objects, given those of all objects including surrogates."""
         count = len(self.names)
-        named = calibrated.TEMPERATURE_SCALING.apply(p[:count], touches)
+        named = calibrated.POSTERIOR_TEMPERATURE.apply(p[:count], touches)
         if self._objects == count:
             return named
         everything, prior = np.asarray(p, np.float64)[None], self.config.prior_unknown

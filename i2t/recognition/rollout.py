@@ -39,7 +39,7 @@ from i2t.runtime.compiling import jit_by_amount, jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.types import Pad, Surface
 
-# number of touches and episodes computed at a time; a small last batch wastes little, and the data fit the caches
+# Number of touches and episodes computed at a time; a small last batch wastes little, and the data fit the caches.
 EPISODE_BATCH = 16
 
 TouchNumber: TypeAlias = tuple[int, int, int]  # index of the touch, of the episode and of the site
@@ -296,6 +296,7 @@ def informative_site(key: Key[Array, ""], state: EpisodeState, params: Environme
     return choose_site(gain, untouched_sites(state, params))
 
 
+# Policies that choose the next touch site for recognition, by name.
 POLICIES: dict[str, SitePolicy] = {
     "random": random_site,
     "heuristic": heuristic_site,

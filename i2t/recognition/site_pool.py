@@ -44,7 +44,7 @@ class SiteDraws:
     min_safe_fraction: float = 1 / 64
 
 
-_DRAWS = SiteDraws()
+_SITE_DRAWS = SiteDraws()  # batches in which safe sites are drawn
 
 
 @in_one_line
@@ -408,8 +408,8 @@ def _draw_sites(
         drawn = _draw_batch(jax.random.fold_in(key, batches), surface, limits)
         poses.append(np.asarray(drawn.T_w_t)[np.asarray(drawn.safe)])
         have, batches = have + len(poses[-1]), batches + 1
-        tried = batches * _DRAWS.sites * _DRAWS.candidates_per_site
-        if tried * _DRAWS.min_safe_fraction > have + _DRAWS.sites:
+        tried = batches * _SITE_DRAWS.sites * _SITE_DRAWS.candidates_per_site
+        if tried * _SITE_DRAWS.min_safe_fraction > have + _SITE_DRAWS.sites:
             raise ValueError(
                 f"{name} has too few safe sites: {have} among {tried} candidates; lower min_cos or the flange's size, "
                 "or raise max_rise"
@@ -419,4 +419,4 @@ def _draw_sites(
 
 @jit_quickly
 def _draw_batch(key: Array, surface: Surface, limits: touch_sites.SiteLimits) -> touch_sites.Sites:
-    return touch_sites.sample_sites(key, surface, _DRAWS.sites, limits, _DRAWS.candidates_per_site)
+    return touch_sites.sample_sites(key, surface, _SITE_DRAWS.sites, limits, _SITE_DRAWS.candidates_per_site)

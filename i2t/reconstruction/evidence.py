@@ -51,7 +51,7 @@ class EvidenceConfig:
     outline_pixels: int = 3  # width of the filter that keeps free space away from the edge of a surface
 
 
-_CONFIG = EvidenceConfig()
+_EVIDENCE = EvidenceConfig()  # default sampling and uncertainties of the evidence of touches and views on the surface
 
 
 class Sweep(NamedTuple):
@@ -98,8 +98,8 @@ class SeenThrough(NamedTuple):
         inside = before & (at >= 0).all(1) & (at < [self.camera.width, self.camera.height]).all(1)
         column, row = np.where(inside, at.T, 0).astype(int)
         depth = np.nan_to_num(self.depth, nan=0.0, posinf=np.inf)
-        nearest = minimum_filter(depth, _CONFIG.outline_pixels, mode="nearest")
-        return np.where(inside & (local[:, 2] < nearest[row, column] - _CONFIG.view_margin), 0.0, -np.inf)
+        nearest = minimum_filter(depth, _EVIDENCE.outline_pixels, mode="nearest")
+        return np.where(inside & (local[:, 2] < nearest[row, column] - _EVIDENCE.view_margin), 0.0, -np.inf)
 
 
 class SurfaceEvidence(NamedTuple):
@@ -136,14 +136,14 @@ def contact_evidence(T_o_t: Float[Array, "4 4"], *, hit: bool = True, swept: flo
         ValueError: The pose is not rigid and finite, or the path is not between 0 and 10 m long.
     """
     T_o_t = validation.pose("T_o_t", T_o_t)
-    if not 0 < swept < _CONFIG.max_swept:
-        raise ValueError(f"swept: is {swept}; give a distance in metres, above 0 and below {_CONFIG.max_swept:g}")
+    if not 0 < swept < _EVIDENCE.max_swept:
+        raise ValueError(f"swept: is {swept}; give a distance in metres, above 0 and below {_EVIDENCE.max_swept:g}")
     sweep = Sweep(T_o_t, float(swept))
-    edge = 0.9 * PAD_WINDOW * (np.arange(_CONFIG.swept_edge) / (_CONFIG.swept_edge - 1) - 0.5)
-    free = _to_object(T_o_t, _grid(edge, edge, -np.array(_CONFIG.swept_depths)))
+    edge = 0.9 * PAD_WINDOW * (np.arange(_EVIDENCE.swept_edge) / (_EVIDENCE.swept_edge - 1) - 0.5)
+    free = _to_object(T_o_t, _grid(edge, edge, -np.array(_EVIDENCE.swept_depths)))
     bound = sweep.lower_bound(free)
     touch = SurfaceEvidence(sweep, free[bound > 0], bound[bound > 0])
-    along = PAD_WINDOW * (np.arange(_CONFIG.pad_edge) / (_CONFIG.pad_edge - 1) - 0.5)
+    along = PAD_WINDOW * (np.arange(_EVIDENCE.pad_edge) / (_EVIDENCE.pad_edge - 1) - 0.5)
     return touch._replace(pad_points=_to_object(T_o_t, _grid(along, along, np.zeros(1)))) if hit else touch
 
 
@@ -166,11 +166,11 @@ def reading_evidence(
     """
     touch = contact_evidence(T_o_t, swept=swept)
     centre = np.append(np.asarray(posterior.centre, float), 0.0)
-    felt = with_surface_points(touch, centre[None], np.array([_CONFIG.centre_std]))
+    felt = with_surface_points(touch, centre[None], np.array([_EVIDENCE.centre_std]))
     patches = np.asarray(posterior.patch)
-    pixels = ((np.arange(_CONFIG.patch_edge) + 0.5) / _CONFIG.patch_edge * patches.shape[-1]).astype(int)
+    pixels = ((np.arange(_EVIDENCE.patch_edge) + 0.5) / _EVIDENCE.patch_edge * patches.shape[-1]).astype(int)
     depths = patches[:, pixels][:, :, pixels].astype(np.float32)
-    return with_free_patch(felt, np.quantile(depths, _CONFIG.free_quantile, axis=0))
+    return with_free_patch(felt, np.quantile(depths, _EVIDENCE.free_quantile, axis=0))
 
 
 def with_surface_points(
@@ -189,11 +189,11 @@ def with_surface_points(
     assert isinstance(touch.region, Sweep)
     if not (len(local) and np.isfinite(local).all() and (std > 0).all()):
         raise ValueError("give one or more surface points of a touch, all finite, with standard deviations above 0")
-    behind = local[[int(std.argmin())]] + [0, 0, _CONFIG.inside_depth]
+    behind = local[[int(std.argmin())]] + [0, 0, _EVIDENCE.inside_depth]
     return touch._replace(
         points=_to_object(touch.region.T_o_t, np.concatenate([local, behind])),
-        values=np.append(np.zeros(len(local)), -_CONFIG.inside_depth),
-        std=np.append(std, _CONFIG.inside_std),
+        values=np.append(np.zeros(len(local)), -_EVIDENCE.inside_depth),
+        std=np.append(std, _EVIDENCE.inside_std),
     )
 
 
@@ -211,7 +211,7 @@ def with_free_patch(touch: SurfaceEvidence, depth: Float[np.ndarray, "e e"]) -> 
     assert isinstance(touch.region, Sweep)
     at = ((np.arange(len(depth)) + 0.5) / len(depth) - 0.5) * PATCH_WINDOW
     y, x = np.meshgrid(at, at, indexing="ij")
-    local = np.stack([x, y, _CONFIG.free_fraction * depth], -1)[_CONFIG.free_fraction * depth > _CONFIG.min_free]
+    local = np.stack([x, y, _EVIDENCE.free_fraction * depth], -1)[_EVIDENCE.free_fraction * depth > _EVIDENCE.min_free]
     free = _to_object(touch.region.T_o_t, local)
     return touch._replace(
         free=np.concatenate([touch.free, free]), free_bound=np.append(touch.free_bound, np.zeros(len(free)))
@@ -252,18 +252,18 @@ def view_evidence(
     pixels = jnp.stack([column, row], -1).astype(jnp.float32)
     points = _to_object(T_o_c, np.asarray(distortion.deproject(camera, pixels, jnp.asarray(depth[row, column]))))
     low, high = (-np.inf, np.inf) if box is None else map(np.asarray, box)
-    of_object = (points[:, 2] > table + _CONFIG.table_margin) & ((points > low) & (points < high)).all(1)
+    of_object = (points[:, 2] > table + _EVIDENCE.table_margin) & ((points > low) & (points < high)).all(1)
     points = points[of_object].astype(np.float64)
     if not len(points):
         raise ValueError(
             "the depth image shows nothing above the table and in the box; check its unit, the camera's pose, `table` "
             "and `box`"
         )
-    points = points[rng.permutation(len(points))[: _CONFIG.view_points]]
+    points = points[rng.permutation(len(points))[: _EVIDENCE.view_points]]
     # Free space is sampled on the rays to the points, most densely near them.
-    ends = points[rng.integers(len(points), size=_CONFIG.view_free_points)]
+    ends = points[rng.integers(len(points), size=_EVIDENCE.view_free_points)]
     way = T_o_c[:3, 3] - ends
-    before = _CONFIG.view_margin + _CONFIG.view_free_range * rng.uniform(0, 1, (_CONFIG.view_free_points, 1)) ** 2
+    before = _EVIDENCE.view_margin + _EVIDENCE.view_free_range * rng.uniform(0, 1, (_EVIDENCE.view_free_points, 1)) ** 2
     free = ends + before * way / np.linalg.norm(way, axis=1, keepdims=True)
     return SurfaceEvidence(
         SeenThrough(depth, camera, T_o_c),
@@ -271,8 +271,8 @@ def view_evidence(
         np.zeros(len(free)),
         points,
         np.zeros(len(points)),
-        np.full(len(points), _CONFIG.view_std),
-        observations=_CONFIG.view_observations,
+        np.full(len(points), _EVIDENCE.view_std),
+        observations=_EVIDENCE.view_observations,
     )
 
 

@@ -36,8 +36,9 @@ from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.sites import is_above_table, is_upward
 
 PolicyName = Literal["random", "uncertainty", "reduction"]
+# policies that choose the next touch for reconstruction
 POLICY_NAMES: tuple[PolicyName, ...] = ("random", "uncertainty", "reduction")
-# Limits for an object that is held so that the tool reaches it from all sides: no table, no flange, any direction.
+# Site limits for an object that the tool reaches from all sides: no table, no flange, any direction.
 AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
 

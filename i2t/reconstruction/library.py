@@ -42,7 +42,10 @@ class LibraryConfig:
 
     # N, loads of the presses, from below that of a 25 uT press to the force at which a press ends
     loads: tuple[float, ...] = (0.25, 0.8, 2.5, 8.0)
-    tilt: tuple[float, float] = (math.radians(1.0), math.radians(6.0))  # rad, smallest and largest angle of a press against the normal
+    tilt: tuple[float, float] = (
+        math.radians(1.0),
+        math.radians(6.0),
+    )  # rad, smallest and largest angle of a press against the normal
     batch_size: int = 64  # number of patches pressed at a time
     # Shapes with at most this many faces form a size class, because larger shapes would slow them down.
     small_faces: int = 512
@@ -50,7 +53,7 @@ class LibraryConfig:
     sites_per_batch: int = 16  # number of sites of one shape at a time, so that any number of sites compiles once
 
 
-_CONFIG = LibraryConfig()
+_LIBRARY = LibraryConfig()  # default loads and tilts of the presses in a library of contacts, and batch sizes
 
 
 class FirstContacts(NamedTuple):
@@ -68,7 +71,7 @@ def build_library(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    tilt: tuple[float, float] = _CONFIG.tilt,
+    tilt: tuple[float, float] = _LIBRARY.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> PatchLibrary:
     """Render patches of many shapes and press a nominal layer onto them.
@@ -94,7 +97,7 @@ def sample_contacts(
     surfaces: Sequence[Surface],
     count: int,
     *,
-    tilt: tuple[float, float] = _CONFIG.tilt,
+    tilt: tuple[float, float] = _LIBRARY.tilt,
     limits: SiteLimits | None = touch_sites.COLLECTION_LIMITS,
 ) -> tuple[FirstContacts, np.ndarray]:
     """Simulate first contacts with many shapes at random sites.
@@ -120,7 +123,7 @@ def sample_contacts(
         key_shape = jax.random.fold_in(key, i)
         rounds = [
             jax.device_get(_meet(jax.random.fold_in(key_shape, start), surface, tilt, limits))
-            for start in range(0, per_shape, _CONFIG.sites_per_batch)
+            for start in range(0, per_shape, _LIBRARY.sites_per_batch)
         ]
         drawn = jax.tree.map(lambda *fields: np.concatenate(fields)[:per_shape], *rounds)
         parts.append(jax.tree.map(lambda field, met=drawn.met: field[met], drawn))
@@ -143,12 +146,12 @@ def library_from_contacts(contacts: FirstContacts, objects: np.ndarray) -> Patch
     Returns:
         Library of the patches and their presses, on the host.
     """
-    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), _CONFIG.loads)
+    pressure, indentation = press_batches(nominal_pad(), np.asarray(contacts.coarse), _LIBRARY.loads)
     return PatchLibrary(
         patch=np.asarray(contacts.patch, np.float16),
         height=np.asarray(contacts.coarse, np.float32),
         object=np.asarray(objects, np.int32),
-        loads=np.asarray(_CONFIG.loads, np.float32),
+        loads=np.asarray(_LIBRARY.loads, np.float32),
         newtons=newtons_on_cells(pressure, CELL_GRID).reshape(*indentation.shape, -1).astype(np.float16),
         indentation=np.asarray(indentation, np.float32),
         centre=np.asarray(centre_of_pressure(pressure, CELL_GRID), np.float32),
@@ -185,7 +188,7 @@ def in_batches(
     Returns:
         Results of the function for all rows, on the host.
     """
-    batches = filled_batches(np.arange(len(rows[0])), _CONFIG.batch_size)
+    batches = filled_batches(np.arange(len(rows[0])), _LIBRARY.batch_size)
     parts = map_on_devices(function, (tuple(values[batch] for values in rows) for batch in batches), shared=shared)
     return jax.tree.map(lambda *leaves: np.concatenate(leaves)[: len(rows[0])], *parts)
 
@@ -199,12 +202,12 @@ def pad_to_size_classes(surfaces: Sequence[Surface]) -> list[Surface]:
     Returns:
         The same surfaces in order: those with few faces padded to 512, the others to one common size.
     """
-    small = [len(surface.triangles) <= _CONFIG.small_faces for surface in surfaces]
+    small = [len(surface.triangles) <= _LIBRARY.small_faces for surface in surfaces]
     sized: list[Surface] = list(surfaces)
     for wanted in (True, False):
         group = [i for i, is_small in enumerate(small) if is_small == wanted]
         if group:
-            stacked = stack_surfaces([surfaces[i] for i in group], faces=_CONFIG.small_faces)
+            stacked = stack_surfaces([surfaces[i] for i in group], faces=_LIBRARY.small_faces)
             for row, i in enumerate(group):
                 sized[i] = jax.tree.map(lambda field, row=row: field[row], stacked)
     return sized
@@ -213,7 +216,7 @@ def pad_to_size_classes(surfaces: Sequence[Surface]) -> list[Surface]:
 @jit_quickly
 def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteLimits | None) -> FirstContacts:
     """Meet one surface at a batch of sites, with tilted approaches."""
-    count = _CONFIG.sites_per_batch
+    count = _LIBRARY.sites_per_batch
     key_sites, key_tilt, key_about = jax.random.split(key, 3)
     if limits is None:
         key_points, key_spin = jax.random.split(key_sites)
@@ -221,7 +224,7 @@ def _meet(key: Array, surface: Surface, tilt: tuple[Array, Array], limits: SiteL
         spins = jax.random.uniform(key_spin, (count,), maxval=2 * jnp.pi)
         frames, safe = jax.vmap(contact_frame)(points, normals, spins), jnp.ones(count, bool)
     else:
-        frames, safe = touch_sites.sample_sites(key_sites, surface, count, limits, _CONFIG.candidates_per_site)
+        frames, safe = touch_sites.sample_sites(key_sites, surface, count, limits, _LIBRARY.candidates_per_site)
     angle = jax.random.uniform(key_tilt, (count,), minval=tilt[0], maxval=tilt[1])
     about = jax.random.uniform(key_about, (count,), maxval=2 * jnp.pi)
 

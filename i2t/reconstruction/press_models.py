@@ -40,7 +40,7 @@ class FrictionConfig:
     slant_ridge: float = 0.1  # penalty of the regression, relative to the mean square of the pressures
 
 
-_FRICTION = FrictionConfig()
+_FRICTION = FrictionConfig()  # accuracy of the friction, and of the effect of a slanted press
 
 
 def predict_presses(pad: Pad, library: PatchLibrary) -> PressModel:

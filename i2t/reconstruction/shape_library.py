@@ -16,13 +16,14 @@ from jaxtyping import Float, Int, Int8
 from i2t.objects.solids import Mesh, centre_box
 from i2t.reconstruction.signed_distances import VoxelGrid, grid_around, signed_distance_grid
 
-STEP_M = 0.25e-3  # m, resolution of the stored signed distances
+STEP_M = 0.25e-3  # m, resolution of the signed distances that a shape library stores as whole numbers
 
-# The turns of a square about z, and their mirror images.
+# Rotation and reflection matrices: the 4 turns of a square about z and their mirror images.
 TURNS = np.stack(
     [np.diag((*signs, 1))[[*order, 2]] for order in ((0, 1), (1, 0)) for signs in product((1, -1), repeat=2)]
 )
-# The choice of the axis that points up, and of its end. The product with `TURNS` is the 48 turns and mirrors of a cube.
+# Matrices that bring one of the 6 axis directions of a shape to the top. Their products with `TURNS` are the 48
+# rotations and reflections of a cube.
 STANCES = np.stack(
     [np.roll(np.eye(3, dtype=int), axis, axis=1) * (1, 1, sign) for axis in range(3) for sign in (1, -1)]
 )

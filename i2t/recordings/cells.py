@@ -12,14 +12,19 @@ from pathlib import Path
 
 from i2t.errors import DataError
 
+# Patterns of numbers with a decimal point or comma, by this sign.
 DECIMAL = {sign: re.compile(rf"[-+]?[0-9]*[{sign}][0-9]+([eE][-+]?[0-9]+)?") for sign in ".,"}
-GROUPED = {  # numbers that may have this sign between thousands
+# Patterns of numbers that may have this sign between thousands.
+GROUPED = {
     ".": re.compile(r"[-+]?[1-9][0-9]{0,2}([.][0-9]{3})+(,[0-9]*)?"),
     ",": re.compile(r"[-+]?[1-9][0-9]{0,2}(,[0-9]{3})+([.][0-9]*)?"),
 }
-SIGN_NAMES = {".": "points", ",": "commas"}
-WHOLE, AMBIGUOUS = "whole", "maybe "  # kinds of numbers: without a sign; with a sign (appended) of unknown meaning
-GROUPED_MARK, NO_TIME_MARK = "\ufffe", "\uffff"  # appended to cells that do not count as numbers; Unicode has neither
+SIGN_NAMES = {".": "points", ",": "commas"}  # names of the signs in messages
+# kinds of numbers in text: without a sign; with a sign, which is appended, that may be decimal or group thousands
+WHOLE, AMBIGUOUS = "whole", "maybe "
+# Marks appended to a cell that must not be read as a number: one whose sign may group thousands, and one in a time
+# column that is neither a date nor a time of day. No text contains these two code points.
+GROUPED_MARK, NO_TIME_MARK = "\ufffe", "\uffff"
 
 
 def parse_number(text: str) -> float | None:

@@ -54,8 +54,9 @@ class ClockConfig:
     max_batch_error: float = 0.5
 
 
-CLOCK = ClockConfig()
-COUNTER_PERIODS_S = {  # time after which a full counter restarts
+CLOCK = ClockConfig()  # thresholds for the clock of a log
+# s, time after which a full counter restarts, by kind of counter
+COUNTER_PERIODS_S = {
     "a 32-bit counter of microseconds": 2.0**32 * 1e-6,
     "a 32-bit counter of milliseconds": 2.0**32 * 1e-3,
     "a 16-bit counter of milliseconds": 2.0**16 * 1e-3,

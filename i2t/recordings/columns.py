@@ -11,14 +11,16 @@ from pathlib import Path
 from i2t.errors import DataError
 from i2t.recordings.cells import parse_number
 
-NEWTONS_PER_GRAM = 9.80665e-3  # standard gravity, times one gram
-UNITS: dict[str, tuple[str, dict[str, float]]] = {  # i2t's unit of each quantity, and factors from other units to it
+NEWTONS_PER_GRAM = 9.80665e-3  # N, weight of one gram under standard gravity
+# i2t's unit of each quantity in tables, and the factors that convert other units to it.
+UNIT_FACTORS: dict[str, tuple[str, dict[str, float]]] = {
     "length": ("mm", {"m": 1e3, "cm": 10.0, "um": 1e-3}),
     "field": ("uT", {"t": 1e6, "mt": 1e3, "nt": 1e-3, "g": 100.0, "gauss": 100.0}),
     "force": ("N", {"mn": 1e-3, "kn": 1e3, "g": NEWTONS_PER_GRAM, "kg": 9.80665}),
     "time": ("s", {"sec": 1.0, "seconds": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}),
 }
-TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a recording, in their order
+# Table columns of each target that a head can predict, in their order.
+TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {
     "position": ("x_mm", "y_mm"),
     "travel": ("travel_mm",),
     "force": ("force_N",),
@@ -26,22 +28,24 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {  # columns of each target of a
     "contact": ("contact",),
     "slip": ("slip",),
 }
-PLACES = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])  # columns of the position and the travel of a press
-HEIGHT_COLUMNS = ("z_mm", "height_mm")  # columns that hold the height of the tip instead of a travel
-OTHER_STEMS = {"depth": "travel"}  # other names of quantities in tables of users
-FORCE, TIME, SOURCE_COLUMN = "force_N", "time_s", "source"
-NAME_COLUMNS = ("pad", "session")
-TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)
-UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")
-FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # name, without its unit, of the column of a chip's value or ambient field
-FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # name of the column of a chip's value
-# quantity of a column, whose units are in UNITS, by the stem of its name
+# table columns of the position and the travel of a press
+PLACE_COLUMNS = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])
+HEIGHT_COLUMNS = ("z_mm", "height_mm")  # table columns that hold the height of the tip instead of a travel
+STEM_SYNONYMS = {"depth": "travel"}  # other names of quantities in users' tables, and i2t's names
+# table columns of the force, the time and the source (real or simulated)
+FORCE_COLUMN, TIME_COLUMN, SOURCE_COLUMN = "force_N", "time_s", "source"
+NAME_COLUMNS = ("pad", "session")  # table columns that hold names
+TEXT_COLUMNS = (*NAME_COLUMNS, SOURCE_COLUMN)  # table columns that hold texts instead of numbers
+UNITLESS_COLUMNS = (*NAME_COLUMNS, "contact", "slip")  # table columns whose names state no unit
+FIELD_STEM = re.compile("[ab][0-9]+[xyz]")  # column name, without its unit, of a chip's value (b) or ambient field (a)
+FIELD_COLUMN = re.compile("b([0-9]+)[xyz]_uT")  # column name of a chip's value
+# Quantity of a table column, a key of `UNIT_FACTORS`, by the column's name without its unit.
 QUANTITY_OF_STEM = {"time": "time"}
 QUANTITY_OF_STEM |= dict.fromkeys(("x", "y", "z", "travel", "height"), "length")
 QUANTITY_OF_STEM |= dict.fromkeys(("force", "shear", "shear_x", "shear_y"), "force")
-# names of a time column without a unit
-STAMPS = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")
-# signs for micro, which are read as u; the last is that of cp850, read as cp1252
+# Names of a time column without a unit.
+TIME_NAMES = ("time", "timestamp", "time_stamp", "datetime", "date_time", "stamp", "utc", "unix_time", "epoch")
+# Signs for micro, which are read as u. The last is the micro sign of cp850, read as cp1252.
 MICRO_SIGNS = str.maketrans(dict.fromkeys("\u00b5\u03bc\u00e6", "u"))
 
 
@@ -143,7 +147,7 @@ def is_library_column(name: str) -> bool:
     """
     stem, _, unit = library_name(name)[0].rpartition("_")
     quantity = _quantity_of(stem)
-    return quantity is not None and unit == UNITS[quantity][0]
+    return quantity is not None and unit == UNIT_FACTORS[quantity][0]
 
 
 def is_used_column(name: str) -> bool:
@@ -199,11 +203,11 @@ def library_name(name: str) -> tuple[str, float]:
     if plain in UNITLESS_COLUMNS:
         return plain, 1.0
     stem, _, unit = plain.lstrip("%").rpartition("_")
-    stem = "time" if stem in STAMPS else OTHER_STEMS.get(stem, stem)
+    stem = "time" if stem in TIME_NAMES else STEM_SYNONYMS.get(stem, stem)
     quantity = _quantity_of(stem)
     if quantity is None:
         return name, 1.0
-    ours, others = UNITS[quantity]
+    ours, others = UNIT_FACTORS[quantity]
     if unit == ours.lower():
         return f"{stem}_{ours}", 1.0
     return (f"{stem}_{ours}", others[unit]) if unit in others else (name, 1.0)

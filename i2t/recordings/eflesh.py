@@ -15,8 +15,8 @@ from i2t.recordings.columns import NEWTONS_PER_GRAM
 from i2t.recordings.files import data_error, read_numbers
 from i2t.skin.boards import silent_chips
 
-EFLESH_READINGS = 15  # number of values of one AnySkin board
-# s, largest time between sensor and state of one row: they are within 8 ms, and rows at least 34 ms apart
+EFLESH_READINGS = 15  # number of values in a reading of eFlesh's AnySkin board
+# s, largest time between sensor and state in one row. They are within 8 ms, and rows are at least 34 ms apart.
 MAX_ROW_OFFSET_S = 15e-3
 
 

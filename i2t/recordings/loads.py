@@ -10,7 +10,7 @@ from i2t.recordings.sets import corrected_dataset
 from i2t.skin.boards import name_of_board
 from i2t.types import ReturnCode
 
-ASSUMED_TRAVEL_M = 2e-3  # m, travel of every press if neither travel nor force is known
+ASSUMED_TRAVEL_M = 2e-3  # m, travel assumed for every press if neither travel nor force is known
 
 
 def loaded_presses(dataset: Dataset, load: Literal["auto", "travel", "force"]) -> LoadedPresses:

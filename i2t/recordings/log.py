@@ -8,7 +8,7 @@ from jaxtyping import Bool
 
 from i2t.errors import DataError
 
-ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"
+ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"  # note if a log's ambient field is zero
 
 
 @dataclass

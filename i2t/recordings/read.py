@@ -33,7 +33,7 @@ from i2t.recordings.columns import (
     HEIGHT_COLUMNS,
     NAME_COLUMNS,
     TARGET_COLUMNS,
-    TIME,
+    TIME_COLUMN,
     ambient_columns,
     describe_header,
     library_factor,
@@ -56,7 +56,7 @@ from i2t.recordings.tables import MAX_TABLE_VALUE, TextTable, read_text_table
 from i2t.skin.boards import AXES_OF_CHIP, without_silent_chips
 from i2t.types import Board, ReturnCode
 
-MAX_STREAM_STEP_S = 0.5  # s, largest time between rows of a stream
+MAX_STREAM_STEP_S = 0.5  # s, largest time between successive rows of a recording that counts as a stream
 
 
 class TargetKind(NamedTuple):
@@ -68,6 +68,7 @@ class TargetKind(NamedTuple):
     min_range: float = 0.5  # range in the library's unit below which the target is constant
 
 
+# Targets that a recording may hold, such as the position of the tip.
 TARGETS: Mapping[str, TargetKind] = {
     "position": TargetKind("mm", 1e3, min_range=0.2e-3),
     "travel": TargetKind("mm", 1e3, min_range=0.1e-3),
@@ -351,7 +352,7 @@ def read_tables(path: Path) -> list[SkinRecording]:
     session, _ = table.named("session")
     pad, pads = table.named("pad")
     name, notes = path.name.split(".")[0], notes + _unused_columns(table, {*names, *ambient})
-    recording = _cleaned(SkinRecording(name, readings, targets, session, table.column(TIME), notes=tuple(notes)))
+    recording = _cleaned(SkinRecording(name, readings, targets, session, table.column(TIME_COLUMN), notes=tuple(notes)))
     if len(pads) < 2:
         return [_finite(recording, path)]
     return [
@@ -406,7 +407,7 @@ def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
 
 def _unused_columns(table: _LooseTable, readings: set[str]) -> list[str]:
     """Describe columns that are left out, a sentence each."""
-    used = readings | {TIME, *NAME_COLUMNS, *HEIGHT_COLUMNS}.union(*TARGET_COLUMNS.values())
+    used = readings | {TIME_COLUMN, *NAME_COLUMNS, *HEIGHT_COLUMNS}.union(*TARGET_COLUMNS.values())
     notes = []
     if unknown := [name for name in table.columns if name not in used]:
         notes.append(f"left out: columns {', '.join(unknown)}, which are not used")

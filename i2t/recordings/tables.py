@@ -33,10 +33,10 @@ from i2t.recordings.cells import (
 from i2t.recordings.clocks import CLOCK, has_time_zone, stamp_in_seconds, unix_unit
 from i2t.recordings.columns import (
     MICRO_SIGNS,
-    STAMPS,
     TEXT_COLUMNS,
-    TIME,
-    UNITS,
+    TIME_COLUMN,
+    TIME_NAMES,
+    UNIT_FACTORS,
     is_library_column,
     is_number,
     is_usable_column,
@@ -47,11 +47,14 @@ from i2t.recordings.columns import (
 from i2t.recordings.files import os_errors_as_data_errors
 from i2t.recordings.log import ReadingLog
 
-MAX_TABLE_VALUE = 1e9  # largest plausible value in any unit; larger numbers are damage
-COMMENT_MARK = "#"
+MAX_TABLE_VALUE = 1e9  # largest plausible number in a table in any unit; larger numbers count as damaged
+COMMENT_MARK = "#"  # sign that begins a comment line of a table
+# signs that may separate the cells of a table, with their names in messages
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}
-EMPTY = " \t\r\n\0\x1a\ufeff\u00a0"  # characters of empty cells; \x1a is the end-of-file mark of DOS
-EXCEL_DAYS = (36526.0, 73051.0)  # the years 2000 to 2099, as spreadsheets count days
+# characters of empty cells of tables; \x1a is the end-of-file mark of DOS
+EMPTY_CELL_CHARACTERS = " \t\r\n\0\x1a\ufeff\u00a0"
+# day numbers of spreadsheets that begin the years 2000 and 2100; numbers between them may be dates
+EXCEL_DAYS = (36526.0, 73051.0)
 
 
 class TextTable(NamedTuple):
@@ -113,12 +116,12 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
     cells_of = [[cells[i].strip() for cells in sample if i < len(cells) and cells[i].strip()] for i in named]
     notes = _notes_on(encoding, top)
     columns = _Columns(stated, [1.0] * len(stated), False, texts) if as_named else _our_columns(stated, cells_of, notes)
-    dates = columns.where(lambda name, _: columns.stamps and name == TIME)
-    seconds = columns.where(lambda name, factor: name == TIME and factor == 1)
+    dates = columns.where(lambda name, _: columns.stamps and name == TIME_COLUMN)
+    seconds = columns.where(lambda name, factor: name == TIME_COLUMN and factor == 1)
     seconds = [i for i in seconds if not as_named and i not in dates and _is_decimal_time(cells_of[i])]
     numbers = columns.where(lambda name, _: name not in columns.texts and (as_named or is_used_column(name)))
     numbers = [i for i in numbers if i not in (*dates, *seconds)]
-    at, counters = [named[i] for i in numbers], [named[i] for i in columns.where(lambda name, _: name == TIME)]
+    at, counters = [named[i] for i in numbers], [named[i] for i in columns.where(lambda name, _: name == TIME_COLUMN)]
 
     def all_kinds() -> Counter[str]:
         return count_kinds(
@@ -179,7 +182,7 @@ def valid_rows(
             )
     at = [header.index(name) for name in columns]
     numbers = _numbers([[cells[i] for i in at] for _, cells in complete], len(at))
-    wrong = (np.abs(numbers) >= bound) & (np.array(columns) != TIME)  # Unix time may exceed any bound
+    wrong = (np.abs(numbers) >= bound) & (np.array(columns) != TIME_COLUMN)  # Unix time may exceed any bound
     wrong |= np.isinf(numbers) | (np.isnan(numbers) & needed(np.isnan(numbers)))
     for k in np.flatnonzero(wrong.any(1)):
         (line, cells), j = complete[k], int(np.flatnonzero(wrong[k])[0])
@@ -195,7 +198,7 @@ def _problem(cell: str, column: str, remedy: str) -> str:
     """Describe what is wrong with a cell without a plausible number, and the remedy, as a clause."""
     if cell.endswith(GROUPED_MARK):
         return "which may be decimal or grouped thousands; write all numbers with one decimal sign and no other"
-    if column != TIME or not (cell.endswith(NO_TIME_MARK) or re.search("[0-9][:./-][0-9]", cell)):
+    if column != TIME_COLUMN or not (cell.endswith(NO_TIME_MARK) or re.search("[0-9][:./-][0-9]", cell)):
         return f"which is not a plausible number; {remedy}"
     days = parse_number(strip_marks(cell))
     counted = " but may count days, as spreadsheets do" if days and EXCEL_DAYS[0] <= days < EXCEL_DAYS[1] else ""
@@ -276,7 +279,10 @@ def _data_rows(
         if _is_empty(cells) or cells == units:
             continue
         if not is_number(cells[0].replace(",", ".")):
-            words = [cell.strip().strip(EMPTY) for cell in [cells[0].lstrip(EMPTY + COMMENT_MARK + "%"), *cells[1:]]]
+            words = [
+                cell.strip().strip(EMPTY_CELL_CHARACTERS)
+                for cell in [cells[0].lstrip(EMPTY_CELL_CHARACTERS + COMMENT_MARK + "%"), *cells[1:]]
+            ]
             if words[:width] == top.names and not any(words[width:]):
                 repeats += 1
                 continue
@@ -353,7 +359,7 @@ def _is_decimal_time(cells: list[str]) -> bool:
 
 def _is_empty(cells: list[str]) -> bool:
     """Test whether all cells of a row are empty."""
-    return not any(cell.strip(EMPTY) for cell in cells)
+    return not any(cell.strip(EMPTY_CELL_CHARACTERS) for cell in cells)
 
 
 def _names_other_columns(words: list[str], names: list[str]) -> bool:
@@ -382,7 +388,7 @@ def _read_top(lines: Iterator[str], texts: Sequence[str]) -> _Top:
             stated = separator[1].replace("\\t", "\t")
         elif line.startswith(COMMENT_MARK):
             comments, comment = comments + 1, line
-        elif line.strip(EMPTY + "".join(DELIMITERS) + '"'):
+        elif line.strip(EMPTY_CELL_CHARACTERS + "".join(DELIMITERS) + '"'):
             first = line
             break
     sample = list(islice(lines, 64))  # these rows decide decimals, times and units
@@ -449,13 +455,13 @@ def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str])
     """Find i2t's names and units of the columns, from the stated names and the non-empty cells of the first rows."""
     ours = _one_clock(stated, [library_name(name) for name in stated])
     header, factors = [name for name, _ in ours], [factor for _, factor in ours]
-    bare = next((i for i, name in enumerate(stated) if normalised_name(name).lstrip("%") in STAMPS), None)
-    at = header.index(TIME) if TIME in header else bare
+    bare = next((i for i, name in enumerate(stated) if normalised_name(name).lstrip("%") in TIME_NAMES), None)
+    at = header.index(TIME_COLUMN) if TIME_COLUMN in header else bare
     stamps = False
     if at is not None:
-        stamps, unit = _form_of_times(cells_of[at], has_unit=TIME in header)
-        if TIME not in header and (stamps or unit is not None):
-            header[at], factors[at] = TIME, 1.0 if stamps else float(unit or 1.0)
+        stamps, unit = _form_of_times(cells_of[at], has_unit=TIME_COLUMN in header)
+        if TIME_COLUMN not in header and (stamps or unit is not None):
+            header[at], factors[at] = TIME_COLUMN, 1.0 if stamps else float(unit or 1.0)
             size = "" if stamps else f" in units of {unit:g} s, by the size of its numbers"
             notes.append(f"column {stated[at]} holds the time{size}")
     if stamps and at is not None:
@@ -473,7 +479,7 @@ def _our_columns(stated: list[str], cells_of: list[list[str]], notes: list[str])
 
 def _one_clock(stated: list[str], ours: list[tuple[str, float]]) -> list[tuple[str, float]]:
     """Choose one column as the time, `time_s` and the like before `timestamp_s`; the others keep their names."""
-    times = [i for i, (name, _) in enumerate(ours) if name == TIME]
+    times = [i for i, (name, _) in enumerate(ours) if name == TIME_COLUMN]
     others = [
         i for i in times if not normalised_name(stated[i]).startswith("time_") or "stamp" in normalised_name(stated[i])
     ]
@@ -502,7 +508,9 @@ def _form_of_times(cells: list[str], *, has_unit: bool) -> tuple[bool, float | N
 def _are_units(cells: list[str]) -> bool:
     """Test whether a line below the names holds units."""
     words = [_without_brackets(cell).lower().translate(MICRO_SIGNS) for cell in cells]
-    unit_words = {"", "-", "1", "#"} | {word for ours, others in UNITS.values() for word in (ours.lower(), *others)}
+    unit_words = {"", "-", "1", "#"} | {
+        word for ours, others in UNIT_FACTORS.values() for word in (ours.lower(), *others)
+    }
     return any(words) and unit_words.issuperset(words) and not any(map(is_number, words))
 
 

@@ -23,7 +23,7 @@ from i2t.geometry import from_twist, inverse
 from i2t.patches.dimensions import STANDOFF, TWIST_LEVER_M
 from i2t.types import ReturnCode, Surface, Touches
 
-STUDENT_T_DOF = 4.0  # degrees of freedom of the residuals, a compromise that Lange et al. recommend
+STUDENT_T_DOF = 4.0  # degrees of freedom of the t distribution of residuals, a compromise that Lange et al. recommend
 
 
 class Contacts(NamedTuple):

@@ -27,7 +27,7 @@ from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.registration.estimate import PoseEstimate
 
-# residual, in scales, beyond which Tukey's weight is zero, for 95 % efficiency on normal residuals
+# Residual, in scales, beyond which Tukey's biweight is zero; it gives 95 % efficiency on normal residuals.
 BIWEIGHT_CUTOFF = 4.685
 STD_PER_MAD = 1.4826  # ratio of the standard deviation of a normal distribution to its median absolute deviation
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Int, UInt
 
-WORD_BITS = 32
+WORD_BITS = 32  # number of bits in a word of a bit set
 
 
 def as_uint32(value: int) -> np.uint32:

@@ -13,8 +13,8 @@ import numpy as np
 
 from i2t.types import Surface
 
-CLUSTERS_PER_GROUP = 32  # number of clusters in a group, one for each bit of a machine word
-EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of an empty box, which nothing meets
+CLUSTERS_PER_GROUP = 32  # number of clusters of faces in a group, one for each bit of a word
+EMPTY_HALF_EXTENT_M = -1e3  # m, half extent of an empty bounding box, which no ray or box meets
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class ClusterSizes:
     small_face: float = 0.6e-6  # m^2, about five pixels of a patch: mean area of the face at a random point
 
 
-CLUSTER_SIZES = ClusterSizes()
+CLUSTER_SIZES = ClusterSizes()  # number of faces in a cluster, by the size of the mesh and of its faces
 
 
 def build_bvh(triangles: np.ndarray) -> Surface:

@@ -56,7 +56,7 @@ class DenseDrawing:
     front_slab_reaches: float = 1.25
 
 
-_DRAWING = DenseDrawing()
+_DRAWING = DenseDrawing()  # sizes of the parts in which dense meshes are drawn
 
 
 class _Scene(NamedTuple):

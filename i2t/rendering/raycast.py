@@ -64,7 +64,7 @@ class PassSizes:
     front_slab_reaches: int = 2
 
 
-PASS_SIZES = PassSizes()
+PASS_SIZES = PassSizes()  # sizes of the passes in which the clusters of a pose are drawn
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(2, 3, 4))

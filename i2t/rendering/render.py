@@ -29,7 +29,7 @@ from i2t.rendering.raycast import first_hit
 from i2t.rendering.tiles import ToolView
 from i2t.types import Patch, Surface
 
-MAX_COORDINATE_M = 100.0  # m, largest coordinate of a vertex; there, adjacent float32 numbers differ by 8 um
+MAX_COORDINATE_M = 100.0  # m, largest accepted coordinate of a vertex; there, adjacent float32 numbers differ by 8 um
 
 
 def prepare_surface(mesh: Any) -> Surface:

@@ -28,8 +28,8 @@ from i2t.rendering.bitset import (
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices, maximum, minimum
 
-MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, projected area below which a face is seen edge on
-FACE_TERMS = 13  # number of terms that describe a face: three edges, its plane, its lowest corner
+MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, projected area below which a face counts as edge on
+FACE_TERMS = 13  # number of terms that describe a face to the renderer: three edges, its plane, its lowest corner
 
 # Nearest hits so far as (p, tiles, pixels) arrays: heights (m) and, if requested, faces.
 Hits: TypeAlias = tuple[Array, ...]

@@ -23,7 +23,7 @@ from jax.sharding import AxisType, Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 from jaxtyping import Int, PyTree
 
-CALL_AXIS = "calls"  # name of the axis of the mesh of devices
+CALL_AXIS = "calls"  # name of the axis of the device mesh, along which the calls of a function are distributed
 Call: TypeAlias = tuple[Any, ...]
 
 

@@ -20,9 +20,11 @@ from pathlib import Path
 
 log = logging.getLogger(__name__)
 
+# environment variable with the folder of i2t's compile cache; off disables the cache
 CACHE_VARIABLE = "I2T_COMPILE_CACHE"
-JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"
-MAX_CACHE_BYTES = 2**28  # bytes, largest size of a processor's folder, which JAX scans whenever it stores a program
+JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"  # environment variable with JAX's own choice of the folder
+# bytes, largest size of one processor's cache folder, which JAX scans whenever it stores a program
+MAX_CACHE_BYTES = 2**28
 
 
 def use_compile_cache() -> Path | None:

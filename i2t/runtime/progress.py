@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 
 from tqdm import tqdm
 
-LOG_INTERVAL_S = 30.0  # s between lines where stderr is not a terminal; shorter work writes no line
+LOG_INTERVAL_S = 30.0  # s between progress lines where stderr is not a terminal; shorter work writes no line
 Progress: TypeAlias = tqdm  # result of `progress`: an iterable, or a counter with `update`
 
 

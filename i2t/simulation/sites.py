@@ -25,8 +25,8 @@ from i2t.simulation.site_limits import SiteLimits
 from i2t.types import Surface, in_one_line
 
 traced_floats(SiteLimits)  # here, because its own module does not import JAX
-COLLECTION_LIMITS = SiteLimits()
-RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)
+COLLECTION_LIMITS = SiteLimits()  # limits of safe sites for collections of touches
+RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)  # limits of safe sites for recognition
 
 
 @in_one_line

@@ -48,7 +48,7 @@ from i2t.skin.pad import press as press_pad
 from i2t.types import Array as AnyArray
 from i2t.types import Pad, Patch, ReturnCode, Surface, Touches, Truth
 
-CAMERA_DISTANCE_M = 104e-3  # m from the camera to the surface while looking (the paper's 40 mm + 64 mm)
+CAMERA_DISTANCE_M = 104e-3  # m, distance from the camera to the surface while it looks (the paper's 40 mm + 64 mm)
 
 
 @traced_floats

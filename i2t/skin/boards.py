@@ -23,12 +23,12 @@ from i2t.files.reading import read_toml
 from i2t.patches.dimensions import ORTHOGONALITY_TOLERANCE, PAD_WINDOW
 from i2t.types import Board
 
-CHIP_PITCH_M = 7e-3  # m, distance from the centre chip to each of the others
-# m, depth of the chips below the skin's surface: 2 mm of elastomer and 1.5 mm of package and cover
+CHIP_PITCH_M = 7e-3  # m, distance of ReSkin's centre chip from each of the others
+# m, depth of ReSkin's chips below the skin's surface: 2 mm of elastomer and 1.5 mm of package and cover
 CHIP_DEPTH_M = 3.5e-3
-AXES_OF_CHIP = 3
-MAX_CHIPS = 25  # largest number of chips on a board by name or in a file
-DEFAULT_BOARD = "reskin"
+AXES_OF_CHIP = 3  # number of values of a chip: its field along x, y and z
+MAX_CHIPS = 25  # largest accepted number of chips on a board
+DEFAULT_BOARD = "reskin"  # name of the board that is assumed if none is stated
 
 
 def reskin_board(depth: float = CHIP_DEPTH_M) -> Board:
@@ -111,6 +111,7 @@ def grid_board(rows: int, columns: int, pitch: float | None = None, depth: float
     return _board(positions, np.tile(np.eye(3), (rows * columns, 1, 1)), depth)
 
 
+# Functions that make the boards with a name.
 BOARDS: Mapping[str, Callable[[], Board]] = {
     "reskin": reskin_board,
     "anyskin": anyskin_board,

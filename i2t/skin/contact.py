@@ -38,7 +38,7 @@ from i2t.skin.elasticity import FINE_GRID as FINE_GRID
 from i2t.skin.elasticity import GRID, Grid, clamped_shape, compliance, convolve
 from i2t.types import Pad
 
-MAX_HEIGHT_M = 1.0  # m, height at which heights are clipped, so that they may be infinite where there is no surface
+MAX_HEIGHT_M = 1.0  # m, height at which surface heights are clipped; they may be infinite where there is no surface
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class ContactSolver:
     min_strain: float = 1e-9  # strain below which a problem is not scaled to 1, which avoids a division by zero
 
 
-CONTACT_SOLVER = ContactSolver()
+CONTACT_SOLVER = ContactSolver()  # default accuracy and limits of the contact solver
 
 
 class Contact(NamedTuple):

@@ -31,8 +31,8 @@ from jaxtyping import Array, Float
 from i2t.skin.elasticity import GRID, Grid, interior, load
 from i2t.types import Pad
 
-CELL_NODES = 5  # number of dipole sheets across the thickness; `tests/skin/test_dipoles.py` refines them and the cells
-MU0_OVER_4PI = 1e-7  # T m/A, magnetic constant over 4 pi
+DIPOLE_SHEETS = 5  # number of dipole sheets across the skin's thickness; `tests/skin/test_dipoles.py` refines them
+MU0_OVER_4PI = 1e-7  # T m/A, magnetic constant divided by 4 pi
 MICROTESLA = 1e6  # uT per T
 # grid of the dipoles of all sheets, or one grid for each sheet from the surface down; all of one period
 Dipoles: TypeAlias = Grid | tuple[Grid, ...]
@@ -61,7 +61,7 @@ def response(
     grid: Grid = GRID,
     *,
     dipoles: Dipoles | None = None,
-    nodes: int = CELL_NODES,
+    nodes: int = DIPOLE_SHEETS,
     traction: Float[Array, "2 n n"] | None = None,
     first_sheet: int = 0,
 ) -> Float[Array, " c"]:
@@ -124,7 +124,7 @@ def linear_response(
         return jnp.sum(jax.lax.map(sheet, magnets), axis=0)
 
     dipoles = grid if dipoles is None else dipoles
-    change = _total([response_of(*group) for group in _groups(pad, dipoles, CELL_NODES, first_sheet)])
+    change = _total([response_of(*group) for group in _groups(pad, dipoles, DIPOLE_SHEETS, first_sheet)])
     to_board = jax.vmap(pad.board.to_board, -1, -1)(change.reshape(*change.shape[:2], -1))
     return (pad.gains[:, None] * to_board).reshape(-1, *rest.shape)
 
@@ -136,7 +136,7 @@ def pressed_field(
     grid: Grid = GRID,
     *,
     dipoles: Dipoles | None = None,
-    nodes: int = CELL_NODES,
+    nodes: int = DIPOLE_SHEETS,
     traction: Float[Array, "2 n n"] | None = None,
     first_sheet: int = 0,
 ) -> Float[Array, "chips 3"]:
@@ -173,7 +173,7 @@ def pressed_field(
 
 @partial(jax.jit, static_argnames=("dipoles", "nodes", "first_sheet"))
 def rest_field(
-    pad: Pad, dipoles: Dipoles = GRID, nodes: int = CELL_NODES, first_sheet: int = 0
+    pad: Pad, dipoles: Dipoles = GRID, nodes: int = DIPOLE_SHEETS, first_sheet: int = 0
 ) -> Float[Array, "chips 3"]:
     """Compute the field of the pad's magnets at the chips when nothing touches the pad.
 
@@ -211,7 +211,7 @@ def _groups(pad: Pad, dipoles: Dipoles, nodes: int, first_sheet: int) -> Iterato
 
 
 def sheets(
-    pad: Pad, dipoles: Grid = GRID, nodes: int = CELL_NODES
+    pad: Pad, dipoles: Grid = GRID, nodes: int = DIPOLE_SHEETS
 ) -> tuple[Float[Array, " d"], Float[Array, "d 3 n n"]]:
     """Compute the sheets of dipoles that represent a pad at rest.
 

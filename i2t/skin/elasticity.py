@@ -86,9 +86,11 @@ class Grid:
         return 2 * np.pi / (self.modes * self.spacing) * np.r_[0:half, 1 : half + 1]
 
 
-GRID = Grid()
-CELL_GRID = Grid(20, 32)  # grid of 1 mm cells, for pressures of many contacts that need not be fine
-FINE_GRID = Grid(80, 128)  # grid for sharp edges, if they matter more than speed; see `docs/physics.md`
+GRID = Grid()  # default grid of cells on the skin
+# grid of 1 mm cells on the skin, for the pressures of many contacts, which need not be fine
+CELL_GRID = Grid(cells=20, modes=32)
+# grid on the skin for sharp edges, if they matter more than speed; see `docs/physics.md`
+FINE_GRID = Grid(cells=80, modes=128)
 
 
 class Load(NamedTuple):

@@ -51,7 +51,7 @@ class FaultModel:
     warming_spread: float = 0.12
 
 
-FAULT_MODEL = FaultModel()
+FAULT_MODEL = FaultModel()  # assumptions of the simulated faults that no session changes
 
 Size: TypeAlias = float | Float[Array, ""]  # size of a fault; traced if `Faults` is
 

@@ -28,7 +28,7 @@ from i2t import geometry
 from i2t.skin.dipoles import MICROTESLA, MU0_OVER_4PI
 from i2t.types import Board
 
-CYLINDER_NODES = 64  # number of nodes of the integral around a magnet
+CYLINDER_NODES = 64  # number of nodes of the integral around a cylindrical magnet
 
 
 class Magnets(NamedTuple):

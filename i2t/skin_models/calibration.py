@@ -33,11 +33,12 @@ from i2t.skin_models.tip_gp.population import PopulationGP, PressTable
 from i2t.skin_models.tip_gp.structured import StructuredGPHyperparameters, fit_structured
 from i2t.types import Array, Board
 
-FILE_KIND = "i2t calibrated skin"
-GIVEN_BOARD = "the given board"
-LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # unit and upper bound of each kind of load
+FILE_KIND = "i2t calibrated skin"  # kind of file in the header of a saved calibration
+GIVEN_BOARD_NAME = "the given board"  # name, among candidate boards, of the board that the user gave
+LOADS = {"travel": ("m", 0.1), "force": ("N", 1e3)}  # kinds of load of a press: unit, and largest accepted load
 
 LoadKind: TypeAlias = Literal["travel", "force", "both", "none"]
+# Loads that a calibration uses, by the name of the choice.
 LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
     "travel": ("travel",), "force": ("force",), "both": ("travel", "force"), "none": (),
 }  # fmt: skip
@@ -93,7 +94,7 @@ class Calibration:
         """Phrase that names the board with the largest weight (or no board), and the weights."""
         shares = self.board_shares
         best = max(shares, key=lambda name: shares[name])
-        board = "no board" if best == "none" else best if best == GIVEN_BOARD else f"board {best}"
+        board = "no board" if best == "none" else best if best == GIVEN_BOARD_NAME else f"board {best}"
         if len(shares) == 1:
             return board
         rest = ", ".join(f"{name} {share:.2f}" for name, share in shares.items() if name != best)
@@ -200,14 +201,14 @@ class TipModel:
         if self.load_kind not in LOADS or data.previous_session is not None:
             raise ValueError("with given hyperparameters, loads must be travels or forces, without an earlier session")
         assert self.hyperparameters is not None
-        chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD,))
+        chips, boards = (None, ()) if data.board is None else (_chips(data.board), (GIVEN_BOARD_NAME,))
         gp = fit_structured(self.hyperparameters, table, readings, chips)
         return Calibration(gp, population.interval_scaling(gp), self.load_kind, boards=boards)
 
     def _fit_population(self, data: TipPresses, table: PressTable, readings: np.ndarray) -> Calibration:
         """Condition the mixture over a population of skins."""
         board, previous = data.board, data.previous_session
-        boards = board_candidates(table.position, readings) if board is None else {GIVEN_BOARD: _chips(board)}
+        boards = board_candidates(table.position, readings) if board is None else {GIVEN_BOARD_NAME: _chips(board)}
         if previous is not None:
             if previous.previous is not None:
                 raise ValueError("the earlier session must itself be calibrated without an earlier session")

@@ -30,7 +30,7 @@ class Layer(NamedTuple):
     young: Float[Array, ""] | float = NOMINAL_SKIN.young
 
 
-NOMINAL_LAYER = Layer()
+NOMINAL_LAYER = Layer()  # elastic layer of the nominal pad
 
 
 def layer_pad(layer: Layer) -> Pad:

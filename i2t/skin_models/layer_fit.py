@@ -33,6 +33,7 @@ from scipy import linalg, optimize
 from i2t.skin_models.magnetic_layer import SHAPE_PARAMETERS, LayerParameters, LayerPrior, parameters_at
 from i2t.types import in_one_line
 
+# Error if a fit finds no plausible pad.
 NO_PAD = "no pad explains these presses; check the tip, the unit of the loads and the board"
 
 
@@ -55,7 +56,7 @@ class LayerSearch:
     implausible_stds: float = 3.0
 
 
-_SEARCH = LayerSearch()
+_LAYER_SEARCH = LayerSearch()  # trust-region search for the elastic layer of a pad
 
 
 @in_one_line
@@ -101,7 +102,7 @@ def fit_layer(
     def coordinates(x: np.ndarray) -> LayerParameters:
         return unravel(jnp.asarray(x, jnp.float32))
 
-    step = _SEARCH.slope_step
+    step = _LAYER_SEARCH.slope_step
     moves = step * np.eye(len(start))[shape_coordinates(prior)]
 
     def features(x: np.ndarray) -> np.ndarray:
@@ -117,16 +118,16 @@ def fit_layer(
         value = features(x)[rows]
         return _LinearModel(x, UnitFeatures(value, value[:0, None]), readings[rows], prior).value_and_gradient(x)[0]
 
-    x, radius, converged = np.asarray(start, np.float64), _SEARCH.first_radius, False
+    x, radius, converged = np.asarray(start, np.float64), _LAYER_SEARCH.first_radius, False
     model, rows = linear_model(x, np.arange(len(readings)))
     value = model.value_and_gradient(x)[0]
     if not np.isfinite(value):
         raise ValueError(NO_PAD)
-    for _ in range(_SEARCH.max_steps):
+    for _ in range(_LAYER_SEARCH.max_steps):
         proposal, promised = model.minimize(radius)
         length = model.shape_step(proposal)
         at_bound = length > 0.99 * radius
-        if value - promised < _SEARCH.small_gain:
+        if value - promised < _LAYER_SEARCH.small_gain:
             # A region that shrank promises little as well. If steps were taken before, the search has ended: contacts
             # on cells make the objective rough, by about 0.1, over a few hundredths of a prior standard deviation.
             converged = not at_bound or bool(x.any())
@@ -137,8 +138,8 @@ def fit_layer(
         if gain < 0.25 or not np.isfinite(gain):
             radius = 0.25 * length
         elif gain > 0.75 and at_bound:
-            radius = min(2 * radius, _SEARCH.max_radius)
-        if gain > _SEARCH.min_gain_ratio:
+            radius = min(2 * radius, _LAYER_SEARCH.max_radius)
+        if gain > _LAYER_SEARCH.min_gain_ratio:
             x = proposal
             model, rows = linear_model(x, rows)
             value = model.value_and_gradient(x)[0]
@@ -271,7 +272,7 @@ class _LinearModel:
             jac=True,
             method="L-BFGS-B",
             bounds=bounds,
-            options={"maxiter": _SEARCH.inner_steps},
+            options={"maxiter": _LAYER_SEARCH.inner_steps},
         )
         return result.x, float(result.fun)
 
@@ -281,9 +282,9 @@ class _LinearModel:
 
     def curvature(self, x: np.ndarray) -> np.ndarray:
         """Compute the second derivatives (d, d) at coordinates, by differences of the gradient."""
-        moves = _SEARCH.curvature_step * np.eye(len(x))
+        moves = _LAYER_SEARCH.curvature_step * np.eye(len(x))
         change = [self.value_and_gradient(x + move)[1] - self.value_and_gradient(x - move)[1] for move in moves]
-        curvature = np.stack(change) / (2 * _SEARCH.curvature_step)
+        curvature = np.stack(change) / (2 * _LAYER_SEARCH.curvature_step)
         return 0.5 * (curvature + curvature.T)
 
 
@@ -316,7 +317,7 @@ def _finite_rows(rows: np.ndarray, finite: np.ndarray) -> np.ndarray:
 
 def _report_implausible(coordinates: LayerParameters) -> None:
     """Warn of parameters far from the prior's median."""
-    limit = _SEARCH.implausible_stds
+    limit = _LAYER_SEARCH.implausible_stds
     far = [name for name, at in coordinates._asdict().items() if np.abs(at).max() > limit]
     if far:
         warnings.warn(

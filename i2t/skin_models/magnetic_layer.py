@@ -21,13 +21,14 @@ from i2t.geometry import so3_exp
 from i2t.runtime.batching import map_batches
 from i2t.skin import elasticity as elastic
 from i2t.skin.contact import MAX_HEIGHT_M, solve, solve_force
-from i2t.skin.dipoles import CELL_NODES, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
+from i2t.skin.dipoles import DIPOLE_SHEETS, MICROTESLA, MU0_OVER_4PI, cell_means, sheets, turn
 from i2t.skin.elasticity import GRID, Grid
 from i2t.skin.pad import MAP_CELLS, NOMINAL_SKIN
 from i2t.types import Board, Pad, in_one_line
 from i2t.validation import round_tip
 
-# number of cosines along each edge: waves of 3.6 mm, finer than any that can be distinguished 1.5 mm above a chip
+# Number of cosines along each edge of a magnetization map: waves of 3.6 mm, finer than any that can be distinguished
+# 1.5 mm above a chip.
 MODES = 12
 DESIGN_BATCH = 8  # number of design matrices computed at a time, so that they fit the caches
 
@@ -54,10 +55,11 @@ class LayerParameters(NamedTuple):
     noise_std: Float[Array, ""]  # uT, standard deviation of a reading's noise and of model errors
 
 
-# Parameters that change the design matrices; the other parameters only scale their products.
+# Fields of `LayerParameters` that change the design matrices; the other fields only scale their products.
 DESIGN_PARAMETERS = ("thickness", "gap", "young", "poisson", "contact_offset", "mount_compliance", "tip_offset",
                      "tip_scale", "board_offset", "board_rotation")  # fmt: skip
-SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")  # parameters that change features by more than a scale
+# fields of `LayerParameters` that change the features by more than a scale
+SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")
 
 
 class LayerPrior(NamedTuple):
@@ -316,7 +318,7 @@ def pressure_design(pad: Pad, pressure: Float[Array, "n n"], grid: Grid = GRID) 
     loaded = elastic.load(pad, pressure, grid=grid)
     # The moments of magnetization 1 along one cosine in y and one in x are a product of the edges' moments (`sheets`).
     share, depths = _edge_moments(grid), sheets(pad, grid)[0]
-    thick = pad.thickness * np.polynomial.legendre.leggauss(CELL_NODES)[1] / 2
+    thick = pad.thickness * np.polynomial.legendre.leggauss(DIPOLE_SHEETS)[1] / 2
     y, x = np.meshgrid(grid.centres, grid.centres, indexing="ij")
 
     def sheet(at: tuple[Array, Array]) -> Array:

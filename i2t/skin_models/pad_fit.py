@@ -71,7 +71,7 @@ class SessionRegistration:
     min_touches: int = 36
 
 
-_REGISTRATION = SessionRegistration()
+_REGISTRATION = SessionRegistration()  # default registration of recorded sessions before a pad is fitted
 
 
 class _Positions(NamedTuple):

@@ -26,7 +26,7 @@ from i2t.skin_models.likelihood import Likelihood
 from i2t.skin_models.reading_model import LinearReadingModel, read_pressure
 from i2t.types import Board, in_one_line
 
-PAD_MODEL_KIND = "i2t pad model"
+PAD_MODEL_KIND = "i2t pad model"  # kind of file in the header of a saved pad model
 
 
 @in_one_line

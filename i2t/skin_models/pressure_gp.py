@@ -38,8 +38,9 @@ from i2t.runtime.compiling import jit_quickly
 from i2t.skin_models.base import load_fitted
 from i2t.types import in_one_line
 
-LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)  # mm, length scales of the maps g_c: from below a skin's thickness to its edge
-FILE_KIND = "i2t pressure model"
+# mm, length scales of the maps from pressure to readings, from below a skin's thickness to its edge
+MAP_LENGTHS_MM = (1.5, 3.0, 6.0, 12.0, 24.0)
+FILE_KIND = "i2t pressure model"  # kind of file in the header of a saved pressure model
 Tree = TypeVar("Tree")
 
 
@@ -170,7 +171,7 @@ def kernel_factor(m: int) -> Float[np.ndarray, "lengths m m"]:
         `(lengths, m, m)` matrices R_l with (R_l R_l)_ij = exp(-(x_i - x_j)^2 / 2 l^2), for cell centres x.
     """
     x = CELL_MM * np.arange(m)
-    values, vectors = np.linalg.eigh([np.exp(-((x[:, None] - x) ** 2) / (2 * length**2)) for length in LENGTHS_MM])
+    values, vectors = np.linalg.eigh([np.exp(-((x[:, None] - x) ** 2) / (2 * length**2)) for length in MAP_LENGTHS_MM])
     return ((vectors * np.sqrt(np.maximum(values, 0))[:, None, :]) @ vectors.swapaxes(1, 2)).astype(np.float32)
 
 
@@ -395,7 +396,7 @@ def _descend(
         return (optax.apply_updates(free, updates), opt_state), (_hyperparameters(free), error)
 
     start = {
-        "weights": jnp.zeros(len(LENGTHS_MM)),
+        "weights": jnp.zeros(len(MAP_LENGTHS_MM)),
         "bend": jnp.zeros(()),
         "width": jnp.zeros(()),
         "noise": jnp.full((), -2.0),

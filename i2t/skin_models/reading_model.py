@@ -49,8 +49,10 @@ from i2t.skin_models.layer import MIN_LOAD_N, NOMINAL_LAYER, Layer
 from i2t.skin_models.pressure_gp import GPHyperparameters
 from i2t.types import Board, in_one_line
 
-LOADS_N = (0.3, 0.9, 2.7)  # N, loads of predicted touches; the outer ones enclose the end of most presses to 25 uT
-# From stiff to soft: Poisson's ratio and Young's modulus (Pa). At nu = 0 a bonded layer yields most to a flat press.
+# N, loads at which touches are predicted; most presses that end at 25 uT end between the outer ones
+LOADS_N = (0.3, 0.9, 2.7)
+# Elastic layers from which a reading model chooses, from stiff to soft: Poisson's ratio and Young's modulus (Pa). At a
+# Poisson's ratio of 0 a bonded layer yields most to a flat press.
 LAYERS = tuple(
     Layer(poisson, factor * NOMINAL_SKIN.young)
     for poisson, factor in (
@@ -58,7 +60,8 @@ LAYERS = tuple(
         (0.0, 0.35),
     )
 )  # fmt: skip
-# Hyperparameters of the discrepancy, near the medians of fits to 900 touches of a pad in six physics.
+# Default hyperparameters of the Gaussian process of the discrepancy between measured readings and physics. They are
+# near the medians of fits to 900 touches of a pad in six physics.
 DISCREPANCY = GPHyperparameters(
     jnp.array([0.05, 0.75, 0.15, 0.03, 0.02]), bend=jnp.array(0.4), width=jnp.array(1.0), noise=jnp.array(0.0)
 )
@@ -81,7 +84,7 @@ class Averaging:
     max_rank: int = 160
 
 
-AVERAGING = Averaging()
+AVERAGING = Averaging()  # grid of the hyperparameters a, r and v, and the choices of their average
 
 
 class ReadingPrior(NamedTuple):
@@ -91,7 +94,7 @@ class ReadingPrior(NamedTuple):
     discrepancy: GPHyperparameters = DISCREPANCY  # hyperparameters of the discrepancy, whose noise is ignored
 
 
-READING_PRIOR = ReadingPrior()
+READING_PRIOR = ReadingPrior()  # assumptions about a pad that come from other pads and other physics
 
 
 @in_one_line

@@ -14,8 +14,9 @@ from i2t.types import ReturnCode
 from i2t.view.contents import Contents, readings_of
 from i2t.viz.patches import plot_patches
 from i2t.viz.skins import plot_readings
-from i2t.viz.style import COLOURS, Picture, titled
+from i2t.viz.style import CURVE_COLOURS, Picture, titled
 
+# CSS of the page that shows a recording.
 STYLE = (
     "body{font-family:sans-serif;max-width:70em;margin:2em auto;color:#222}img{max-width:100%}"
     "table{border-collapse:collapse;font-size:.85em}td,th{padding:.15em .6em;text-align:right;"
@@ -78,7 +79,7 @@ def _time_course(record: Record, simulated: bool, row: int) -> Figure:
     left.set(xlabel="time (s)", ylabel="change of field (µT)")
     if wrench is not None and len(wrench.time):
         for i, axis in enumerate("xyz"):
-            right.plot(wrench.time - start, wrench.values[:, i], color=COLOURS[i], label=axis, lw=1)
+            right.plot(wrench.time - start, wrench.values[:, i], color=CURVE_COLOURS[i], label=axis, lw=1)
         right.legend(fontsize=8)
     right.set(xlabel="time (s)", ylabel="force on the tool (N)")
     events = "; ".join(f"{when - start:.2f} s {text}" for when, text in record.events)

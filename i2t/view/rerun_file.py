@@ -22,7 +22,7 @@ from i2t.errors import explain_missing_extra, require_extra
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.view.contents import Contents, DepthImage, Events, Field, Item, Numbers, Poses, camera_of, items, span
 
-NEEDS_RERUN = "a Rerun recording"  # purpose of the package, for messages
+NEEDS_RERUN = "a Rerun recording"  # what needs the package rerun-sdk, in messages
 
 
 def explain_no_recording() -> str:

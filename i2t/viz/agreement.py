@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-NUM_NEIGHBOURS = 10  # number of nearest neighbours that are compared
+NUM_NEIGHBOURS = 10  # number of nearest neighbours of a touch that are compared between two modalities
 
 
 class Agreement(NamedTuple):

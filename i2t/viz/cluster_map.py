@@ -12,7 +12,7 @@ from i2t.types import Array, Board
 from i2t.viz.clusters import TouchMap
 from i2t.viz.patches import draw_map
 from i2t.viz.skins import ARROW_MM, common_scale, draw_reading, draw_skin
-from i2t.viz.style import COLOURS, MARKERS, MM_PER_M, Picture, titled
+from i2t.viz.style import CURVE_COLOURS, CURVE_MARKERS, MM_PER_M, Picture, titled
 
 
 class TouchViews(NamedTuple):
@@ -65,7 +65,7 @@ def plot_clusters(
             left, right = (figure.add_subplot(grid[i, 4 + 2 * j + side]) for side in (0, 1))
             draw_map(left, view, views.window, low=0, high=1)
             draw_skin(right, 1.0)
-            draw_reading(right, board, reading, scale, colour=COLOURS[i % len(COLOURS)], width=0.02)
+            draw_reading(right, board, reading, scale, colour=CURVE_COLOURS[i % len(CURVE_COLOURS)], width=0.02)
             left.set_title(name, fontsize=8.5, loc="left", fontweight="normal" if j else "bold")
             for panel in (left, right):
                 panel.set(xticks=[], yticks=[])
@@ -87,8 +87,10 @@ def _draw_touch_map(axes: Axes, touch_map: TouchMap) -> None:
     number: dict[str, Any] = {"fontsize": 10, "fontweight": "bold", "textcoords": "offset points"}
     for i, mean in enumerate(touch_map.means):
         own = touch_map.at[touch_map.label == i]
-        colour = COLOURS[i % len(COLOURS)]
-        axes.scatter(own[:, 0], own[:, 1], s=9, color=colour, marker=MARKERS[i % len(MARKERS)], lw=0, alpha=0.7)
+        colour = CURVE_COLOURS[i % len(CURVE_COLOURS)]
+        axes.scatter(
+            own[:, 0], own[:, 1], s=9, color=colour, marker=CURVE_MARKERS[i % len(CURVE_MARKERS)], lw=0, alpha=0.7
+        )
         axes.plot(*mean, "X", color=colour, mec="black", ms=14)
         box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": colour, "alpha": 0.85}
         axes.annotate(f"{i + 1}", mean, xytext=(9, 7), bbox=box, **number)

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from i2t.patches.dimensions import CONTACT_TOLERANCE_M, REACH
 
-NUM_CLUSTERS = 5  # number of clusters in the paper
+NUM_CLUSTERS = 5  # number of clusters of views in the paper
 
 
 class Clusters(NamedTuple):

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Shaped
 
 from i2t.types import Array
-from i2t.viz.style import COLOURS, MARKERS, Colour, Picture, titled
+from i2t.viz.style import CURVE_COLOURS, CURVE_MARKERS, Colour, Picture, titled
 
 
 def plot_confusions(
@@ -67,7 +67,7 @@ def plot_rates(
         mean, low, high = np.array([list(groups[list(groups)[j]][method]) for j in at], np.float64).T
         x = np.array(at) + 0.13 * (i - (len(methods) - 1) / 2)
         bars = np.nan_to_num(np.clip(np.stack([mean - low, np.minimum(high, 1) - mean]), 0, None))
-        marker, colour = MARKERS[i % len(MARKERS)], COLOURS[i % len(COLOURS)]
+        marker, colour = CURVE_MARKERS[i % len(CURVE_MARKERS)], CURVE_COLOURS[i % len(CURVE_COLOURS)]
         axes.errorbar(x, mean, bars, fmt=marker, color=colour, ms=5, lw=1.5, label=method)
     axes.axhline(chance, color=Colour.GREY, lw=0.8, ls=":")
     axes.set_xlim(-0.6, len(groups) - 0.4)

@@ -18,8 +18,9 @@ from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array
 from i2t.viz.style import MM_PER_M, Picture, titled
 
-# program that fails if this machine cannot draw off screen
+# Python program that fails if this machine cannot draw off screen.
 PROBE = "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(64, 64)); p.add_mesh(pv.Cube()); p.show()"
+# Note if this machine cannot draw off screen.
 NO_GL = (
     "There is no 3-D picture, because this machine cannot draw off screen: install the system package libegl1 "
     "(apt-get install libegl1) or libosmesa6."

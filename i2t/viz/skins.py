@@ -12,9 +12,9 @@ from matplotlib.patches import Circle, Rectangle
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_map
-from i2t.viz.style import COLOURS, MM_PER_M, Colour, Picture, titled
+from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
-ARROW_MM = 5.0  # drawn length of a field as large as the figure's scale
+ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale
 
 
 def common_scale(readings: Shaped[Array, "..."]) -> float:
@@ -110,7 +110,7 @@ def plot_readings(
             axes.set_axis_off()
             continue
         draw_skin(axes)
-        for (name, part), colour in zip(zip(sets, values, strict=True), cycle(COLOURS), strict=False):
+        for (name, part), colour in zip(zip(sets, values, strict=True), cycle(CURVE_COLOURS), strict=False):
             draw_reading(axes, board, part[i], scale, colour=colour, label=name)
         axes.set_title(labels[i], fontsize=9)
     if len(sets) > 1:

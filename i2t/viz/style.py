@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from i2t.files.writing import replacing
 
 MM_PER_M = 1e3
-MARKERS = "osD^vP*"  # matplotlib's markers of successive series
+CURVE_MARKERS = "osD^vP*"  # matplotlib's markers of the data series of a figure, in their order
 
 
 class Colour(StrEnum):
@@ -28,7 +28,7 @@ class Colour(StrEnum):
     GREY = "#666666"
 
 
-COLOURS = tuple(Colour)  # colours of successive series
+CURVE_COLOURS = tuple(Colour)  # colours of the data series of a figure, in their order
 
 
 class Picture(Figure):

@@ -12,7 +12,7 @@ from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
-from i2t.viz.style import COLOURS, Colour, Picture, titled
+from i2t.viz.style import CURVE_COLOURS, Colour, Picture, titled
 
 
 def plot_predicted_touches(
@@ -49,7 +49,7 @@ def plot_predicted_touches(
         image = draw_patch(axes[0, i], patches[i], window, reach)
         axes[0, i].set_title(labels[i], fontsize=9)
         draw_skin(axes[1, i])
-        for (name, readings), colour in zip(sets.items(), cycle(COLOURS), strict=False):
+        for (name, readings), colour in zip(sets.items(), cycle(CURVE_COLOURS), strict=False):
             draw_reading(axes[1, i], board, readings[i], scale, colour=colour, label=name)
         axes[1, i].set_xlabel("tool x (mm)")
     axes[0, 0].set_ylabel("tool y (mm)")
@@ -76,7 +76,7 @@ def plot_training_curves(
     """
     figure = Picture(figsize=(5, 3.4), layout="constrained")
     axes = figure.subplots()
-    for (name, values), colour in zip(series.items(), cycle(COLOURS), strict=False):
+    for (name, values), colour in zip(series.items(), cycle(CURVE_COLOURS), strict=False):
         values = np.atleast_2d(values)
         x = np.arange(1, values.shape[1] + 1)
         axes.plot(x, values.mean(0), color=colour, label=name)

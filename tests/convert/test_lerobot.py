@@ -28,7 +28,7 @@ def test_frames_hold_every_value_and_are_counted_as_lerobot_requires(tmp_path, t
     fields = {k: v for k, v in dataset.touches._asdict().items() if k not in absent and v is not None}
     fields |= {f"truth_{name}": values for name, values in dataset.touches.truth._asdict().items()} if truth else {}
     for name, values in fields.items():
-        column = table[lerobot.NAMED_COLUMNS.get(name, f"touch.{name}")]
+        column = table[lerobot.LEROBOT_COLUMNS.get(name, f"touch.{name}")]
         np.testing.assert_array_equal(np.array(column.to_pylist(), values.dtype), values[row], err_msg=name)
     assert table["index"].to_pylist() == list(range(9))
     assert (info["total_frames"], info["total_episodes"]) == (9, len(episodes))

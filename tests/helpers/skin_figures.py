@@ -10,7 +10,7 @@ import numpy as np
 from round_tips import round_tip
 
 from i2t.skin import contact
-from i2t.skin.dipoles import CELL_NODES, response
+from i2t.skin.dipoles import DIPOLE_SHEETS, response
 from i2t.skin.elasticity import FINE_GRID, GRID, Grid
 from i2t.skin.pad import nominal_pad, press_force, sample_pad
 
@@ -43,10 +43,10 @@ def refinement() -> None:
     pads = [nominal_pad(), *(sample_pad(jax.random.key(i)) for i in range(4))]
     print("\nchange of the reading against 160 x 160 cells and 80 x 80 x 10 dipoles: pooled, median and worst press")
     levels = {
-        "40, dipoles 40": (GRID, GRID, CELL_NODES),
-        "80, dipoles 40": (FINE_GRID, GRID, CELL_NODES),
-        "80, dipoles 80": (FINE_GRID, FINE_GRID, CELL_NODES),
-        "reference": (FINEST, FINE_GRID, 2 * CELL_NODES),
+        "40, dipoles 40": (GRID, GRID, DIPOLE_SHEETS),
+        "80, dipoles 40": (FINE_GRID, GRID, DIPOLE_SHEETS),
+        "80, dipoles 80": (FINE_GRID, FINE_GRID, DIPOLE_SHEETS),
+        "reference": (FINEST, FINE_GRID, 2 * DIPOLE_SHEETS),
     }
     middle = (-4e-3, 4e-3)
     for family, shapes, force in (

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from i2t.objects import (
+    HAND_TOOLS,
     NAMES,
     PRIMITIVES,
     STAMPS,
-    TOOLS,
     Mesh,
     make_object,
     primitives,
@@ -50,7 +50,7 @@ def check_shape(mesh: Mesh) -> None:
     assert len(mesh.faces) <= 4096  # a size class of the renderer
 
 
-FAMILIES = {"primitive": PRIMITIVES, "stamp": STAMPS, "tool": TOOLS}
+FAMILIES = {"primitive": PRIMITIVES, "stamp": STAMPS, "tool": HAND_TOOLS}
 
 
 def test_the_catalogue_has_not_changed_in_any_bit():
@@ -161,7 +161,7 @@ SIZES = {  # mm, of primitives wider than the skin, and of such tools in a shop
 
 
 def test_primitives_and_tools_have_their_sizes():
-    assert set(SIZES) == {*PRIMITIVES, *TOOLS}
+    assert set(SIZES) == {*PRIMITIVES, *HAND_TOOLS}
     for name, ranges in SIZES.items():
         across = 1e3 * size(make_object(name).mesh)
         assert all(low <= value <= high for value, (low, high) in zip(across, ranges, strict=True)), name

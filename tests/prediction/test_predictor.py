@@ -39,7 +39,7 @@ def patches():
 def fitted_gp(patches: np.ndarray, channels: int) -> tuple[Predictor, jax.Array]:
     """A Gaussian process conditioned on six round tips with arbitrary readings, and these readings."""
     pressure = predict_pressures(PRESSURE, patches, np.full(6, 0.8), np.full(6, np.nan))
-    lengths = len(gp.LENGTHS_MM)
+    lengths = len(gp.MAP_LENGTHS_MM)
     hyper = gp.GPHyperparameters(jnp.full(lengths, 1 / lengths), jnp.float32(0.2), jnp.float32(1.0), jnp.float32(0.01))
     readings = 20 * jax.random.normal(jax.random.key(1), (6, channels))
     fitted = GPModel(gp.fit(hyper, pressure, readings), PRESSURE)

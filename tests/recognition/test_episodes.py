@@ -12,7 +12,7 @@ from i2t.errors import DataError
 from i2t.recognition import belief
 from i2t.recognition import episodes as episodes_module
 from i2t.recognition.episodes import (
-    EVIDENCE,
+    EVIDENCE_WEIGHTS,
     BeliefModel,
     Episodes,
     episodes_from_dataset,
@@ -74,7 +74,7 @@ def test_the_site_of_a_touch_without_contact_is_before_its_end():
 
 
 def test_each_kind_of_evidence_has_its_own_weight_and_fused_has_all():
-    for kind in EVIDENCE:
+    for kind in EVIDENCE_WEIGHTS:
         weighed = select_evidence(LIKELIHOOD, kind)
         on = [bool(x > 0) for x in (weighed.tactile_weight, weighed.spatial_weight, weighed.presence_weight)]
         assert on == [kind == "fused" or name in kind for name in ("readings", "position", "presence")]

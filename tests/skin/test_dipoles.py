@@ -142,7 +142,7 @@ def test_the_reading_has_converged(pads):
     outlines, so stamps need the fine grid to be within 2 % of the next finer one.
     """
     tips = [partial(round_tip, at=at) for at in np.random.default_rng(3).uniform(-7e-3, 7e-3, (5, 2))]
-    coarse, fine = (GRID, field.CELL_NODES), (FINE_GRID, 2 * field.CELL_NODES)
+    coarse, fine = (GRID, field.DIPOLE_SHEETS), (FINE_GRID, 2 * field.DIPOLE_SHEETS)
     assert _change(pads, tips, np.full(5, 0.8, np.float32), coarse, fine) < 0.02
     two, coarse, fine = jax.tree.map(lambda leaf: leaf[:2], pads), (FINE_GRID, 5), (Grid(160, 256), 5)
     assert _change(two, [_disc, _tee], np.ones(2, np.float32), coarse, fine) < 0.02

@@ -86,7 +86,7 @@ def test_a_layer_is_recovered_and_its_ranges_have_the_stated_coverage():
 def test_implausible_parameters_and_an_unfinished_search_are_reported(monkeypatch):
     with pytest.warns(UserWarning, match="the fitted .*gap.* standard deviations from the prior's median"):
         World(3, gap=6.0).fit()
-    monkeypatch.setattr(layer_fit, "_SEARCH", layer_fit.LayerSearch(max_steps=1))
+    monkeypatch.setattr(layer_fit, "_LAYER_SEARCH", layer_fit.LayerSearch(max_steps=1))
     with pytest.warns(UserWarning, match="did not converge"):
         assert not World(4).fit().converged
 
@@ -97,7 +97,7 @@ def test_a_search_whose_steps_all_fail_has_not_converged():
     def broken(at):
         """Return finite features at the start and where its slopes are computed, and nowhere else."""
         x = np.abs(np.asarray(ravel_pytree(at)[0]))
-        alone = np.isclose(x, layer_fit._SEARCH.slope_step).sum() == 1 and np.count_nonzero(x) == 1
+        alone = np.isclose(x, layer_fit._LAYER_SEARCH.slope_step).sum() == 1 and np.count_nonzero(x) == 1
         return (1.0 if alone or not x.any() else np.nan) * world.linearized(at)[0]
 
     with pytest.warns(UserWarning, match="did not converge"):

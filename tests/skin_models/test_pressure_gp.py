@@ -34,7 +34,7 @@ def covariance(
     cells = np.stack(np.meshgrid(np.arange(M), np.arange(M), indexing="ij"), -1).reshape(-1, 2)
     square = ((cells[:, None] - cells[None]) ** 2).sum(-1)
     p, q = (np.asarray(x.pressure, np.float64).reshape(len(x.load), -1) for x in (a, b))
-    linear = np.stack([p @ np.exp(-square / (2 * length**2)) @ q.T for length in gp.LENGTHS_MM])
+    linear = np.stack([p @ np.exp(-square / (2 * length**2)) @ q.T for length in gp.MAP_LENGTHS_MM])
     unit = np.trace(linear, axis1=1, axis2=2) / len(p) if unit is None else unit
     ratio = np.log(np.asarray(a.load, np.float64)[:, None] / np.asarray(b.load, np.float64))
     bend = float(hyper.bend)

@@ -14,7 +14,7 @@ from matplotlib import colormaps
 from matplotlib.colors import to_rgb
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from i2t.viz.style import COLOURS
+from i2t.viz.style import CURVE_COLOURS
 
 ROOT = Path(__file__).parents[2]
 CODE = [path for folder in ("i2t", "experiments") for path in sorted((ROOT / folder).rglob("*.py"))]
@@ -54,7 +54,7 @@ def _least_difference(colours, by):
 
 @pytest.mark.parametrize("by", SEEN_BY)
 def test_colours_of_the_palette_stay_apart(by):
-    assert _least_difference(COLOURS, by) > APART
+    assert _least_difference(CURVE_COLOURS, by) > APART
 
 
 @pytest.mark.parametrize("by", SEEN_BY)
@@ -77,7 +77,7 @@ def test_other_colours_are_grey_or_all_but_black_or_white():
         maps |= {one or other for one, other in CMAP.findall(path.read_text())}
         for colour in HEX.findall(path.read_text()) if path != style else ():
             lightness, a, b = _seen([colour], "all cones")[0]
-            if np.hypot(a, b) > 3 and 10 < lightness < 90 and colour not in COLOURS:
+            if np.hypot(a, b) > 3 and 10 < lightness < 90 and colour not in CURVE_COLOURS:
                 wrong.append((path.name, colour))
     assert wrong == []
     assert maps

@@ -26,9 +26,9 @@ from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
 from i2t.hardware.serial_port import COMMON_PORT_USERS, explain_no_access, other_users, set_exclusive, users_of
 from i2t.hardware.skin_stream import Measurement, StreamConfig, StreamedSkin
 
-# USB vendors, by number, of boards that run the skin's firmware.
+# Vendors, by USB vendor number, of boards that run the skin's firmware.
 VENDORS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}
-CLOSE_PROGRAM = "close that program and connect again"
+CLOSE_PROGRAM = "close that program and connect again"  # remedy if another program uses the serial port of the skin
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,11 @@ from i2t.hardware.reskin.layouts import (
 )
 from i2t.skin import boards
 
-TEMPERATURE_RANGE_C = (-40.0, 85.0)  # plausible temperatures of a chip
-# uT, range of non-zero values: firmware that averages sends less than a step, and the chip's range ends at 5e4
+TEMPERATURE_RANGE_C = (-40.0, 85.0)  # degrees C, plausible temperatures of a chip
+# uT, plausible magnitudes of a chip's non-zero values. Firmware that averages sends less than one step of the chip, and
+# the chip's range ends at 5e4 uT.
 FIELD_RANGE_UT = (1e-5, 50e3)
-RUN_LENGTH = 3  # number of candidates in a row that are accepted without a frame before them
+RUN_LENGTH = 3  # number of successive plausible candidates that are accepted as frames without a preceding frame
 
 
 class Frame(NamedTuple):

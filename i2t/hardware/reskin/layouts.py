@@ -32,9 +32,10 @@ from jaxtyping import Float
 
 from i2t.skin import boards
 
+# number of chips on the ReSkin board, which is assumed if none is stated
 DEFAULT_CHIPS = len(boards.reskin_board().chips)
-LINE_END = b"\r\n"
-COUNTER_SIZE = 256  # number of values of a frame's counter
+LINE_END = b"\r\n"  # bytes that end a frame in formats without a checksum
+COUNTER_SIZE = 256  # number of values after which the frame counter restarts
 
 
 class Format(StrEnum):
@@ -54,6 +55,7 @@ class _Checked(NamedTuple):
     checksum_type: str  # format character of the checksum in `struct`
 
 
+# Layouts of the formats that have a checksum.
 CHECKED_FORMATS = {
     Format.FRAMED: _Checked(b"\xaa\x55", 3, lambda content: reduce(xor, content, 0), "B"),
     Format.CRC: _Checked(b"\xa5\x5a", 4, zlib.crc32, "I"),

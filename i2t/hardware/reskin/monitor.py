@@ -26,7 +26,8 @@ from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.skin_health import check_skin
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board, mean_finite
 
-SHOWN_SAMPLES, REST_SAMPLES = 20, 100  # number of samples in the mean that is shown, and in that at rest
+# number of samples that are averaged for the shown reading and for the reading at rest
+SHOWN_SAMPLES, REST_SAMPLES = 20, 100
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ from i2t.hardware.motion_limits import MotionLimits, format_position
 from i2t.patches.dimensions import MAX_POSE_M, ORTHOGONALITY_TOLERANCE, TWIST_LEVER_M
 from i2t.types import Array
 
-POSES = {  # poses of a rig, with the largest translation (m) along an axis
+# Poses in a rig, with the largest accepted translation (m) along an axis.
+POSES = {
     "T_flange_tool": SAFETY.max_tool_offset_m,
     "T_tool_camera": SAFETY.max_tool_offset_m,
     "T_world_base": MAX_POSE_M,

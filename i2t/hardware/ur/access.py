@@ -18,6 +18,7 @@ from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.ur.ports import DASHBOARD, RTDE, SCRIPT, Answer, Port, explain_no_answer, probe
 from i2t.types import Array
 
+# Remedy if the library of a UR arm is missing.
 LIBRARY_REMEDY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
 
 

@@ -14,8 +14,8 @@ from typing import NamedTuple
 
 from i2t.hardware.ur.rtde_worker import RTDE_PORT
 
-PROTOCOL_REQUEST = b"\x00\x05V\x00\x02"  # requests version 2 of the RTDE protocol
-VERSION_REQUEST = b"\x00\x03v"  # requests the version of URControl
+PROTOCOL_REQUEST = b"\x00\x05V\x00\x02"  # RTDE packet that requests version 2 of the protocol
+VERSION_REQUEST = b"\x00\x03v"  # RTDE packet that requests the version of the controller's software (URControl)
 
 
 class Port(NamedTuple):
@@ -29,9 +29,10 @@ class Port(NamedTuple):
         return f"{self.number} ({self.name})"
 
 
-RTDE = Port(RTDE_PORT, "RTDE", "RTDE")
-DASHBOARD = Port(29999, "dashboard", "Dashboard Server")
-SCRIPT = Port(30003, "real-time client", "Real-Time Client Interface")
+# Ports of a UR controller that the driver needs.
+RTDE = Port(RTDE_PORT, name="RTDE", service="RTDE")
+DASHBOARD = Port(29999, name="dashboard", service="Dashboard Server")
+SCRIPT = Port(30003, name="real-time client", service="Real-Time Client Interface")
 PORTS = (RTDE, DASHBOARD, SCRIPT)
 
 

@@ -35,11 +35,13 @@ from typing import Any, NamedTuple, TypeAlias
 
 Message: TypeAlias = dict[str, Any]
 
-POLL_S = 0.01  # time between two polls of the state
-STATE_RATE_HZ = 125.0  # rate at which states are requested from the controller
-RTDE_PORT = 30004
-PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2  # runtime state; bits of the safety status
-TCP_LAST_RECEIVED = struct.Struct("52xI")  # field tcpi_last_data_recv of Linux's struct tcp_info, ms
+POLL_S = 0.01  # s between two polls of the arm's state
+STATE_RATE_HZ = 125.0  # Hz, rate at which the controller is asked to send states of the arm
+RTDE_PORT = 30004  # TCP port of RTDE on a UR controller
+# RTDE's runtime_state while a program plays, and two bits of RTDE's safety_status_bits
+PLAYING, NORMAL, REDUCED = 2, 0x1, 0x2
+# ms since data last arrived: field tcpi_last_data_recv of Linux's struct tcp_info
+TCP_LAST_RECEIVED = struct.Struct("52xI")
 
 
 class WorkerLimits(NamedTuple):

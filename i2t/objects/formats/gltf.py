@@ -24,10 +24,12 @@ from i2t.files.reading import parse_json, read_bytes
 from i2t.files.writing import file_in
 from i2t.objects.polygons import strip_triangles
 
-# NumPy types of the component types of glTF 2.0 (3.6.2.2).
+# NumPy types of the component types of glTF 2.0 (section 3.6.2.2), by number.
 COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+# glTF extensions that compress meshes, which are not read
 COMPRESSION_EXTENSIONS = ("EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_draco_mesh_compression")
-DECOMPRESS = "export it again without compression, or decompress it, for instance with gltf-transform"
+# remedy for a compressed glTF file
+DECOMPRESS_ADVICE = "export it again without compression, or decompress it, for instance with gltf-transform"
 
 # Kinds of primitives (glTF 2.0, 3.7.2.1)
 _Mode = IntEnum("_Mode", "POINTS LINES LINE_LOOP LINE_STRIP TRIANGLES TRIANGLE_STRIP TRIANGLE_FAN", start=0)
@@ -106,7 +108,9 @@ class _Document:
                     "KHR_lights_", "KHR_xmp", "KHR_animation_pointer")  # fmt: skip
         for name in self.json.get("extensionsRequired", ()):
             if not name.startswith(harmless):
-                remedy = DECOMPRESS if name in COMPRESSION_EXTENSIONS else "export it again without that extension"
+                remedy = (
+                    DECOMPRESS_ADVICE if name in COMPRESSION_EXTENSIONS else "export it again without that extension"
+                )
                 raise DataError(f"{self.path}: needs the glTF extension {name}, which is not read; {remedy}")
 
     @cached_property
@@ -179,7 +183,7 @@ class _Document:
             if name in primitive.get("extensions", {}) and any(
                 "bufferView" not in accessor[number] and "sparse" not in accessor[number] for number in numbers
             ):
-                raise DataError(f"{self.path}: is compressed ({name}), which is not read; {DECOMPRESS}")
+                raise DataError(f"{self.path}: is compressed ({name}), which is not read; {DECOMPRESS_ADVICE}")
         vertices = self._values(positions, "VEC3")
         corners = np.arange(len(vertices))
         if "indices" in primitive:
@@ -256,7 +260,7 @@ class _Document:
             elif number == 0 and self.binary and not (packed and packed[0] in buffer.get("extensions", {})):
                 data = self.binary
             elif packed:
-                raise DataError(f"{self.path}: is compressed ({packed[0]}), which is not read; {DECOMPRESS}")
+                raise DataError(f"{self.path}: is compressed ({packed[0]}), which is not read; {DECOMPRESS_ADVICE}")
             else:
                 raise DataError(f"{self.path}: buffer {number} is not in it; export it again")
             size = int(buffer["byteLength"])

@@ -18,6 +18,7 @@ class _Remedy(StrEnum):
     UNPACK = "unpack it, and name the mesh in it"
 
 
+# File name endings of formats that are not read, with their kind and remedy.
 FOREIGN_SUFFIXES = {
     **dict.fromkeys((".step", ".stp", ".iges", ".igs", ".brep", ".3dm", ".sldprt", ".sldasm", ".ipt", ".x_t", ".x_b",
                      ".f3d", ".fcstd", ".catpart", ".prt", ".sat", ".scad", ".dxf", ".dwg"),
@@ -28,7 +29,8 @@ FOREIGN_SUFFIXES = {
     **dict.fromkeys((".pcd", ".xyz", ".las", ".laz", ".e57", ".pts"), ("a point cloud", _Remedy.MAKE_MESH)),
     **dict.fromkeys((".zip", ".gz", ".7z", ".rar", ".tar"), ("an archive", _Remedy.UNPACK)),
 }  # fmt: skip
-FOREIGN_MARKS = (  # beginnings of other files, whatever their suffix says
+# Patterns of the beginnings of files that are not read, whatever their suffix, with their kind and remedy.
+FOREIGN_MARKS = (
     (rb"version https://git-lfs", "a Git LFS pointer, not the mesh itself", "run git lfs pull"),
     (rb"(?:\.\./)*\.git/annex|/annex/objects", "a git-annex pointer, not the mesh itself", "run git annex get"),
     (rb"<!doctype html|<html", "a web page, not the mesh itself", "download the file behind it"),
@@ -47,7 +49,8 @@ FOREIGN_MARKS = (  # beginnings of other files, whatever their suffix says
     (rb"pk\x03\x04|\x1f\x8b|7z\xbc\xaf|rar!", "an archive", _Remedy.UNPACK),
     (rb"\x89png|\xff\xd8\xff|%pdf|gif8", "an image or a document, not a mesh", "name the mesh"),
 )  # fmt: skip
-MESH_MARKS = (  # beginnings of files in the formats that are read
+# Patterns of the beginnings of mesh files that are read, by file name ending.
+MESH_MARKS = (
     (".ply", rb"ply\s"),
     (".glb", rb"gltf"),
     (".off", rb"(?:st)?c?n?4?n?off\b"),

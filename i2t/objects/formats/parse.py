@@ -65,6 +65,7 @@ def _drop_unused(path: Path, vertices: NDArray, faces: NDArray) -> tuple[NDArray
     return vertices, (faces if used.all() else (np.cumsum(used) - 1)[faces])
 
 
+# Functions that read meshes, by file name ending.
 _READERS: dict[str, MeshReader] = {
     ".stl": read_stl,
     ".obj": read_obj,

@@ -8,12 +8,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.objects.formats.faces import triangulate_polygons
-from i2t.objects.formats.text import PADDING, number_rows, plain_text, ranges, to_utf8, truncated_file, unreadable_file
+from i2t.objects.formats.text import (
+    TRAILING_PADDING,
+    number_rows,
+    plain_text,
+    ranges,
+    to_utf8,
+    truncated_file,
+    unreadable_file,
+)
 from i2t.objects.polygons import strip_triangles
 
+# NumPy types of PLY's types of values.
 PLY_TYPES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
              "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
              "float32": "f4", "float64": "f8"}  # fmt: skip
+# NumPy's byte orders of PLY's formats
 PLY_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -144,7 +154,7 @@ def _ply_binary(path: Path, schema: list[tuple[str, int, list[_Property]]], body
         else:
             start += count * _row_type(properties, first or ()).itemsize
         elements[name] = element
-    if body[start:].strip(PADDING):
+    if body[start:].strip(TRAILING_PADDING):
         reason = f"it has {len(body) - start} bytes more than its header announces"
         raise unreadable_file(path, reason, "export it again, or copy it as a binary file")
     return elements

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from i2t.errors import DataError
-from i2t.objects.formats.text import PADDING, parse_numbers, plain_text
+from i2t.objects.formats.text import TRAILING_PADDING, parse_numbers, plain_text
 
 HEADER_BYTES = 84  # size of a binary STL's header: any text, and the number of facets in the last four bytes
+# facet of a binary STL file
 FACET_DTYPE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
@@ -46,7 +47,7 @@ def _binary_facets(path: Path, data: bytes) -> NDArray:
         holds = f"it holds {max(room, 0)} facets where its header announces {announced}"
         raise DataError(f"{path}: is cut off or not an STL file: {holds}; export or copy it again")
     tail = data[HEADER_BYTES + FACET_DTYPE.itemsize * announced :]
-    if len(tail) >= FACET_DTYPE.itemsize and tail.strip(PADDING):
+    if len(tail) >= FACET_DTYPE.itemsize and tail.strip(TRAILING_PADDING):
         raise DataError(
             f"{path}: has {len(tail)} bytes after the {announced} facets that its header announces, perhaps another "
             "body; export it again, each body as a file"

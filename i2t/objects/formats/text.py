@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from i2t.errors import DataError
 
-PADDING = b"\0\n\r\t \x1a"  # meaningless bytes that programs append to binary files
+TRAILING_PADDING = b"\0\n\r\t \x1a"  # meaningless bytes that programs append to mesh files
 
 
 def unreadable_file(path: Path, reason: str, remedy: str) -> DataError:

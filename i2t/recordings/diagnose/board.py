@@ -25,8 +25,9 @@ from i2t.recordings.diagnose.smooth import subsample
 from i2t.recordings.presses import Presses
 from i2t.types import Board
 
-AS_RECORDED = "as recorded"  # name of the stage axes that need no correction
-STAGES: dict[str, np.ndarray] = {  # maps from the stage's x and y to the board's
+AS_RECORDED = "as recorded"  # name of the stage axes that agree with the board's, so need no correction
+# Maps from the x and y of the stage that moves the tip to the board's, by the relation between the axes.
+STAGES: dict[str, np.ndarray] = {
     AS_RECORDED: np.array([[1, 0], [0, 1]]),
     "x mirrored": np.array([[-1, 0], [0, 1]]),
     "y mirrored": np.array([[1, 0], [0, -1]]),

@@ -88,12 +88,14 @@ def _board(presses: Presses, stated: _Stated, findings: Sequence[Finding]) -> Fi
 
 # Takes presses, what the recording states and the findings so far; returns None if the recording lacks the columns.
 Hypothesis: TypeAlias = Callable[[Presses, _Stated, Sequence[Finding]], Finding | None]
+# Tests of the labels of a recording: units, force sign, height axis and lag.
 LABEL_HYPOTHESES: tuple[Hypothesis, ...] = (
     lambda presses, *_: _units(presses),
     lambda presses, *_: None if presses.force is None else find_force_sign(presses.force, presses.readings),
     lambda presses, *_: None if presses.height is None else find_height_axis(presses),
     lambda presses, *_: find_lag(presses),
 )
+# All tests of a recording, those of its labels first.
 HYPOTHESES = (*LABEL_HYPOTHESES, lambda presses, stated, _: find_height_zero(presses, stated.zero), _board)
 
 

@@ -29,7 +29,7 @@ class Roughness:
     measurement_std: float = 5e-3  # smallest error, in typical loads, of the height that a press measures
 
 
-ROUGHNESS = Roughness()
+ROUGHNESS = Roughness()  # default hypotheses on the roughness of a skin's surface
 
 
 @in_one_line

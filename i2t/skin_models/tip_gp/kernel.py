@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from i2t.types import in_one_line
 
-UNIFORM_FAR_AMPLITUDE = 1.0  # far amplitude of a kernel that does not use chip positions
+UNIFORM_FAR_AMPLITUDE = 1.0  # amplitude, far from the chip, of a kernel that does not use chip positions
 
 
 @in_one_line

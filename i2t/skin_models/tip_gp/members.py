@@ -10,7 +10,7 @@ from i2t.skin_models.tip_gp import kernel
 from i2t.skin_models.tip_gp.kernel import UNIFORM_FAR_AMPLITUDE, SkinKernels
 from i2t.types import in_one_line
 
-NO_BOARD = -1  # number of the board of a member that uses no chips
+NO_CHIP_POSITIONS = -1  # board number of a member of the mixture whose kernel does not use chip positions
 
 
 @in_one_line
@@ -21,7 +21,7 @@ class Components(NamedTuple):
     load_column: Int[np.ndarray, " k"]
     uses_previous: Bool[np.ndarray, " k"]
     log_share: Float[np.ndarray, " k"]
-    board: Int[np.ndarray, " k"]  # number of the board whose chips the member uses, or NO_BOARD
+    board: Int[np.ndarray, " k"]  # number of the board whose chips the member uses, or NO_CHIP_POSITIONS
 
 
 def kernels_on_boards(
@@ -47,7 +47,7 @@ def kernels_on_boards(
 
     def on(board: int, which: np.ndarray, share: float) -> Components:
         some_kernels, some = kernel.take(kernels, which), log_share[which]
-        if board == NO_BOARD:
+        if board == NO_CHIP_POSITIONS:
             some_kernels = some_kernels._replace(far_amplitude=np.full(len(some), UNIFORM_FAR_AMPLITUDE))
         ones = np.ones(len(some), int)
         return Components(
@@ -60,7 +60,7 @@ def kernels_on_boards(
 
     falls = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
     boards = boards if falls.any() else 0
-    without = on(NO_BOARD, np.ones(len(falls), bool), 1 - board_weight if boards else 1.0)
+    without = on(NO_CHIP_POSITIONS, np.ones(len(falls), bool), 1 - board_weight if boards else 1.0)
     return join_members(without, *(on(board, falls, board_weight / boards) for board in range(boards)))
 
 

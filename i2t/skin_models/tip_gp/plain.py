@@ -38,7 +38,7 @@ class ScaleFit:
     failed_loss: float = 1e30  # loss if the covariance cannot be factored
 
 
-_FIT = ScaleFit()
+_SCALE_FIT = ScaleFit()  # priors of the plain process's hyperparameters, and the optimizer's limits
 
 
 class PlainScales(NamedTuple):
@@ -63,27 +63,27 @@ def fit_scales(position: np.ndarray, load: np.ndarray, readings: np.ndarray) -> 
     Raises:
         ValueError: A press is not finite, or no covariance of the presses can be factored.
     """
-    some = slice(_FIT.max_presses)
+    some = slice(_SCALE_FIT.max_presses)
     position, load, readings = position[some], load[some], readings[some]
     medians = np.array([
-        _FIT.length_median * max(float(position.std(0).mean()) * 2, 1e-9),
-        _FIT.width_median * max(float(load.std()), 1e-9),
-        _FIT.noise_median,
+        _SCALE_FIT.length_median * max(float(position.std(0).mean()) * 2, 1e-9),
+        _SCALE_FIT.width_median * max(float(load.std()), 1e-9),
+        _SCALE_FIT.noise_median,
     ])  # fmt: skip
     square = ((position[:, None] - position) ** 2).sum(-1), (load[:, None] - load) ** 2
     centred = readings - readings.mean(0)
     results = [
-        minimize(_loss, at, (medians, square, centred), jac=True, method="L-BFGS-B", bounds=_FIT.bounds)
-        for at in map(np.array, _FIT.starts)
+        minimize(_loss, at, (medians, square, centred), jac=True, method="L-BFGS-B", bounds=_SCALE_FIT.bounds)
+        for at in map(np.array, _SCALE_FIT.starts)
     ]
     best = min(results, key=lambda result: float(result.fun) if np.isfinite(result.fun) else np.inf)
-    if not best.fun < _FIT.failed_loss:
+    if not best.fun < _SCALE_FIT.failed_loss:
         raise ValueError(
             f"no plain Gaussian process fits these {len(load)} presses; check for positions, loads or readings that "
             "are not finite or far too large"
         )
     length, width, noise = medians * np.exp(best.x)
-    return PlainScales(float(length), float(width), max(float(noise), _FIT.min_noise))
+    return PlainScales(float(length), float(width), max(float(noise), _SCALE_FIT.min_noise))
 
 
 def predict_plain(
@@ -103,7 +103,9 @@ def predict_plain(
     """
     position, load, readings = pressed
     mean = readings.mean(0)
-    kernels = plain_kernel(*np.array([[scales.length], [scales.width], [max(scales.noise, _FIT.min_noise)], [0.0]]))
+    kernels = plain_kernel(
+        *np.array([[scales.length], [scales.width], [max(scales.noise, _SCALE_FIT.min_noise)], [0.0]])
+    )
     inputs = kernel.geometry(position, load, None)
     [given] = condition_all(kernels, inputs, Observed(readings - mean, np.zeros((len(load), 1))))
     return mean + kernel.signal_covariances(kernels, kernel.geometry(*at, None), inputs)[0, 0] @ given.weights
@@ -137,9 +139,9 @@ def _loss(
     length, width, noise = medians * np.exp(free)
     near = np.exp(-(square[0] / length**2 + square[1] / width**2) / 2)
     try:
-        factor = cho_factor(near + (noise + _FIT.min_noise) * np.eye(n), lower=True)
+        factor = cho_factor(near + (noise + _SCALE_FIT.min_noise) * np.eye(n), lower=True)
     except np.linalg.LinAlgError:
-        return _FIT.failed_loss, np.zeros(3)
+        return _SCALE_FIT.failed_loss, np.zeros(3)
     inverse = cho_solve(factor, np.eye(n))
     weights = inverse @ centred
     scale = np.maximum((centred * weights).sum(0) / n, 1e-12)  # best scale of each channel
@@ -147,5 +149,5 @@ def _loss(
     outer = (weights / scale) @ weights.T
     change = (near * square[0] / length**2, near * square[1] / width**2, noise * np.eye(n))
     slope = np.array([0.5 * ((c * inverse - outer) * part).sum() for part in change])
-    stds = np.array(_FIT.prior_stds)
+    stds = np.array(_SCALE_FIT.prior_stds)
     return float(loss + 0.5 * ((free / stds) ** 2).sum()), slope + free / stds**2

@@ -59,7 +59,7 @@ from i2t.skin_models.tip_gp.leave_one_out import (
     ungrouped,
 )
 from i2t.skin_models.tip_gp.members import (
-    NO_BOARD,
+    NO_CHIP_POSITIONS,
     Components,
     add_previous_session,
     join_members,
@@ -135,7 +135,7 @@ class MixtureConfig:
     given_height_passes: int = 3  # number of passes if the roughness of the skin is given
 
 
-_CONFIG = MixtureConfig()
+_MIXTURE = MixtureConfig()  # default choices of the mixture of Gaussian processes
 
 
 @in_one_line
@@ -187,9 +187,9 @@ def fit_population(
     gp = _on_likeliest_board(_unweighted_members(presses, readings, load_kinds, chip_positions, prior or load_prior()))
     plain = _plain_processes(gp.components)
     gp = _weigh_in_stages(gp)
-    if len(readings) >= _CONFIG.min_robust_presses:
+    if len(readings) >= _MIXTURE.min_robust_presses:
         gp = _with_heavy_tails(gp)
-    if load_kinds and len(readings) >= _CONFIG.min_height_presses:
+    if load_kinds and len(readings) >= _MIXTURE.min_height_presses:
         gp = _with_heights(gp)
     return _stacked_on_plain(gp, plain)
 
@@ -218,10 +218,10 @@ def fit_one(
     Returns:
         A mixture of this kernel alone.
     """
-    board, chips = (NO_BOARD, None) if chip_positions is None else (0, chip_positions[None])
+    board, chips = (NO_CHIP_POSITIONS, None) if chip_positions is None else (0, chip_positions[None])
     alone = Components(kernels, np.array([0]), np.array([False]), np.zeros(1), np.array([board]))
     gp = _unweighted(presses, readings, alone, np.array([typical_load]), chips)
-    for _ in range(_CONFIG.given_height_passes if height_std else 0):
+    for _ in range(_MIXTURE.given_height_passes if height_std else 0):
         gp = gp._replace(
             heights=measured_heights(np.array([height_std]), np.array([height_length]), _sloped_errors(gp))
         )
@@ -295,7 +295,7 @@ def interval_scaling(gp: PopulationGP) -> Float[np.ndarray, " c"]:
     Returns:
         `(c,)` factors, one for each channel.
     """
-    prior = _CONFIG.scaling
+    prior = _MIXTURE.scaling
     n, (mean, variance) = len(gp.readings), _leave_one_out_mixture(gp)
     ratios = np.abs(gp.readings - mean) / np.sqrt(variance) / STDS_WITHIN_90
     level = min(0.9 * (n + 1) / n, 1.0)
@@ -368,26 +368,26 @@ def _unweighted(
 def _on_likeliest_board(gp: PopulationGP) -> PopulationGP:
     """Keep the members of one board and those without chips. A short list of kernels chooses the board."""
     boards, components = 0 if gp.chip_positions is None else len(gp.chip_positions), gp.components
-    if boards < 2 or not (components.board != NO_BOARD).any():
+    if boards < 2 or not (components.board != NO_CHIP_POSITIONS).any():
         return gp
     # Members of all boards are in the same order, so the same kernels compete.
     of_board = np.stack([np.flatnonzero(components.board == board) for board in range(boards)])
-    common = np.argsort(-components.log_share[of_board[0]], kind="stable")[: _CONFIG.selection.board_kernels]
+    common = np.argsort(-components.log_share[of_board[0]], kind="stable")[: _MIXTURE.selection.board_kernels]
     short_list = _select_members(gp, of_board[:, common].ravel())
-    short = _subsample(short_list, min(_CONFIG.selection.stages[0][0], len(gp.readings)))
+    short = _subsample(short_list, min(_MIXTURE.selection.stages[0][0], len(gp.readings)))
     near, far = _weights(short, _leave_one_out_all(short))
     board = int(np.argmax(board_shares(short._replace(weights=near, far_weights=far))[1:]))
-    gp = _select_members(gp, np.flatnonzero((components.board == NO_BOARD) | (components.board == board)))
-    own = gp.components.board != NO_BOARD
+    gp = _select_members(gp, np.flatnonzero((components.board == NO_CHIP_POSITIONS) | (components.board == board)))
+    own = gp.components.board != NO_CHIP_POSITIONS
     log_share = gp.components.log_share + np.where(own, np.log(boards), 0)
-    kept = gp.components._replace(board=np.where(own, 0, NO_BOARD), log_share=log_share)
+    kept = gp.components._replace(board=np.where(own, 0, NO_CHIP_POSITIONS), log_share=log_share)
     assert gp.chip_positions is not None
     return gp._replace(components=kept, chip_positions=gp.chip_positions[[board]])
 
 
 def _weigh_in_stages(gp: PopulationGP) -> PopulationGP:
     """Weigh fewer and fewer members by more and more presses, and drop those of little weight at the end."""
-    n, selection = len(gp.readings), _CONFIG.selection
+    n, selection = len(gp.readings), _MIXTURE.selection
     for presses, members in selection.stages:
         if len(gp.weights) > members:
             gp = _select_members(gp, np.argsort(-_shares(gp), kind="stable")[:members])
@@ -447,7 +447,7 @@ def _weights(
     gp: PopulationGP, held_out: LeaveOneOutPresses, rows: slice | np.ndarray = slice(None)
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """Weigh the members by some presses: weights (k, c) near the presses and far from them, 1 in sum per channel."""
-    weighting = _CONFIG.weighting
+    weighting = _MIXTURE.weighting
     trust = _reading_weights(gp)[rows]
     n = len(trust)
 
@@ -490,10 +490,10 @@ def _leave_one_out_all(gp: PopulationGP, part: np.ndarray | None = None) -> Leav
     return result
 
 
-def _parts(gp: PopulationGP, parts: int = _CONFIG.weighting.parts) -> np.ndarray | None:
+def _parts(gp: PopulationGP, parts: int = _MIXTURE.weighting.parts) -> np.ndarray | None:
     """Group presses that lie together and are left out together. Return None if they are few or all at one place."""
     position = gp.presses.position
-    if len(position) < _CONFIG.weighting.min_part_presses or not np.ptp(position, axis=0).any():
+    if len(position) < _MIXTURE.weighting.min_part_presses or not np.ptp(position, axis=0).any():
         return None
     return spatial_parts(position, parts)
 
@@ -517,7 +517,7 @@ def _add_heights(gp: PopulationGP, presses: PressTable, height: np.ndarray) -> P
 
 def _geometry(gp: PopulationGP, presses: PressTable, column: int, board: int) -> PressGeometry:
     load = presses.loads[:, column] / gp.typical_loads[column]
-    if board == NO_BOARD:
+    if board == NO_CHIP_POSITIONS:
         return kernel.geometry(presses.position, load, None)
     assert gp.chip_positions is not None
     return kernel.geometry(presses.position, load, gp.chip_positions[board])
@@ -554,8 +554,8 @@ def _with_heavy_tails(gp: PopulationGP) -> PopulationGP:
     held_out = _leave_one_out_all(gp)
     mean, variance = _mixed(gp, held_out)
     square = ((gp.readings - mean) ** 2 / variance).reshape(n, groups, channels).mean(2)
-    ratio = (_CONFIG.tail_dof + channels * square) / (_CONFIG.tail_dof + channels)
-    outlying = square > _CONFIG.tail_limit
+    ratio = (_MIXTURE.tail_dof + channels * square) / (_MIXTURE.tail_dof + channels)
+    outlying = square > _MIXTURE.tail_limit
     if not outlying.any():
         return gp
     scale = np.einsum("kc,kc->c", gp.weights, held_out.scale)
@@ -572,7 +572,7 @@ def _with_heights(gp: PopulationGP) -> PopulationGP:
     std, length = (
         np.array(part) for part in zip(*((s, x) for x in ROUGHNESS.lengths for s in ROUGHNESS.stds), strict=True)
     )
-    for _ in range(_CONFIG.height_passes):
+    for _ in range(_MIXTURE.height_passes):
         held_out = _sloped_errors(gp)
         tried = measured_heights(std, length, held_out)
         share = hypothesis_shares(tried, gp.presses.position, held_out)
@@ -608,7 +608,7 @@ def _heights_at_presses(gp: PopulationGP) -> np.ndarray:
 
 def _plain_processes(components: Components) -> Components:
     """Take, for each kind of load, the plain process fitted to the presses; it is the last one without chips."""
-    alone = (components.board == NO_BOARD) & ~components.uses_previous
+    alone = (components.board == NO_CHIP_POSITIONS) & ~components.uses_previous
     columns = np.unique(components.load_column)
     return take_members(
         components, np.array([np.flatnonzero(alone & (components.load_column == i))[-1] for i in columns])
@@ -619,7 +619,7 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
     """Add the best plain process as a last member, with a share chosen on parts that are left out. Return the mixture
     itself if the presses are too few for parts.
     """
-    cuts = [part for part in (_parts(gp, parts) for parts in _CONFIG.stacking.parts) if part is not None]
+    cuts = [part for part in (_parts(gp, parts) for parts in _MIXTURE.stacking.parts) if part is not None]
     if not cuts:
         return gp
     near, far = zip(*(_errors_by_other_parts(gp, part) for part in cuts), strict=True)
@@ -627,7 +627,7 @@ def _stacked_on_plain(gp: PopulationGP, plain: Components) -> PopulationGP:
     best = int(np.argmin(sum((_reading_weights(gp) * held_out.part_error**2).sum((1, 2)) for held_out in alone)))
     near_share = _stacking_share(gp, np.stack(near), np.stack([held_out.error[best] for held_out in alone]), 0.0)
     plain_far = np.stack([held_out.part_error[best] for held_out in alone])
-    far_share = _stacking_share(gp, np.stack(far), plain_far, _CONFIG.stacking.far_plain_presses)
+    far_share = _stacking_share(gp, np.stack(far), plain_far, _MIXTURE.stacking.far_plain_presses)
     far_weights = gp.weights if gp.far_weights is None else gp.far_weights
     return gp._replace(
         components=join_members(gp.components, take_members(plain, np.array([best]))),
@@ -665,7 +665,7 @@ def _stacking_share(gp: PopulationGP, error: np.ndarray, plain_error: np.ndarray
     limit = len(gp.readings) / (len(gp.readings) + plain_presses)
     spread = np.maximum(spread / limit, 1e-12)
     shared = np.clip(gained.sum() / spread.sum(), 0, limit)
-    belief = _CONFIG.stacking.prior_channels * spread.mean()
+    belief = _MIXTURE.stacking.prior_channels * spread.mean()
     return np.clip((gained + belief * shared) / (spread + belief), 0, limit)
 
 
@@ -708,7 +708,7 @@ def _far_weight(gp: PopulationGP, position: np.ndarray) -> np.ndarray:
     apart = np.where(part[:, None] == part, np.inf, between)
     near, far = (float(np.median(np.sqrt(square.min(1)))) for square in (alone, apart))
     distance = np.sqrt(squared_distance(position, pressed).min(1))
-    return np.clip((distance - near) / max(far - near, _CONFIG.weighting.min_far_distance), 0, 1)
+    return np.clip((distance - near) / max(far - near, _MIXTURE.weighting.min_far_distance), 0, 1)
 
 
 def _predict_one(

@@ -14,8 +14,8 @@ from i2t.files import serialization
 from i2t.skin_models.tip_gp.kernel import SkinKernels, join, take
 from i2t.skin_models.tip_gp.plain import fit_scales, plain_kernel
 
-PRIOR_FILE = "prior.npz"
-PRIOR_KIND = "i2t kernel prior"
+PRIOR_FILE = "prior.npz"  # file, in this package, with the population of kernels
+PRIOR_KIND = "i2t kernel prior"  # kind of file in the header of the population of kernels
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class PlainMembers:
     max_fitted_presses: int = 150
 
 
-_PLAIN = PlainMembers()
+_PLAIN_MEMBERS = PlainMembers()  # plain Gaussian processes that join the population, and their shares of the prior
 
 
 class KernelPrior(NamedTuple):
@@ -89,7 +89,7 @@ def plain_kernels(position: Float[np.ndarray, "n 2"], load: Float[np.ndarray, " 
     # Wrong or uninformative labels call for much noise, or for nothing but the mean.
     noisy = product((0.25, 0.6, 1.6), (0.7, 4.0), (0.5, 2.0))
     grid = np.array([*usual, *noisy, (1.0, 1.0, 1e3)])
-    constant = np.append(np.full(len(grid) - 1, _PLAIN.constant), 1e5)
+    constant = np.append(np.full(len(grid) - 1, _PLAIN_MEMBERS.constant), 1e5)
     return plain_kernel(spread * grid[:, 0], load_spread * grid[:, 1], grid[:, 2], constant)
 
 
@@ -106,11 +106,13 @@ def fitted_kernel(
     Returns:
         A stack of one kernel, or an empty stack if the presses are too few.
     """
-    some = np.random.default_rng(0).permutation(len(load))[: _PLAIN.max_fitted_presses]
-    if len(some) < _PLAIN.min_fitted_presses or not np.ptp(readings, axis=0).any():
+    some = np.random.default_rng(0).permutation(len(load))[: _PLAIN_MEMBERS.max_fitted_presses]
+    if len(some) < _PLAIN_MEMBERS.min_fitted_presses or not np.ptp(readings, axis=0).any():
         return plain_kernel(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
     scales = fit_scales(position[some], load[some], readings[some])
-    return plain_kernel(*(np.array([value]) for value in (scales.length, scales.width, scales.noise, _PLAIN.constant)))
+    return plain_kernel(
+        *(np.array([value]) for value in (scales.length, scales.width, scales.noise, _PLAIN_MEMBERS.constant))
+    )
 
 
 def add_plain_members(
@@ -136,7 +138,13 @@ def add_plain_members(
     present = np.isfinite(log_share)
     plain, fitted = plain_kernels(position, load), fitted_kernel(position, load, readings)
     counts = len(plain.load_power) - 1, 1, len(fitted.load_power)
-    parts = _PLAIN.share * np.array([1 - _PLAIN.mean_part - _PLAIN.fitted_part, _PLAIN.mean_part, _PLAIN.fitted_part])
-    share = np.log(1 - _PLAIN.share) + log_share[present] - np.log(np.sum(np.exp(log_share[present])))
+    parts = _PLAIN_MEMBERS.share * np.array(
+        [
+            1 - _PLAIN_MEMBERS.mean_part - _PLAIN_MEMBERS.fitted_part,
+            _PLAIN_MEMBERS.mean_part,
+            _PLAIN_MEMBERS.fitted_part,
+        ]
+    )
+    share = np.log(1 - _PLAIN_MEMBERS.share) + log_share[present] - np.log(np.sum(np.exp(log_share[present])))
     plain_share = np.repeat(np.log(parts / np.maximum(counts, 1)), counts)
     return join(take(prior.kernels, present), plain, fitted), np.append(share, plain_share)

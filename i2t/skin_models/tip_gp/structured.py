@@ -47,16 +47,18 @@ class StructuredGPHyperparameters(NamedTuple):
     far_amplitude: float  # amplitude e far from the chip
 
 
-# Fitted to the development presses of one eFlesh session (docs/calibration.md). The long length is of the order of the
-# height of the magnets over the chips and of their spacing; the short one is that of a lattice's struts.
+# Hyperparameters of the structured process with travel (m) as the load, fitted to the development presses of one eFlesh
+# session (docs/calibration.md). The long length is of the order of the height of the magnets over the chips and of
+# their spacing; the short one is that of a lattice's struts.
 TRAVEL_HYPERPARAMETERS = StructuredGPHyperparameters(
     unit_load=2e-3, load_offset=2.7e-3, load_power=1.8, map_length=16.5e-3, map_variance=1.0, bend_variance=0.0145,
     bend_length=2e-3, bend_load_width=7e-3, static_variance=0.03, constant_variance=2e-3, noise_variance=4.5e-3,
     height_std=0.17e-3, height_length=1.8e-3, chip_reach=10e-3, far_amplitude=0.2,
 )  # fmt: skip
-# Fitted to 24 simulated boards pressed with a spherical tip of 4 mm to 0.2 to 1 N, by a coordinate search on the
-# leave-one-out R2. The result is a map of two lengths, the layer's thickness and twice that, hardly bent by the load.
-# The static part is a guess, because simulated boards have none, but real ones may.
+# Hyperparameters of the structured process with force (N) as the load, fitted to 24 simulated boards pressed with a
+# spherical tip of 4 mm to 0.2 to 1 N, by a coordinate search on the leave-one-out R2. The result is a map of two
+# lengths, the layer's thickness and twice that, hardly bent by the load. The static part is a guess, because simulated
+# boards have none, but real ones may.
 FORCE_HYPERPARAMETERS = StructuredGPHyperparameters(
     unit_load=1.0, load_offset=0.24, load_power=1.4, map_length=2.1e-3, map_variance=1.0, bend_variance=5.2,
     bend_length=5e-3, bend_load_width=7.8, static_variance=0.3, constant_variance=0.1, noise_variance=1.7e-2,

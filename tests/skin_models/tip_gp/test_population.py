@@ -260,7 +260,7 @@ def test_few_presses_give_finite_predictions_from_many_kernels(n):
     for loads in (d, np.zeros(n), np.full(n, 1e-3)):
         gp = fit(table(x, loads), read(x, d), chip_positions=CHIPS[None])
         mean, std = predict_population(gp, table(z, e))
-        assert len(gp.weights) == mixture._CONFIG.selection.max_members  # so few presses cannot distinguish them
+        assert len(gp.weights) == mixture._MIXTURE.selection.max_members  # so few presses cannot distinguish them
         assert np.isfinite(mean).all()
         assert (std > 0).all()
         assert np.isfinite(interval_scaling(gp)).all()
@@ -309,7 +309,7 @@ def share_of_plain(weights: np.ndarray | None) -> np.ndarray:
 @pytest.mark.parametrize("n", [12, 40])
 def test_far_from_the_presses_the_plain_process_keeps_a_share_that_falls_with_their_number(n):
     """The share is p / (n + p) for p prior presses, however much better the mixture is on the parts left out."""
-    prior_presses = mixture._CONFIG.stacking.far_plain_presses
+    prior_presses = mixture._MIXTURE.stacking.far_plain_presses
     x, d = drawn(50, n)
     gp = mixture._unweighted_members(table(x, d), skin(51)(x, d), ("travel",), None, load_prior())
     rng = np.random.default_rng(52)
@@ -385,6 +385,6 @@ def test_a_short_list_of_kernels_chooses_one_of_several_boards(monkeypatch):
         counts.clear()
         fits[len(boards)] = fit(table(x, d), readings, chip_positions=np.stack(boards))
         kernels[len(boards)] = sum(count for count, chips in counts if chips)
-    assert kernels[2] <= kernels[1] + 2 * mixture._CONFIG.selection.board_kernels
+    assert kernels[2] <= kernels[1] + 2 * mixture._MIXTURE.selection.board_kernels
     np.testing.assert_array_equal(fits[2].chip_positions, fits[1].chip_positions)
     np.testing.assert_allclose(fits[2].weights, fits[1].weights, rtol=1e-9)
