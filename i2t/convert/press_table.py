@@ -104,7 +104,7 @@ def round_tip(name: str, profile: Profile) -> Indenter:
             point.
 
     Returns:
-        The indenter.
+        The indenter, with its lowest point at z = 0 of its own frame.
     """
     return Indenter(name, lambda x, y, window, reach: tip_patches(profile, x, y, window, reach))
 
