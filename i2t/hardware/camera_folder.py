@@ -56,7 +56,7 @@ LENS_TOLERANCE = 1e-3  # largest relative difference between two camera matrices
 
 
 def read_view(path: str | Path) -> tuple[Camera, View]:
-    """Read the first depth view of a folder that `save_views` wrote.
+    """Read the lens and the first depth view, by file name, of a folder in the form of this module.
 
     Args:
         path: Path of the folder.
@@ -239,7 +239,7 @@ def save_views(path: str | Path, camera: Camera, views: Iterable[View]) -> Itera
     Args:
         path: Path of the new folder.
         camera: Lens of the views.
-        views: Views with depth in m.
+        views: Views with depth in m, which is written in steps of 0.1 mm; above 6.5 m it becomes unmeasured.
 
     Yields:
         Each view after it has been written.

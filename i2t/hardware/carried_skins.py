@@ -28,7 +28,10 @@ TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")
 
 @dataclass(frozen=True, eq=False)
 class CarriedSkin:
-    """A further skin on the tool, as the rig describes it: device, board and pose. Raises ValueError for bad values."""
+    """A further skin on the tool, as a rig describes it: driver, pose in the tool (m), board, port or serial number.
+
+    Raises ValueError for an unknown board, and for a serial number with an address or with a driver other than reskin.
+    """
 
     name: str
     device: str = "reskin"  # reskin, simulated, emulated, or a device of another package, as --skin
@@ -58,8 +61,8 @@ def require_distinct(tool_skin: str, skins: tuple[CarriedSkin, ...]) -> None:
         skins: Further skins on the tool.
 
     Raises:
-        ValueError: A name is invalid, a board has neither address nor serial number, or two skins share a name or a
-            board.
+        ValueError: A name is invalid, a further skin of device reskin has neither address nor serial number, or two
+            skins share a name or a board.
     """
     for skin in skins:
         if skin.device == "reskin" and not (skin.serial_number or skin.address):

@@ -35,12 +35,15 @@ class _Contract:
 
     @pytest.fixture
     def make(self) -> Callable[[], Any]:
-        """Return the function that builds devices."""
+        """Return the function that builds the device without connecting it."""
         return self.make_device
 
 
 class ArmContract(_Contract):
-    """Tests that the driver of every guarded arm must pass; the arm stands at `home` before each test."""
+    """Tests that the driver of every guarded arm must pass, with the arm's limits, home pose and tolerances.
+
+    The arm stands at `home` before each test.
+    """
 
     limits: MotionLimits
     home: Array  # (4, 4) T_b_t, with the tool pointing down, 50 mm inside the box on all sides
@@ -150,7 +153,7 @@ class ArmContract(_Contract):
 
 
 class SkinContract(_Contract):
-    """Tests that the driver of every skin must pass; the skin need only measure the Earth's field."""
+    """Tests, with its nominal rate (Hz), that every skin's driver must pass; a skin in the Earth's field suffices."""
 
     rate: float = 400.0  # Hz, nominal rate of the samples
     has_temperature: bool = True

@@ -56,7 +56,8 @@ def make_realsense(setup: DeviceSetup) -> "RealSense":
     """Build the driver of a RealSense depth camera, without connecting it.
 
     Args:
-        setup: Setup with the serial number and the size of the images, by default that of the rig.
+        setup: Setup with the serial number and the size of the images. Without a size, that of the rig is taken, and
+            `connect` refuses a camera that cannot measure at the rig's looking distance.
 
     Returns:
         The camera, not connected.

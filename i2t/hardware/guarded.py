@@ -32,7 +32,7 @@ BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHU
 
 
 class MotionWatch:
-    """Check of an arm's states during one motion: force, torque, speed, distance and box.
+    """Check of each state of an arm in one motion: its age, safety, box, distance, speeds, progress, force and torque.
 
     Args:
         arm: The arm that moves. If it has a `state_timeout` (s), its states may be that old. If it has
@@ -136,7 +136,7 @@ def free_limits(limits: MotionLimits, wrench: Array) -> tuple[float, float]:
         The force in N and the torque in Nm that stop the motion.
 
     Raises:
-        DeviceError: The load at the start is so high, or not finite, that no motion may begin.
+        DeviceError: The load at the start is not finite, or above `SAFETY.max_start_load` times a limit of the rig.
     """
     force, torque = (float(norm) for norm in np.linalg.norm(np.reshape(wrench, (2, 3)), axis=1))
     if not (force <= SAFETY.max_start_load * limits.force and torque <= SAFETY.max_start_load * limits.torque):
@@ -220,7 +220,7 @@ class PolledArm(DeviceBase):
         raise NotImplementedError
 
     def speed_share(self) -> float:
-        """Return the fraction (0 to 1) of the requested speed that a person allows now; the lowest one if unknown."""
+        """Return the fraction (0 to 1) of the requested speed that a person allows now; here the lowest, if unknown."""
         return SAFETY.min_speed_share
 
     # Methods of a guarded arm
@@ -492,7 +492,7 @@ class PolledArm(DeviceBase):
 
 @contextlib.contextmanager
 def signals_ignored() -> Iterator[None]:
-    """Within the block, ignore the signals that end a program; has an effect on the main thread only."""
+    """Within the block, ignore SIGINT, SIGTERM and SIGHUP; has an effect on the main thread only."""
     main = threading.current_thread() is threading.main_thread()
     before = {number: signal.signal(number, lambda *_: None) for number in BRAKING_SIGNALS if main}
     try:

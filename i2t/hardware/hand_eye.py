@@ -46,7 +46,10 @@ from i2t.types import Array
 
 @dataclass(frozen=True, kw_only=True)
 class CharucoBoard:
-    """Geometry of a ChArUco calibration board; drawing or finding an impossible board raises ValueError."""
+    """Geometry of a ChArUco calibration board: numbers of squares, edges (m) of squares and markers, and dictionary.
+
+    Drawing or finding an impossible board raises ValueError.
+    """
 
     columns: int = 8  # number of squares in a row
     rows: int = 6  # number of rows of squares

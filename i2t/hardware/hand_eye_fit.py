@@ -27,7 +27,10 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class HandEyeConfig:
-    """Requirements on the views of a hand-eye calibration, and settings of the refinement of its fit."""
+    """Requirements on the views of a hand-eye calibration, and settings of the refinement of its fit.
+
+    The requirements are the numbers of views and of corners in each, and the rotation (rad) about a second axis.
+    """
 
     min_views: int = 6
     min_corners: int = 6  # smallest number of corners in each view
@@ -38,7 +41,10 @@ class HandEyeConfig:
 
 
 class BoardView(NamedTuple):
-    """A view of a calibration board: the tool's pose, and the board's corners with their lines of sight."""
+    """A view of a calibration board: the tool's pose T_b_t (m), and the positions and lines of sight of the corners.
+
+    Positions of the visible corners are on the board (m); lines of sight are x / z and y / z in the camera frame.
+    """
 
     T_b_t: Array  # (4, 4) pose of the tool in the base when the view was taken, m
     corners: Array  # (k, 3) m, positions of the visible corners on the board
@@ -46,7 +52,11 @@ class BoardView(NamedTuple):
 
 
 class HandEyeResult(NamedTuple):
-    """Result of a hand-eye calibration: pose of the camera on the tool, with residuals and standard errors."""
+    """Result of a hand-eye calibration: poses of camera in tool and board in base (m), residuals, standard errors.
+
+    Residuals are RMS errors (pixels) of all corners and of each view's; standard errors are those of the camera's
+    position (m) and orientation (rad).
+    """
 
     T_t_c: Array  # (4, 4) pose of the camera in the tool, m
     T_b_o: Array  # (4, 4) pose of the board in the base, m
@@ -90,7 +100,7 @@ def fit(views: Sequence[BoardView], focal: float, *, config: HandEyeConfig = Han
         config: Requirements on the views, and settings of the refinement.
 
     Returns:
-        The poses of the camera on the tool and of the board in the base, with errors.
+        The poses of the camera on the tool and of the board in the base, with residuals and standard errors.
 
     Raises:
         ValueError: The views do not determine the pose.

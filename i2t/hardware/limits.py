@@ -33,7 +33,10 @@ def _limit(value: Any, unit: str, protects: str, tried: str) -> Any:
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """Table of the safety limits; a range is a pair of the lowest and the highest value that is accepted."""
+    """Table of the safety limits; a range is a pair of the lowest and the highest value that is accepted.
+
+    The metadata of each field are its unit, what it protects, and the test that checks it.
+    """
 
     # What a rig may ask for
     speed_range: tuple[float, float] = _limit((1e-4, 1.0), "m/s", "refuses an implausible speed limit", _OWN_LIMIT_TEST)

@@ -20,7 +20,10 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Box, speed, acceleration, force and torque limits of an arm; a motion beyond them is refused or stopped.
+    """Limits of an arm's motions, and the stiffness (N/m) with which the force of a collision is computed.
+
+    They are the box of the tool's origin in the base (m), speed (m/s), acceleration (m/s^2), force (N), torque (Nm) and
+    distance of an approach (m). A motion beyond them is refused or stopped.
 
     Raises ValueError for limits outside the ranges of `i2t.hardware.limits`.
     """

@@ -43,7 +43,8 @@ class _KindOfDevice(NamedTuple):
     address_flag: str
 
 
-# Kinds of devices: entry-point group of their drivers, protocol, and command-line option that names a device.
+# Kinds of devices: entry-point group of their drivers, protocol, and command-line option for the device's address
+# (host, port or serial number).
 KINDS: dict[DeviceKind, _KindOfDevice] = {
     "arm": _KindOfDevice("i2t.arms", GuardedArm, "--host"),
     "skin": _KindOfDevice("i2t.skins", Skin, "--port"),
@@ -53,7 +54,11 @@ KINDS: dict[DeviceKind, _KindOfDevice] = {
 
 @dataclass(frozen=True, eq=False)
 class DeviceSetup:
-    """Everything that the driver of an arm, skin or camera is built from: rig, address, options, clock."""
+    """Everything that the driver of an arm, skin or camera is built from.
+
+    That is the rig, the address, the arm that carries the device, options of the command line, the simulated world, a
+    clock, and a stack that closes what was started for the device.
+    """
 
     rig: Rig  # the lab's calibration: frames, payload, limits
     address: str | None = None  # --host for an arm, --port for a skin, --camera-serial for a camera
@@ -70,7 +75,10 @@ class DeviceSetup:
 
 @dataclass(frozen=True)
 class DevicePlugin:
-    """Registered driver: how to build the device, which options it accepts and which it requires."""
+    """Registered driver: function that builds the device, and options of the command line that it accepts or requires.
+
+    For simulated devices, it also has the arms on which a skin works, and a function that makes the lab's clock.
+    """
 
     make: Callable[[DeviceSetup], Any]  # function that builds the device without connecting it, and imports its library
     takes: frozenset[str] = frozenset({"address"})  # names of the accepted options, as on the command line
@@ -87,8 +95,8 @@ def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> Devic
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
-        name: Name of the device, as on the command line.
-        option: Option that gave the name, for messages; by default the flag of the kind.
+        name: Registered name of the driver, as after --arm, or package.module:Class.
+        option: Option that gave the name, for messages; by default --arm, --skin or --camera.
 
     Returns:
         The plug-in of the device; a registered class is wrapped in a plug-in.
@@ -122,8 +130,8 @@ def check_device(kind: DeviceKind, name: str, options: Mapping[str, Any]) -> Non
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
-        name: Name of the device, as on the command line.
-        options: Values of the options by name; None for an option that was not given.
+        name: Registered name of the driver, as after --arm, or package.module:Class.
+        options: Values of the options by name, such as "address" or "size"; None for an option that was not given.
 
     Raises:
         ValueError: The device is unknown, or an option is superfluous or missing; the message names its flag.
@@ -142,9 +150,9 @@ def load_device(kind: DeviceKind, name: str, setup: DeviceSetup, option: str | N
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
-        name: Registered name, or package.module:Class.
+        name: Registered name of the driver, as after --arm, or package.module:Class.
         setup: Setup that the device is built from.
-        option: Option that gave the name, for messages; by default the flag of the kind.
+        option: Option that gave the name, for messages; by default --arm, --skin or --camera.
 
     Returns:
         The device, not connected.
@@ -172,7 +180,7 @@ class ToolPose:
     each pose and then released.
 
     Args:
-        name: Name of the arm, as on the command line.
+        name: Registered name of the arm's driver, as after --arm, or package.module:Class.
         host: Address of the arm.
         rig: Calibration with the tool's frame; required for an arm without `tool_pose`.
 

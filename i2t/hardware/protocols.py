@@ -36,7 +36,7 @@ class Device(Protocol):
 
 
 class SkinFeatures(NamedTuple):
-    """Name, source, channels, unit and rate of a skin, available before it is connected."""
+    """Name, source, names of channels, unit (uT) and nominal rate (Hz) of a skin, available before it is connected."""
 
     name: str  # name of the device, for messages
     source: str  # real, emulated or simulated; files record it with the readings
@@ -58,7 +58,10 @@ def channel_names(chips: int) -> tuple[str, ...]:
 
 
 class Samples(NamedTuple):
-    """Samples of a skin, one in each row, as the board sends them: its order and axes, ambient field included."""
+    """Samples of a skin, one in each row: number, monotonic time (s), reading (uT), temperatures (degrees Celsius).
+
+    Readings are in the board's order and axes, with the ambient field.
+    """
 
     number: Array  # (n,) int64, running number of the samples; the queue dropped the samples of a jump
     time: Array  # (n,) s, monotonic time, never decreasing
@@ -67,7 +70,10 @@ class Samples(NamedTuple):
 
 
 class SkinCounters(NamedTuple):
-    """Counts of samples, bytes and losses since the skin was first connected. Only `rate` can fall."""
+    """Counts of samples, bytes, losses and connections since the skin was first connected, and its rate (Hz).
+
+    The rate is that of the last second; only it can fall.
+    """
 
     samples: int = 0  # number of delivered samples
     lost: int = 0  # number of incomplete frames, by the board's own counter or by the bytes of their remains
@@ -137,7 +143,10 @@ class Skin(Device, Protocol):
 
 
 class ArmFeatures(NamedTuple):
-    """Name, source, rate and limits of an arm, available before it is connected."""
+    """Name, source, rate of states (Hz) and limits of an arm, available before it is connected.
+
+    The limits are the box (m) of the tool in the base, the speed (m/s) and the acceleration (m/s^2).
+    """
 
     name: str  # name of the device, for messages
     source: str  # real, emulated or simulated
@@ -148,7 +157,10 @@ class ArmFeatures(NamedTuple):
 
 
 class ArmState(NamedTuple):
-    """Measured state of an arm at one moment: pose, joints, velocity, wrench and safety."""
+    """Measured state of an arm at one time (s): pose, joints (rad), velocity and wrench of the tool, motion and safety.
+
+    The pose is T_b_t (m), the velocity along the base's axes (m/s, rad/s), the wrench along the tool's axes (N, Nm).
+    """
 
     time: float  # s, monotonic time of the state
     T_b_t: Array  # (4, 4) measured pose of the tool in the base, m
@@ -237,7 +249,7 @@ class PlanningArm(Protocol):
 
 
 class CameraFeatures(NamedTuple):
-    """Name, source, nearest depth and rate of a depth camera, available before it is connected."""
+    """Name, source, nearest depth (m) and nominal rate (Hz) of a depth camera, available before it is connected."""
 
     name: str  # name of the device, for messages
     source: str  # real, simulated or replay
@@ -246,7 +258,10 @@ class CameraFeatures(NamedTuple):
 
 
 class View(NamedTuple):
-    """A view of a depth camera: a depth image and the colours of the same pixels."""
+    """A view of a depth camera: exposure time (s), depth image (m along the optical axis), colours of the same pixels.
+
+    Depth is NaN for unmeasured pixels.
+    """
 
     time: float  # s, monotonic time of the exposure, as precise as possible
     depth: Array  # (h, w) m along the optical axis; NaN for unmeasured pixels
@@ -254,7 +269,10 @@ class View(NamedTuple):
 
 
 class ColourImage(NamedTuple):
-    """A complete colour image with its own lens; the colours of a `View` are missing where its depth is missing."""
+    """A complete colour image with its exposure time (s), its lens, and its frame's pose (m) in the depth camera's.
+
+    The colours of a `View` are missing where its depth is missing.
+    """
 
     time: float  # s, monotonic time of the exposure
     image: Array  # (h, w, 3) uint8 RGB image
@@ -290,7 +308,10 @@ class DepthCamera(Device, Protocol):
 
 
 class ApproachResult(NamedTuple):
-    """Outcome of a guarded approach: what ended it, where, and the arm's states."""
+    """Outcome of a guarded approach: what ended it, the stop condition's answer, states of the arm, and distance (m).
+
+    The states are the one that made the arm brake, and the one at rest; the distance is that from start to rest.
+    """
 
     reason: StopReason  # what ended the approach
     answer: Any  # answer of the caller's stop condition if it stopped the arm, otherwise None
@@ -308,7 +329,7 @@ class GuardedArm(Arm, Protocol):
 
         Args:
             T_b_t: (4, 4) goal, m.
-            speed: Speed in m/s, by default the highest allowed.
+            speed: Speed in m/s, by default the highest that is allowed in the air.
             acceleration: Acceleration in m/s^2, by default the highest allowed.
 
         Returns:
@@ -328,7 +349,7 @@ class GuardedArm(Arm, Protocol):
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move the tool along its z axis, which points out of the skin, until a stop condition is met.
+        """Move the tool along its z axis, out of the skin, until a stop condition, a load or the distance ends it.
 
         Args:
             distance: Maximum distance in m.

@@ -75,7 +75,7 @@ class TooNearError(DeviceError, ValueError):
 
 
 def check_distance(model: str, width: int, height: int, distance: float) -> None:
-    """Refuse a RealSense camera that cannot measure depth at the requested distance.
+    """Refuse a RealSense camera that cannot measure depth at the requested distance; accept unknown models.
 
     Args:
         model: Model such as "D405".

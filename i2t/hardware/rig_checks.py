@@ -28,7 +28,7 @@ from i2t.types import Array
 
 @dataclass(frozen=True)
 class PlausibleRig:
-    """Ranges of values that a correct rig nearly always has, in metres, kilograms and degrees."""
+    """Ranges of values that a correct rig nearly always has: metres, kilograms, degrees, and ratios of the lens."""
 
     tool_distance: tuple[float, float] = (10e-3, 0.35)  # m, range of the distance from the flange to the skin
     min_forward_cosine: float = 0.3  # smallest cosine between the direction from flange to skin and the skin's axis
@@ -106,7 +106,7 @@ def compare_lens(rig: Camera, own: Camera, *, plausible: PlausibleRig = Plausibl
         plausible: Tolerances of the comparison.
 
     Returns:
-        A sentence about the first difference; empty if the lenses agree.
+        A sentence about the first difference beyond its tolerance; empty if there is none.
     """
     sizes = f"{rig.width} x {rig.height}", f"{own.width} x {own.height}"
     if sizes[0] != sizes[1]:
@@ -127,7 +127,7 @@ def compare_tool(T_flange_tool: Float[Array, "4 4"], T_pendant: Float[Array, "4 
         T_pendant: (4, 4) tool in the flange as the controller has it, m; the identity means that none was set.
 
     Returns:
-        A sentence about the difference; empty if the tools agree.
+        A sentence about the difference; empty if it is within the limits in `SAFETY`, or if none was set.
     """
     if np.allclose(T_pendant, np.eye(4), atol=1e-6):
         return ""

@@ -34,9 +34,10 @@ CONVERTER_RANGE_UT = (4915.0, 4915.0, 7930.0)
 
 @dataclass(frozen=True)
 class HealthConfig:
-    """Thresholds by which a skin's samples are judged: noise, frozen or saturated values, missing chips.
+    """Duration and number of a skin's samples at rest, and thresholds by which they and a press are judged.
 
-    The typical noise was recorded on ReSkin boards at rest, at the paper's settings.
+    The thresholds are of noise (uT), frozen and saturated values, missing chips, and the response (uT) to a press. The
+    typical noise was recorded on ReSkin boards at rest, at the paper's settings.
     """
 
     rest_duration: float = 0.5  # s, duration of the samples at rest, once there are `min_samples`
@@ -59,14 +60,17 @@ class HealthConfig:
 
 
 class SkinDefect(NamedTuple):
-    """A sentence on something wrong with a skin's samples, and whether a session may start nevertheless."""
+    """A sentence on something wrong with a skin's samples, and whether that stops a session from starting."""
 
     sentence: str
     stops: bool  # whether the defect prevents a session from starting
 
 
 class SkinHealth(NamedTuple):
-    """Rate, noise, temperature, missing chips and defects of a skin, from samples at rest."""
+    """Rate (Hz), noise (uT), temperatures (degrees Celsius), missing chips and defects of a skin, from samples at rest.
+
+    The noise is the standard deviation of one sample of each channel.
+    """
 
     rate: float  # Hz, rate of the samples
     noise: Float[np.ndarray, " c"]  # uT, standard deviation of one sample; NaN for a missing chip
@@ -93,7 +97,7 @@ def rest_samples(skin: Skin, clock: Clock | None = None, *, config: HealthConfig
         config: Duration and number of the samples.
 
     Returns:
-        Samples of half a second, or as many as a slow board needs to be judged: at least 24 rows.
+        Samples of half a second, or the first 200 if they come sooner; at least 24 rows, however slow the board.
 
     Raises:
         DeviceError: The skin is silent.
@@ -148,7 +152,8 @@ def press_defect(change: Float[Array, " c"], force: float, *, config: HealthConf
         config: Thresholds of force and response.
 
     Returns:
-        A sentence on the defect if the skin did not respond, otherwise an empty string.
+        A sentence on the defect if the skin did not respond; empty if it did, or if the force is below
+        `config.min_press_force`.
     """
     size = float(np.sqrt(np.nansum(np.asarray(change, float) ** 2)))
     if force < config.min_press_force or size >= config.min_response_ut:

@@ -24,7 +24,7 @@ from i2t.types import Array, Board
 
 @dataclass(frozen=True)
 class StreamConfig:
-    """Size of the queue of a skin's samples, and timeouts of reading it, in seconds."""
+    """Number of samples that a skin's queue holds, and periods and timeouts (s) of filling and reading it."""
 
     queue_samples: int = 4096
     poll_period: float = 0.02  # s, maximum time between two looks into the queue
@@ -37,7 +37,10 @@ class StreamConfig:
 
 
 class StreamRow(NamedTuple):
-    """One numbered sample of a skin: a row of `i2t.hardware.protocols.Samples`."""
+    """One sample of a skin with its number, monotonic time (s), reading (uT) and temperatures (degrees Celsius).
+
+    It is a row of `i2t.hardware.protocols.Samples`.
+    """
 
     number: int
     time: float  # s, monotonic time of the sample
@@ -46,7 +49,10 @@ class StreamRow(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """One sample of a skin as its driver receives it, not numbered yet."""
+    """One sample of a skin as its driver receives it, not numbered yet.
+
+    It has a monotonic time (s), a reading (uT) and temperatures (degrees Celsius).
+    """
 
     time: float  # s, monotonic time
     reading: Array  # (c,) uT, reading

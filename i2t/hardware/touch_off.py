@@ -53,7 +53,10 @@ CORNER_SIGNS = ((1, 1), (-1, 1), (-1, -1), (1, -1))
 
 @dataclass(frozen=True)
 class TouchOffConfig:
-    """Motions of a touch-off (touching a flat with each corner of the skin), and thresholds of the corner's force."""
+    """Motions of a touch-off (touching a flat with each corner of the skin), and settings of its fit to the force.
+
+    The motions have a tilt (rad), a clearance (m), speeds (m/s) and an acceleration (m/s^2).
+    """
 
     tilt: float = math.radians(6)  # rad, tilt of the tool while it touches
     clearance: float = 6e-3  # m, height of the lowest corner above the flat before it is lowered slowly
@@ -67,14 +70,14 @@ class TouchOffConfig:
 
 
 class FittedPlane(NamedTuple):
-    """Pose of the skin's face in the tool, fitted to touches of a flat with its corners."""
+    """Pose of the skin's face in the rig's tool frame (m), and distance (m) of each corner from the fitted plane."""
 
     T_tool_skin: Array  # (4, 4) pose of the skin in the rig's tool frame: a shift along z and a tilt, m
     flatness_error: float  # m, distance of each corner from the fitted plane
 
 
 def corner_rotation(side: tuple[int, int], tilt: float = TouchOffConfig.tilt) -> Float[Array, "3 3"]:
-    """Calculate the rotation that brings one corner of the skin forward.
+    """Calculate the rotation that brings one corner of the skin forward along tool z, ahead of the others.
 
     Args:
         side: Signs (1 or -1) of the corner's x and y in the tool.
@@ -148,7 +151,7 @@ def fit_plane(touches: Sequence[Array], height: float) -> FittedPlane:
         height: Height of the flat in the base, m.
 
     Returns:
-        The pose of the skin's face in the tool.
+        The pose of the skin's face in the tool, and the distance of the corners from its plane.
 
     Raises:
         ValueError: The face is so far from the tool's frame that something else was touched.
@@ -189,10 +192,11 @@ def touch_off(
         config: Motions of the touch-off.
 
     Returns:
-        The pose of the skin's face in the tool.
+        The pose of the skin's face in the tool, and the distance of the corners from its plane.
 
     Raises:
-        ValueError: The tool would leave the box; nothing has moved.
+        ValueError: The tool would leave the box, before anything has moved; or the fitted face is too far from the
+            tool's frame.
         DeviceError: The arm fails, does not meet the flat, or meets something on its way.
     """
     starts = [_start(side, at, height, config) for side in CORNER_SIGNS]

@@ -10,7 +10,7 @@ from i2t.patches.dimensions import ARM_STIFFNESS_N_PER_M
 
 @dataclass(frozen=True)
 class WorldArgs:
-    """Options of the object to touch, and of the pad, errors and seed of simulated and emulated devices."""
+    """Options of the object to touch, and of pad, pose errors, stiffness and seed of simulated and emulated devices."""
 
     FLAT: ClassVar[bool] = True  # flags are --object, not --world.object
 

@@ -33,7 +33,7 @@ CLOSE_PROGRAM = "close that program and connect again"  # remedy if another prog
 
 @dataclass(frozen=True)
 class BoardSearch:
-    """Baud rates and timeouts with which a board's frame format is detected, in seconds."""
+    """Baud rates that are tried, and timeouts (s), to detect the baud rate and the frame format of a board."""
 
     # baud rates to try, in this order; over USB any works
     baud_rates: tuple[int, ...] = (115200, 921600, 460800, 230400, 57600, 9600)
@@ -45,7 +45,7 @@ class BoardSearch:
 
 
 class BoardInfo(NamedTuple):
-    """Port, baud rate, frame format and USB identity of a skin's board."""
+    """Port, baud rate, frame format, and USB description, serial number and ids of a skin's board."""
 
     port: str
     baud: int | None
@@ -169,7 +169,7 @@ class ReSkin(StreamedSkin):
     # The board and its port
 
     def ports(self) -> list[BoardInfo]:
-        """List the USB serial ports of this machine, likely boards first, without opening them."""
+        """List the USB serial ports of this machine, likely boards first; baud rate and format are not detected."""
         ports = [port for port in self._comports() if port.vid is not None]
         return [_board_info(port) for port in sorted(ports, key=lambda port: port.vid not in VENDORS)]
 

@@ -33,14 +33,17 @@ from i2t.hardware.reskin.layouts import (
 from i2t.skin import boards
 
 TEMPERATURE_RANGE_C = (-40.0, 85.0)  # degrees C, plausible temperatures of a chip
-# uT, plausible magnitudes of a chip's non-zero values. Firmware that averages sends less than one step of the chip, and
-# the chip's range ends at 5e4 uT.
+# uT, range of the magnitudes of a chip's non-zero values; bytes of the stream that decode to others are not a frame.
+# Firmware that averages sends less than one step of the chip, and the chip's range ends at 5e4 uT.
 FIELD_RANGE_UT = (1e-5, 50e3)
 RUN_LENGTH = 3  # number of successive plausible candidates that are accepted as frames without a preceding frame
 
 
 class Frame(NamedTuple):
-    """One decoded frame of a board: a sample of all chips; NaN for a missing chip."""
+    """One decoded frame of a board: its end in the stream (bytes), reading (uT) and temperatures (degrees Celsius).
+
+    The reading of a missing chip is NaN.
+    """
 
     end: int  # number of bytes of the stream up to the end of this frame
     reading: Float[np.ndarray, " c"]  # uT, in the board's order
@@ -48,7 +51,10 @@ class Frame(NamedTuple):
 
 
 class Decoder(NamedTuple):
-    """State of decoding a board's byte stream, with counts. `bytes == taken + skipped + len(rest)` at all times."""
+    """State of decoding a board's byte stream: layout, undecided bytes, and counts of frames, chips and bytes.
+
+    `bytes == taken + skipped + len(rest)` at all times.
+    """
 
     layout: FrameLayout = FrameLayout()
     rest: bytes = b""  # bytes that are not decided yet

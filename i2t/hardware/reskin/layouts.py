@@ -63,7 +63,7 @@ CHECKED_FORMATS = {
 
 
 class FrameValues(NamedTuple):
-    """Values parsed from the bytes of a frame: temperature and field of each chip, and the frame's counter."""
+    """Values parsed from a frame: temperature (degrees Celsius) and field (uT) of each chip, and the counter."""
 
     # (chips, 4) t, x, y, z in degrees Celsius and uT; 0 for a value that is not sent
     table: Float[np.ndarray, "chips 4"]

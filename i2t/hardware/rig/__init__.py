@@ -86,7 +86,9 @@ def _pose(x: float, y: float, z: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Calibration of a lab: poses and limits. The defaults describe the emulated and simulated lab.
+    """Calibration of a lab: poses (m) of tool, camera, base and object, payload (kg), lens, limits and further skins.
+
+    The defaults describe the emulated and simulated lab. The pose of the object has a covariance (m^2).
 
     Raises ValueError, which names the field, for an invalid value.
     """

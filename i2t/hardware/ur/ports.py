@@ -19,7 +19,7 @@ VERSION_REQUEST = b"\x00\x03v"  # RTDE packet that requests the version of the c
 
 
 class Port(NamedTuple):
-    """A TCP port of a UR controller that the driver needs."""
+    """A TCP port of a UR controller that the driver needs: number, name, and service in the pendant's settings."""
 
     number: int
     name: str

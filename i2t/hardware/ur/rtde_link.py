@@ -34,7 +34,7 @@ from i2t.types import Array
 
 
 class ControllerState(NamedTuple):
-    """State that a UR controller sent: that of the arm, the speed slider, and whether i2t's program runs."""
+    """State that a UR controller sent: the arm's, the speed slider as a fraction, and whether i2t's program runs."""
 
     arm: ArmState
     speed_share: float  # fraction of the requested speed at which the pendant's slider lets the arm move

@@ -45,7 +45,11 @@ TCP_LAST_RECEIVED = struct.Struct("52xI")
 
 
 class WorkerLimits(NamedTuple):
-    """Safety limits (from `i2t.hardware.limits`) that the worker process between driver and UR controller needs."""
+    """Safety limits (from `i2t.hardware.limits`) that the worker process between driver and UR controller needs.
+
+    They are the rate of the heartbeats (Hz), timeouts (s), the deceleration of a stop (m/s^2), and the speed below
+    which the tool counts as standing (m/s, rad/s).
+    """
 
     watchdog_rate: float  # Hz, minimum rate of the heartbeats
     state_timeout: float  # s, maximum time for which a connection may receive nothing
