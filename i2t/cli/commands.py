@@ -87,7 +87,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def versions() -> str:
-    """List the versions of i2t, Python and the installed packages that i2t uses.
+    """List the versions of i2t, Python, the operating system, and the installed packages that i2t requires.
 
     Returns:
         One line for each, with name and version.

@@ -24,7 +24,7 @@ Options = TypeVar("Options")
 
 @dataclass(frozen=True)
 class Limits:
-    """Smallest and largest number that a command-line option allows, as an annotation of its type."""
+    """Smallest (allowed or excluded) and largest number of a command-line option, as an annotation of its type."""
 
     minimum: int | float = -math.inf
     maximum: int | float = math.inf

@@ -151,7 +151,7 @@ class SimulatedLab:
         return skin
 
     def advance(self) -> None:
-        """Advance the tool's motion and the skins' samples to the clock's present time."""
+        """Advance the tool's motion and the skins' samples to the clock's present time, by the last 60 s at most."""
         with self.lock:
             now = self.clock.now()
             self.time = max(self.time, now - 60.0)  # a longer time without queries is skipped
@@ -227,7 +227,7 @@ class SimulatedArm(PolledArm):
         self.lab, self.latency = lab, latency
 
     def read_state(self) -> ArmState:
-        """Return the simulated arm's present state."""
+        """Return the simulated arm's present state, which is always safe and whose joint angles are zero."""
         with self.lab.lock:
             self.lab.advance()
             robot = self.lab.robot
@@ -268,7 +268,7 @@ class SimulatedCamera(CameraBase):
     Args:
         scene: Scene with the object that the camera sees.
         camera: Image size and lens, without distortion.
-        T_t_c: `(4, 4)` assumed pose of the camera on the tool.
+        T_t_c: `(4, 4)` assumed pose (m) of the camera on the tool; the true one deviates by the scene's error.
         pose: Function that returns the present pose T_b_t (4, 4) of the tool, of a simulated arm or any other.
         clock: Clock that dates the views.
         seed: Seed of the noise.
@@ -299,7 +299,7 @@ class SimulatedCamera(CameraBase):
         self._open = False
 
     def capture(self, timeout: float = 2.0) -> View:
-        """Render a view from the tool's present pose, as in `DepthCamera.capture`; `timeout` has no effect."""
+        """Wait for one frame, then render a view from the tool's present pose; `timeout` has no effect."""
         if not self._open:
             raise self._not_connected()
         self._clock.sleep(1 / self.features.rate)

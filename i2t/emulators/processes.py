@@ -42,7 +42,7 @@ def run_emulator(module: str, *options: str) -> Iterator[tuple[str, "subprocess.
 
 
 def has_ended(stream: TextIO) -> bool:
-    """Test whether the other end of a stream was closed, without waiting.
+    """Test whether the other end of a stream was closed, without waiting; discard a byte if one has arrived.
 
     Args:
         stream: A stream, such as the standard input of a tethered emulator.

@@ -40,7 +40,10 @@ run_board = partial(processes.run_emulator, "i2t.emulators.reskin_board")  # tak
 
 @dataclass(frozen=True)
 class BoardSignal:
-    """Fields, noise and steps of an emulated board's values; noise and steps as measured on real ReSkin boards."""
+    """Ambient field, noise, converter steps and change by a press (uT) of an emulated board, and its temperatures.
+
+    Temperatures are in degrees Celsius. Noise and steps are as measured on real ReSkin boards.
+    """
 
     ambient: tuple[float, float, float] = (18.0, -7.0, -41.0)  # uT, ambient field in tool axes, about the Earth's field
     noise: tuple[float, float, float] = (3.1, 3.1, 4.6)  # uT, standard deviation of a sample of x, y and z

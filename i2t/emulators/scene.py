@@ -42,7 +42,10 @@ ROOM_FIELD_UT = np.array([18.0, 7.0, 41.0])
 
 
 class ContactLine(NamedTuple):
-    """Simulated contact of a skin that moves along its own z axis: first contact, force and reading by travel."""
+    """Simulated contact of a skin that moves along its own z axis: distance (m) to first contact, and a table.
+
+    The table holds force (N), centre of pressure (m) and reading (uT) by travel past first contact (m).
+    """
 
     T_b_t: Array  # (4, 4) pose at the beginning of the line
     first: float  # m, distance from the beginning of the line to first contact; inf if there is none
@@ -87,7 +90,7 @@ class ContactLine(NamedTuple):
     def contact_at(self, along: float) -> tuple[float, Array, Array]:
         """Interpolate force and reading of the skin at a position on the line.
 
-        Beyond the last tabulated load, both are extrapolated linearly.
+        Beyond the last tabulated load, both are extrapolated linearly. The centre is that of the next tabulated load.
 
         Args:
             along: Distance (m) of the position from the line's beginning.
@@ -237,7 +240,7 @@ class SkinContactModel:
         return self._pending is not None
 
     def __call__(self, position: Array, rotation: Array) -> Array:
-        """Compute the wrench (6,) on the tool about its own origin at a pose of the tool, in base axes."""
+        """Compute the wrench (6,) on the tool about the tool's origin at a pose of the tool: N and Nm, in base axes."""
         self._follow(position, rotation)
         skin_position, skin_rotation = self._skin_pose(position, rotation)
         along = None if self._line is None else self._line.distance_along(skin_position, skin_rotation)
@@ -323,7 +326,7 @@ class ToolContactModel:
         return any(model.busy for model in self.models)
 
     def __call__(self, position: Array, rotation: Array) -> Array:
-        """Compute the wrench (6,) on the tool at a pose, in base axes."""
+        """Compute the wrench (6,) on the tool about its origin at a pose: N and Nm, in base axes."""
         return np.asarray(sum((model(position, rotation) for model in self.models), start=np.zeros(6)))
 
     def look_ahead(self, position: Array, rotation: Array) -> None:

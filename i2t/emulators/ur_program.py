@@ -93,7 +93,7 @@ class Controller:
         self.protective, self.runtime = False, STOPPED
 
     def write(self, values: Mapping[str, rtde_protocol.Value]) -> None:
-        """Take values that the client writes to input registers. A command, even the empty one, resets the watchdog.
+        """Take values that the client writes to input registers. Writing input_int_0, even with 0, resets the watchdog.
 
         A speed slider in the values is ignored: it is left to the pendant, as the driver leaves it.
 

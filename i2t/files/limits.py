@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ReadLimits:
-    """Largest sizes of the files, images and archives that i2t reads; larger ones are refused."""
+    """Largest sizes (bytes, pixels, entries) of the files, images and archives that i2t reads; larger are refused."""
 
     file_bytes: int = 2 * 2**30  # largest size (bytes) of a file that is read as a whole
     text_bytes: int = 2**20  # largest size (bytes) of a settings file; real ones have a few kilobytes

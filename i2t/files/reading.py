@@ -127,7 +127,7 @@ def read_lines(path: str | Path, encoding: str = UTF_8) -> Iterator[str]:
         encoding: The encoding of its text, as `encoding_of_file` returns it.
 
     Yields:
-        Each line, without its line break.
+        Each line, without its line break. A last line of zero bytes only is dropped.
 
     Raises:
         DataError: The path is not a regular file, or the file is not text in this encoding, is damaged, has a line of

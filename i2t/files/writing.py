@@ -126,6 +126,6 @@ def slug(name: str) -> str:
         name: The text.
 
     Returns:
-        The letters and digits of the text, with hyphens between words.
+        The letters and digits of the text, with hyphens between words and without a possessive "'s".
     """
     return "-".join("".join(c if c.isalnum() else " " for c in name.replace("'s", "")).split())
