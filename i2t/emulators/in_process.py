@@ -165,7 +165,9 @@ class SimulatedLab:
 
 
 class SimulatedSkin(QueuedSkin):
-    """A simulated skin with the interface of a real one (`i2t.hardware.protocols.Skin`). Set `silent` to silence it.
+    """A simulated skin with the interface of a real one (`i2t.hardware.protocols.Skin`).
+
+    Setting `silent` ends its samples.
 
     Args:
         lab: Simulation of the tool that carries the skin.

@@ -173,7 +173,7 @@ class BoardPort:
         return not any(event & select.POLLHUP for _, event in poll.poll(0))
 
     def baud_rate(self) -> int:
-        """Read the baud rate to which the port is set."""
+        """Read the baud rate to which the port is set; 0 if it is unknown."""
         assert self.master is not None
         code = termios.tcgetattr(self.master)[4]
         names = (name for name in dir(termios) if name[0] == "B" and name[1:].isdigit())

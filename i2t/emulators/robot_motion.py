@@ -22,8 +22,8 @@ ROTATION_LEVER_M = 0.25  # m, length of path of the emulated arm that counts as 
 class LinearMotion(NamedTuple):
     """Straight motion of a simulated tool between two poses, rotating in proportion about a fixed axis.
 
-    It has the start, the displacement (m, rad), the length of the path (m), maximum speed (m/s) and acceleration
-    (m/s^2).
+    It has the pose at the start (m), the displacement (m, rad), the length of the path (m), the maximum speed (m/s) and
+    the acceleration (m/s^2).
     """
 
     position: Array  # (3,) m, position of the tool at the start
@@ -87,7 +87,7 @@ class Robot:
         return self.contact(self.position, self.rotation) + self.external_wrench
 
     def measured_wrench(self) -> Array:
-        """Draw the wrench (6,) that the sensor reports, relative to its zero and with noisy forces: N and Nm, base axes."""
+        """Draw the wrench (6,) that the sensor reports, with noisy forces and minus its zero: N and Nm, base axes."""
         noise = self.noise * np.append(self.rng.standard_normal(3), np.zeros(3))
         return self.wrench() - self.wrench_zero + noise
 

@@ -83,7 +83,7 @@ class Controller:
         self.runtime, self.watchdog = STOPPED, None
 
     def protective_stop(self) -> None:
-        """Trigger a protective stop: brake the robot and pause the program."""
+        """Trigger a protective stop: brake the robot with 10 m/s^2 and pause the program."""
         self.robot.stop(deceleration=10.0)
         self.protective = True
         self.runtime = PAUSED if self.runtime == PLAYING else self.runtime
@@ -110,7 +110,7 @@ class Controller:
                 self.in_doubles[int(index)] = float(number)
 
     def step(self) -> None:
-        """Advance robot, safety system and program by a tick of 2 ms."""
+        """Advance robot, program and safety system, which stops the robot above 150 N, by a tick of 2 ms."""
         self.clock += TICK
         if not getattr(self.robot.contact, "busy", False):  # a motion waits for the contact ahead of it
             self.robot.step(TICK)

@@ -28,7 +28,7 @@ TEXT_KEYS = ("device", "board", "address", "serial_number", "pad")
 
 @dataclass(frozen=True, eq=False)
 class CarriedSkin:
-    """A further skin on the tool, as a rig describes it: driver, pose in the tool (m), board, port or serial number.
+    """A further skin on the tool, from a rig: name, driver, pose in the tool (m), board, port or serial number, pad.
 
     Raises ValueError for an unknown board, and for a serial number with an address or with a driver other than reskin.
     """

@@ -152,9 +152,9 @@ class PolledArm(DeviceBase):
     """A guarded arm (`i2t.hardware.protocols.GuardedArm`), made from a driver with six short methods.
 
     The state is polled every `poll_s` seconds during a motion. The arm brakes if a value is above its limit, if a state
-    is old or invalid, if the caller's stop condition is true, if an error ends the call, or if the motion has not been
-    watched for `state_timeout` seconds, for example because a stop condition hangs. Exceptions of the driver become
-    DeviceErrors.
+    is old or invalid, if the caller's stop condition is true, if an error ends the call, or, on this machine's clock,
+    if the motion has not been watched for `state_timeout` seconds, for example because a stop condition hangs.
+    Exceptions of the driver become DeviceErrors.
 
     CAUTION: A motion that `move` started is checked only when the caller asks for a state.
 
@@ -338,7 +338,7 @@ class PolledArm(DeviceBase):
         torque: float = 8.0,
         acceleration: float = 0.2,
     ) -> ApproachResult:
-        """Move the tool along its z axis until a stop condition is met, as in `GuardedArm.approach`."""
+        """Move the tool along its z axis up to a stop condition, load or distance, as in `GuardedArm.approach`."""
         self.limits.check_approach(distance, force, torque)
         start = self.state().T_b_t
         goal = translated_along_z(start, distance)

@@ -32,7 +32,7 @@ from i2t.types import Array
 
 DeviceKind: TypeAlias = Literal["arm", "skin", "camera"]
 
-UR, REALSENSE = "ur", "realsense"  # names of the drivers that come with i2t
+UR, REALSENSE = "ur", "realsense"  # registered names of two of i2t's drivers
 
 
 class _KindOfDevice(NamedTuple):

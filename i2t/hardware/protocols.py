@@ -87,7 +87,7 @@ class SkinCounters(NamedTuple):
 
     @property
     def loss(self) -> float:
-        """Fraction of the board's frames that were lost, 0 to 1."""
+        """Fraction (0 to 1) of lost frames among lost and delivered ones; frames without any chip do not count."""
         return self.lost / max(1, self.samples + self.lost)
 
 

@@ -313,7 +313,7 @@ class Worker:
         self.bounds = force * (1 + 1e-9), torque * (1 + 1e-9)
 
     def brake(self) -> None:
-        """Brake the arm to a standstill, if i2t's program runs on the controller."""
+        """Brake the arm to a standstill, if i2t's program runs and the arm is not stopped for safety."""
         self.bounds = self.pending = None
         state = self.state
         if state is not None and state["program"] and state["safe"]:
@@ -322,7 +322,7 @@ class Worker:
             self.control.stopL(self.limits.braking, True)
 
     def end_program(self) -> None:
-        """End the program on the controller, which then brakes; give up after the exit timeout."""
+        """End the program on the controller, which then brakes; this process ends by the exit timeout at the latest."""
         signal.alarm(self.limits.exit_timeout)  # ends the process, whatever the library is doing
         if self.receive.getRuntimeState() == PLAYING:
             self.control.stopScript()
