@@ -57,7 +57,7 @@ def max_unpacked_size(size: int) -> int:
         size: The number of bytes of the packed file.
 
     Returns:
-        `READ_LIMITS.unpacked_spare_bytes` plus `unpacked_growth` times the size; recordings stay far below.
+        `READ_LIMITS.unpacked_spare_bytes` plus `unpacked_growth` times the size; recordings stay far below it.
     """
     return READ_LIMITS.unpacked_spare_bytes + READ_LIMITS.unpacked_growth * size
 

@@ -95,7 +95,7 @@ def find_plugin(kind: DeviceKind, name: str, option: str | None = None) -> Devic
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
-        name: Registered name of the driver, as after --arm, or package.module:Class.
+        name: Registered name of the driver, as after --arm or --skin, or package.module:Class.
         option: Option that gave the name, for messages; by default --arm, --skin or --camera.
 
     Returns:
@@ -130,7 +130,7 @@ def check_device(kind: DeviceKind, name: str, options: Mapping[str, Any]) -> Non
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
-        name: Registered name of the driver, as after --arm, or package.module:Class.
+        name: Registered name of the driver, as after --arm or --skin, or package.module:Class.
         options: Values of the options by name, such as "address" or "size"; None for an option that was not given.
 
     Raises:
@@ -150,7 +150,7 @@ def load_device(kind: DeviceKind, name: str, setup: DeviceSetup, option: str | N
 
     Args:
         kind: Kind of the device: "arm", "skin" or "camera".
-        name: Registered name of the driver, as after --arm, or package.module:Class.
+        name: Registered name of the driver, as after --arm or --skin, or package.module:Class.
         setup: Setup that the device is built from.
         option: Option that gave the name, for messages; by default --arm, --skin or --camera.
 
