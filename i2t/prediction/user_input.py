@@ -45,7 +45,7 @@ _INPUT_LIMITS = InputLimits()  # limits beyond which a user's input to a predict
 
 
 class SeenTouches(NamedTuple):
-    """One or many depth patches with their accompanying data; None for data that were not given."""
+    """Depth patches (m) of one or many touches, with nearest distance, view, seen pixels and size if they are given."""
 
     depth: Any  # (p, p) or (n, p, p) m behind the nearest point
     nearest: Any = None  # scalar or (n,) m, signed distance of that point; NaN where it is unknown
