@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 
 class Sheet(NamedTuple):
-    """One homogeneous elastic layer in a stack of bonded layers."""
+    """One homogeneous elastic layer in a stack: thickness (m), Young's modulus (Pa) and Poisson's ratio."""
 
     thickness: float  # m
     young: float  # Pa
@@ -34,7 +34,7 @@ class Sheet(NamedTuple):
 
 
 class WaveMotion(NamedTuple):
-    """Displacement and rotation of a stack of elastic layers under waves of pressure, at d depths."""
+    """Displacement and rotation of a stack of layers at d depths, per pressure of a wave or per slope of it."""
 
     along: Float[np.ndarray, "d ..."]  # displacement along x (y) per slope of the pressure along x (y), m^2/Pa
     down: Float[np.ndarray, "d ..."]  # displacement along z per pressure, m/Pa

@@ -50,7 +50,7 @@ MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and a whol
 
 @in_one_line
 class Press(NamedTuple):
-    """Result of pressing a pad onto a surface: noise-free reading, force, indentation and pressure.
+    """Result of pressing a pad onto a surface: noise-free reading (uT), force (N), indentation (m) and pressure (Pa).
 
     Example:
         pressed = i2t.press(pad, height, 0.3e-3)
