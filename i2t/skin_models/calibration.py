@@ -157,7 +157,10 @@ class Calibration:
 
 
 class TipPresses(NamedTuple):
-    """Presses of one skin with one tip; the fields are arguments of `calibrate`."""
+    """Presses of one skin with one tip: positions (m), loads (m or N), readings (uT), board and an earlier session.
+
+    The fields are arguments of `calibrate`; unknown ones are None.
+    """
 
     positions: ArrayLike | None
     loads: ArrayLike | None

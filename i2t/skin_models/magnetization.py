@@ -178,7 +178,7 @@ def _simulate_readings(pad: Pad, contact: ContactPressure) -> Float[Array, "m c"
 
 
 class TipReadings(NamedTuple):
-    """n presses of one tip with their readings, in random order."""
+    """n presses of one tip in random order: positions (m), loads (m of travel or N), readings (uT), and the board."""
 
     position: Float[Array, "n 2"]  # m, position of each press in the tool frame
     load: Float[Array, " n"]  # load of each press: travel in m, or normal force in N

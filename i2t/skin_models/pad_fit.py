@@ -84,10 +84,10 @@ class _Positions(NamedTuple):
 
 
 class ObjectTouches(NamedTuple):
-    """Touches of one skin on objects with known surfaces."""
+    """Touches of one skin on known objects: data set, mask of the touches used, surfaces by object name, and source."""
 
     dataset: Dataset  # data set with measured forces
-    rows: Bool[np.ndarray, " n"]  # indices of the touches that are used
+    rows: Bool[np.ndarray, " n"]  # mask of the touches that are used
     surfaces: Mapping[str, Surface]  # surfaces of the touched objects, by name
     made_from: str = "touches at hand"  # run, data set or file from which the touches come, for messages
 

@@ -19,7 +19,7 @@ from i2t.types import in_one_line
 
 @dataclass(frozen=True)
 class Roughness:
-    """Hypotheses on how rough a skin is: size and correlation length of its local heights."""
+    """Hypotheses on how rough a skin is: std (typical loads) and correlation length (m) of its local heights."""
 
     prior: float = 0.5  # prior probability that a skin has local heights
     error_exponent: float = 1.0  # exponent of the leave-one-out error in the probability of a hypothesis
@@ -47,7 +47,7 @@ class Heights(NamedTuple):
 
 
 class SlopedErrors(NamedTuple):
-    """Leave-one-out errors of a mixture on n presses, with the derivatives of the predictions by the load."""
+    """Leave-one-out errors (uT) of a mixture on n presses, and slopes of the predictions (uT per typical load)."""
 
     error: Float[np.ndarray, "n c"]  # uT, error of each prediction
     variance: Float[np.ndarray, "n c"]  # uT^2, variance of each error
