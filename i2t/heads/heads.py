@@ -111,7 +111,7 @@ class HeadPrediction(NamedTuple):
 
 
 class SpreadRecord(NamedTuple):
-    """Errors of a head on held-out rows and features of their readings, from which its uncertainty is predicted."""
+    """Squared errors of a head on held-out rows, and features of their readings, from which its uncertainty follows."""
 
     features: FeatureMap
     known: Float[np.ndarray, "m k"]  # features of known readings

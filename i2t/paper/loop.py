@@ -26,7 +26,7 @@ PAPER_TOUCHES = 10  # number of touches of an episode in the paper
 
 
 class LoopResult(NamedTuple):
-    """Result of the paper's recognition loop in e episodes: distances d_io, hypothesis and site of each touch."""
+    """Result of the paper's recognition loop in e episodes: each touch's distances d_io, hypothesis and site."""
 
     distance: Float[np.ndarray, "e t objects"]  # distance of each touch from each object
     hypothesis: Int[np.ndarray, "e t"]  # object on which each touch was drawn

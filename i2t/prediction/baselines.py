@@ -173,7 +173,8 @@ def image_components(images: Float[np.ndarray, "n h w"]) -> Components:
         images: Patches (m) or contact pressures (N) of the training touches.
 
     Returns:
-        Mean image, components, and the root mean square length of the images' components.
+        `(pixels,)` mean image, `(k, pixels)` components (k is at most 30), and the root mean square length of the
+        images in these components.
     """
     flat = images.reshape(len(images), -1).astype(np.float64)
     mean = flat.mean(0)

@@ -37,7 +37,7 @@ Condition: TypeAlias = Literal["force", "nearest", "travel"]
 
 
 class Inputs(NamedTuple):
-    """Inputs of a network for one touch: a patch (m) or contact pressure (N), and values measured at contact.
+    """Inputs of a network for one touch: a patch (m) or contact pressure (N), and conditions (N, m) at contact.
 
     `prepare` converts them to the network's units.
     """

@@ -25,7 +25,7 @@ from i2t.types import Patch, Surface
 
 @dataclass(frozen=True)
 class InputLimits:
-    """Limits beyond which a user's input is refused or warned of."""
+    """Limits beyond which a user's input is refused or warned of: force ratios, lengths (m), share of seen pixels."""
 
     unknown_force_ratio: float = 10.0  # largest training force over the median one, if only the median is known
     # largest ratio of a force to the largest training force; beyond it a prediction means nothing

@@ -85,7 +85,7 @@ def press(
         dipoles: A coarser grid of the same period for the field.
 
     Returns:
-        Reading, force, indentation and pressure.
+        Noise-free reading (uT), force (N), indentation (m), pressure (Pa), and whether the contact solver converged.
 
     Raises:
         ValueError: The heights do not fit the grid, are NaN or nowhere finite, or the indentation is not a length.
@@ -124,7 +124,7 @@ def press_force(
         dipoles: A coarser grid of the same period for the field.
 
     Returns:
-        Reading, force, indentation and pressure.
+        Noise-free reading (uT), force (N), indentation (m), pressure (Pa), and whether the contact solver converged.
     """
     return _press(pad, solve_force(pad, jnp.asarray(height), force, grid, start=start), grid, dipoles)
 

@@ -45,7 +45,7 @@ LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
 
 
 class CalibrationRecord(NamedTuple):
-    """Arrays of a `Calibration`, in the form in which its file stores them."""
+    """Arrays of a `Calibration` in its file: mixture, factors on standard deviations, mixture of an earlier session."""
 
     gp: PopulationGP
     interval_scaling: Array  # (c,) factor on each channel's standard deviation

@@ -61,7 +61,7 @@ from i2t.types import Board, Surface, Touches, Truth
 
 @dataclass(frozen=True)
 class SessionRegistration:
-    """Options for registering recorded sessions before a pad model is fitted to their touches."""
+    """Options for registering recorded sessions before a pad model is fitted: folds, and sizes that save compiling."""
 
     position_folds: int = 3  # number of parts of a session's touches, each predicted from the others
     # Up to this number of sessions, a quick compilation of their registrations pays; it may change last digits.

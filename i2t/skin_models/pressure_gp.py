@@ -46,7 +46,7 @@ Tree = TypeVar("Tree")
 
 @in_one_line
 class GPHyperparameters(NamedTuple):
-    """Hyperparameters of a `GP`: weights of length scales, share and width (log load) of a load term, noise."""
+    """Hyperparameters of a `GP`: weights of length scales, share and width of the change with load, noise."""
 
     weights: Float[Array, " lengths"]  # weights a_l of the length scales, for unit mean variance
     bend: Float[Array, ""]  # share b of the covariance that changes with the load

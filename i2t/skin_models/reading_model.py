@@ -201,7 +201,7 @@ def interpolate_reading(
 
     Args:
         reading: `(l, c)` readings (uT) at the l `loads`.
-        variance: `(l,)` relative variances at `loads`.
+        variance: `(l,)` variances at `loads`, relative to the square of a channel's signal.
         loads: `(l,)` ascending loads (N).
         force: The requested load (N); zero or less means no touch.
 
@@ -228,8 +228,8 @@ def load_step(
         force: The load (N); it is replaced by the first of `loads` if it is not positive.
 
     Returns:
-        Number i of the interval for the load, the position of the load from load i on in units of the interval, and
-        the load (N).
+        Number i of the interval for the load; the logarithmic distance of the load from load i as a fraction of the
+        interval, outside 0 to 1 beyond the outer loads; and the load (N).
     """
     at, knots = jnp.log(jnp.where(force > 0, force, loads[0])), jnp.log(loads)
     i = jnp.clip(jnp.searchsorted(knots, at) - 1, 0, len(loads) - 2)
