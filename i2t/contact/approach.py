@@ -36,7 +36,7 @@ MIN_EDGE_EXTENT_M = 1e-12  # extent along x or y below which an edge counts as p
 
 
 class FirstContact(NamedTuple):
-    """Tool pose at the end of a motion along tool z: at first contact with a surface, or after the allowed distance."""
+    """End of a motion along tool z: tool pose, signed travel (m) from the site, and whether a surface was met."""
 
     T_w_t: Float[Array, "4 4"]  # (4, 4) tool pose in W at first contact
     distance: Float[Array, ""]  # m, travel from the site along tool z to first contact; negative before the site
@@ -86,7 +86,8 @@ def first_contact(
         beyond: Distance (m) beyond the site at which the motion ends without contact.
 
     Returns:
-        The tool at first contact, or at the end of the motion if there is none.
+        The tool pose in W at first contact, or at the end of the motion if there is none; its signed travel (m) from
+        the site; and whether there was contact.
     """
     start = T_w_site @ jnp.eye(4).at[2, 3].set(-before)
     T_w_t, hit = move_to_contact(surface, start, start[:3, 2], max_distance=before + beyond)
@@ -103,8 +104,8 @@ def facing_surface(surface: Surface, T_w_t: Float[Array, "4 4"], grid: Grid = GR
         grid: Cells of the skin.
 
     Returns:
-        `(g, g)` patch over the g x g cells: depths (m) behind the nearest point along tool z, without an upper limit;
-        infinite where a ray meets nothing.
+        `(g, g)` patch over the g x g cells: depths (m) behind the nearest point along tool z, without an upper limit
+        and infinite where a ray meets nothing; and the signed distance (m) of that point from the tool origin.
     """
     return render_patch(surface, T_w_t, window=grid.window, pixels=grid.cells, reach=math.inf)
 

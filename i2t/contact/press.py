@@ -66,7 +66,9 @@ _STOP_SEARCH = StopSearch()  # accuracy of the search for the indentation at whi
 @traced_floats
 @dataclass(frozen=True)
 class PressLimits:
-    """Limits of reading, force and indentation at which a simulated press ends; the defaults are the paper's.
+    """Limits of reading (uT), force (N) and indentation at which a simulated press ends; the defaults are the paper's.
+
+    It also holds the overshoot past these limits, the arm's stiffness (N/m), and how far a press goes without contact.
 
     Example:
         limits = i2t.PressLimits(force=5.0, stiffness=20e3)  # a stiffer arm, which presses less
@@ -86,7 +88,7 @@ class PressLimits:
 
 
 class PressResult(NamedTuple):
-    """Indentation, force, reading and pressure of a skin at the end of a simulated press."""
+    """End of a simulated press: indentation (m), force (N), noise-free reading (uT), return code and pressure (Pa)."""
 
     indentation: Float[Array, ""]  # m
     force: Float[Array, ""]  # N
@@ -101,7 +103,7 @@ class PressResult(NamedTuple):
 
 
 class PadResponse(NamedTuple):
-    """Derivatives of a pad's reading by the pressure on it, which speed up the simulation of presses."""
+    """Derivatives at rest (uT/Pa) of a pad's reading by the pressure on each cell, and the part that `GRID` misses."""
 
     linear: Float[Array, "c g g"]  # uT/Pa at rest, by the pressure on the cells of the search
     # uT/Pa, by the pressure on the cells of a finer final grid: the error of deep sheets with fewer dipoles
@@ -117,7 +119,8 @@ def pad_response(pad: Pad, final: Grid = GRID) -> PadResponse:
         final: Grid of the final press, `PressLimits.final`.
 
     Returns:
-        Derivatives (uT/Pa) of the reading by the pressure on each cell.
+        Derivatives (uT/Pa) of the reading by the pressure on each cell of `GRID`; for a finer final grid also the part
+        that deep sheets with the dipoles of `GRID` miss.
     """
     dipoles = _final_dipoles(final)
     if dipoles is None:

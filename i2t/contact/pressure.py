@@ -166,7 +166,7 @@ def centre_of_pressure(pressure: Float[AnyArray, "*n g g"], grid: Grid) -> Float
 
 
 def heights(cfg: PressureModelConfig, view: Float[Array, "n n"]) -> Float[Array, "g g"]:
-    """Resample a depth view to the cells of the contact grid, smoothing it if `cfg.smooth` is set.
+    """Smooth a depth view (if `cfg.smooth`), fill its unknown border, and resample it to the cells of the contact grid.
 
     Args:
         cfg: Options of the pressure model.
@@ -190,7 +190,7 @@ def predict_pressure(
     force: Float[Array, ""],
     travel: Float[Array, ""],
 ) -> ContactPressure:
-    """Predict the contact pressure on a pad that is pressed onto the surface in a depth view.
+    """Predict the mean contact pressure, over unknown tilts, on a pad that is pressed onto the surface in a depth view.
 
     Only the force or the travel is used, as `cfg.control` says. The travel is taken for the indentation of the pad's
     layer, whose load follows from it.
@@ -199,8 +199,8 @@ def predict_pressure(
         cfg: Options of the pressure model.
         pad: Pad whose layer is pressed.
         view: Depth view (m), NaN where it is unknown.
-        force: Force (N) along tool z, positive in compression.
-        travel: Travel (m) past first contact.
+        force: Force (N) along tool z, positive in compression; raised to `cfg.floor` if it is smaller.
+        travel: Travel (m) past first contact; raised to 0 if it is negative.
 
     Returns:
         Predicted force (N) on each 1 mm cell, and its sum.

@@ -51,7 +51,7 @@ def local_planes(
         radius: Half the edge (pixels) of the square neighbourhood.
 
     Returns:
-        `(n, n)` smoothed depth view (m).
+        `(n, n)` smoothed depth view (m), NaN where `depth` is.
     """
     n, width = depth.shape[0], 2 * radius + 1
     padded = jnp.pad(depth, radius, constant_values=jnp.nan)

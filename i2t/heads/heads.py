@@ -103,7 +103,7 @@ HEAD_CONFIG = HeadConfig()  # default validation of heads, and the uncertainty o
 
 
 class HeadPrediction(NamedTuple):
-    """Targets that a head predicts for n readings: mean, standard deviation and whether a reading is unfamiliar."""
+    """Predicted target for n readings (m or N): mean, standard deviation and whether a reading is unfamiliar."""
 
     mean: Float[np.ndarray, "n d"]  # predicted target in the library's unit; NaN if a reading is not finite
     std: Float[np.ndarray, "n d"]  # standard deviation in the library's unit; NaN if a reading is not finite
@@ -111,7 +111,7 @@ class HeadPrediction(NamedTuple):
 
 
 class SpreadRecord(NamedTuple):
-    """Errors of a head on held-out rows and features of their readings, from which its uncertainty is predicted."""
+    """Squared errors of a head on held-out rows, and features of their readings, from which its uncertainty follows."""
 
     features: FeatureMap
     known: Float[np.ndarray, "m k"]  # features of known readings
@@ -142,7 +142,7 @@ class StackRecord(NamedTuple):
 
 
 class HeadRecord(NamedTuple):
-    """Fitted arrays of a head, as its file holds them."""
+    """Fitted arrays of a head: weighted sums of regressions, data for the uncertainty, channels and history used."""
 
     stack: StackRecord
     spread: SpreadRecord
@@ -189,7 +189,8 @@ class Head:
             session: `(n,)` number of the stroke or session within which rows follow each other; None if there is one.
 
         Returns:
-            Mean and standard deviation of the target for each reading.
+            Mean and standard deviation of the target for each reading, and whether it is unfamiliar. A reading that is
+            not finite has NaN and is unfamiliar.
 
         Raises:
             ValueError: The readings are not of the skin that the head was fitted to.
@@ -277,7 +278,7 @@ def fit_head(
         The head with the smallest error.
 
     Raises:
-        ValueError: The recording lacks the target, or has too little of it.
+        ValueError: The recording lacks the target or has too little of it, or no channel changes.
     """
     budget = HeadBudget() if budget is None else budget
     rows = target_rows(recording, target)
@@ -316,7 +317,9 @@ def fit_head(
 
 
 def target_rows(recording: SkinRecording, target: str) -> np.ndarray:
-    """Find the rows of a recording to which a head can be fitted: the target is known and the skin is touched.
+    """Find the rows of a recording to which a head can be fitted: the target is known.
+
+    For position and travel, the skin must also be touched, as far as contact or shear is recorded.
 
     Args:
         recording: Recording of one skin.

@@ -33,7 +33,10 @@ Settings: TypeAlias = tuple[float, ...]
 
 
 class FeatureKind(IntEnum):
-    """Kinds of features that are computed from readings; files store their numbers."""
+    """Kinds of features of a reading: plain, scaled by channel, compressed by arcsinh, or direction and log length.
+
+    Files store their numbers.
+    """
 
     PLAIN = 0
     BY_CHANNEL = auto()
@@ -65,7 +68,7 @@ class SearchGrid:
 
 
 class HeadBudget(NamedTuple):
-    """Largest numbers of rows that a fit of a head uses."""
+    """Largest numbers of rows that a fit of a head uses: for choosing settings, in a Gaussian process, and in all."""
 
     selection_rows: int = 700  # largest number of rows for the choice of settings, whose cost grows with the cube
     known_rows: int = 2500  # largest number of rows that a Gaussian process keeps
@@ -73,7 +76,7 @@ class HeadBudget(NamedTuple):
 
 
 class FeatureMap(NamedTuple):
-    """Map from readings (uT) to features of a regression, as arrays that a file can hold."""
+    """Map from readings (uT) to features of a regression: the kind of features, scales (uT), mean and spread."""
 
     kind: Int[np.ndarray, ""]  # kind of the features, a `FeatureKind`
     channel: Float[np.ndarray, " c"]  # uT, root mean square of each channel
@@ -94,7 +97,10 @@ class FeatureMap(NamedTuple):
 
 
 class Regression(NamedTuple):
-    """A fitted regression method, as arrays that a file can hold; fields that a method does not use are None."""
+    """A fitted regression method: settings, feature map, mean and scale of the targets, known rows and weights.
+
+    Fields that a method does not use are None.
+    """
 
     method: Int[np.ndarray, ""]  # index of the method in HEAD_METHODS
     settings: Float[np.ndarray, " s"]  # settings of the method, from `choose_settings`

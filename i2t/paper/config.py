@@ -11,7 +11,9 @@ ImageKind: TypeAlias = Literal["depth", "mask", "pressure"]
 
 @dataclass(frozen=True)
 class PaperOptions:
-    """Options of the paper's network and loss; the defaults are the paper's values, if it states any.
+    """Layer widths of the paper's network, weight of the decoded patch in its loss, and depth (m) of a contact mask.
+
+    The defaults are the paper's values, if it states any.
 
     Example:
         paper = i2t.PaperOptions(bottleneck=3)
@@ -37,7 +39,7 @@ class PaperOptions:
 
 @dataclass(frozen=True)
 class PaperConfig(PaperOptions):
-    """Sizes of the paper's network for given patches and readings."""
+    """Options of the paper's network with the kind, pixels and depth scale (m) of its image, and a reading's size."""
 
     pixels: int = PATCH_PIXELS
     readings: int = 15  # number of values of a reading, 3 for each chip of the board

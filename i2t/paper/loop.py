@@ -26,7 +26,7 @@ PAPER_TOUCHES = 10  # number of touches of an episode in the paper
 
 
 class LoopResult(NamedTuple):
-    """Record of the paper's recognition loop in e episodes of t touches each."""
+    """Result of the paper's recognition loop in e episodes: each touch's distances d_io, hypothesis and site."""
 
     distance: Float[np.ndarray, "e t objects"]  # distance of each touch from each object
     hypothesis: Int[np.ndarray, "e t"]  # object on which each touch was drawn
@@ -168,7 +168,7 @@ def site_informativeness(
 
 
 def nearest_distance(point: Float[Array, "3"], surface: Surface) -> Float[Array, ""]:
-    """Compute the distance of a point from a surface.
+    """Compute the unsigned distance of a point from a surface.
 
     Args:
         point: `(3,)` point (m) in the surface's frame.

@@ -37,7 +37,7 @@ class Prediction(NamedTuple):
 
 
 class PaperNetwork(nn.Module):
-    """The paper's network from a depth patch or contact mask to a reading, as a Flax module."""
+    """The paper's network, as a Flax module: from a prepared depth patch or contact mask to a standardised reading."""
 
     cfg: PaperConfig
 
@@ -67,7 +67,7 @@ def decode(cfg: PaperConfig, z: Float[Array, " values"]) -> Float[Array, " units
 
     Args:
         cfg: Sizes of the network.
-        z: Latent vector.
+        z: Latent vector, followed by the measured conditions if there are any.
 
     Returns:
         `(units,)` rectified units of the hidden layer.

@@ -29,7 +29,7 @@ SAME_SURFACE_M = 1.5e-3
 
 @in_one_line
 class PatchView(NamedTuple):
-    """A depth patch in front of the skin, with its surroundings.
+    """A depth patch in front of the skin, and the wider view around it: depths (m) behind the patch's nearest point.
 
     Example:
         view = render_view(surface, T_o_t)

@@ -54,7 +54,10 @@ _BASELINES = BaselineConfig()
 
 @in_one_line
 class TouchFeatures(NamedTuple):
-    """Map from a touch to a feature vector: principal components of its image, and scaled measurements."""
+    """Map from a touch to features: principal components of its patch (m) or contact pressure (N), and measurements.
+
+    The measurements at contact are any of force (N), nearest and travel (m). Both parts are scaled.
+    """
 
     image_mean: Float[np.ndarray, " pixels"]  # mean training image: m, or N for contact pressures
     basis: Float[np.ndarray, "k pixels"]
@@ -65,7 +68,7 @@ class TouchFeatures(NamedTuple):
 
 @dataclass(frozen=True)
 class MeanReading(TouchModel):
-    """Model that predicts the mean of the training readings for every touch."""
+    """Model that predicts, for every touch, the mean and the standard deviation (uT) of the training readings."""
 
     mean: Float[np.ndarray, " c"]  # uT, mean of the training readings
     spread: Float[np.ndarray, " c"]  # uT, standard deviation of the training readings
@@ -83,7 +86,10 @@ class MeanReading(TouchModel):
 
 @dataclass(frozen=True)
 class OnFeatures(TouchModel):
-    """Model that predicts from an image and measurements at contact."""
+    """Base of models that predict from principal components of a touch's image and from measurements at contact.
+
+    The image is the patch or the predicted contact pressure; the measurements are any of force, nearest and travel.
+    """
 
     features: TouchFeatures
     spread: Float[np.ndarray, " c"]  # uT, root mean square error on held-out groups, at the smallest variance
@@ -109,7 +115,7 @@ class OnFeatures(TouchModel):
 
 @dataclass(frozen=True)
 class NearestTouches(OnFeatures):
-    """Model that predicts the mean reading of the training touches with the nearest features."""
+    """Model that predicts the mean reading of the k training touches nearest in image components and measurements."""
 
     points: Float[np.ndarray, "n d"]
     readings: Float[np.ndarray, "n c"]  # uT, readings of the training touches
@@ -125,7 +131,10 @@ class NearestTouches(OnFeatures):
 
 @dataclass(frozen=True)
 class RidgeOnImages(OnFeatures):
-    """Model that predicts readings by ridge regression on the features of a touch."""
+    """Model that predicts readings by ridge regression on principal components of a touch's image and on measurements.
+
+    The image is the patch or the contact pressure; the measurements are any of force, nearest distance and travel.
+    """
 
     centre: Float[np.ndarray, " d"]
     weights: Float[np.ndarray, "d c"]  # uT, weights of the features
@@ -164,7 +173,8 @@ def image_components(images: Float[np.ndarray, "n h w"]) -> Components:
         images: Patches (m) or contact pressures (N) of the training touches.
 
     Returns:
-        Mean image, components, and the root mean square length of the images' components.
+        `(pixels,)` mean image, `(k, pixels)` components (k is at most 30), and the root mean square length of the
+        images in these components.
     """
     flat = images.reshape(len(images), -1).astype(np.float64)
     mean = flat.mean(0)
@@ -178,7 +188,7 @@ def touch_features(components: Components, measured: Float[np.ndarray, "n m"]) -
 
     Args:
         components: Components of the training touches' images (`image_components`).
-        measured: Measurements at the contacts of the training touches.
+        measured: `(n, m)` measurements at the contacts of the training touches: force (N), nearest or travel (m).
 
     Returns:
         Map with the components and the scales of the measurements.
@@ -195,7 +205,7 @@ def features_of(
     Args:
         features: The map from touches to vectors.
         images: Patches (m) or contact pressures (N), as for the training touches.
-        measured: Measurements at contact.
+        measured: `(n, m)` measurements at contact, as for the training touches.
 
     Returns:
         `(n, d)` vectors of image components and measurements, both with unit mean square length in training.
@@ -283,7 +293,7 @@ def best_option(
         fold: Fold of each training touch, from `assign_folds`.
 
     Returns:
-        Chosen option, and its `(n, c)` errors on held-out folds in the unit of `y`.
+        Chosen option, and its `(n, c)` errors on held-out folds (measured minus predicted) in the unit of `y`.
     """
     if fold.max() == 0:  # nothing can be held out of a single touch
         return options[0], y - y.mean(0)
@@ -368,7 +378,7 @@ class Mean(Method):
 
 
 class Nearest(Method):
-    """Baseline method that predicts the mean reading of the training touches with the nearest patches."""
+    """Baseline method that predicts the mean reading of the k training touches nearest in components of the patch."""
 
     title = "k nearest patches"
     baseline = True
@@ -418,49 +428,49 @@ class Nearest(Method):
 
 
 class NearestMeasured(Nearest):
-    """Baseline method that predicts the mean reading of the training touches nearest in patch and measurements."""
+    """Baseline method that predicts the mean reading of the k training touches nearest in patch and measurements."""
 
     title = "k nearest patches + measured"
     measured = True
 
 
 class NearestPressure(Nearest):
-    """Baseline method that predicts the mean reading of the training touches nearest in predicted contact pressure."""
+    """Baseline method that predicts the mean reading of the k training touches nearest in predicted pressure."""
 
     title = "k nearest predicted pressures"
     on_pressure = True
 
 
 class NearestPressureMeasured(NearestPressure):
-    """Baseline method that predicts the mean reading of the nearest predicted contact pressures and measurements."""
+    """Baseline method that predicts the mean reading of the k training touches nearest in pressure and measurements."""
 
     title = "k nearest predicted pressures + measured"
     measured = True
 
 
 class Ridge(Nearest):
-    """Baseline method that predicts readings by ridge regression on patches."""
+    """Baseline method that predicts readings by ridge regression on principal components of patches."""
 
     title = "ridge on PCA"
     fit_points = staticmethod(_fit_ridge)
 
 
 class RidgeMeasured(Ridge):
-    """Baseline method that predicts readings by ridge regression on patches and measurements."""
+    """Baseline method that predicts readings by ridge regression on components of patches and on measurements."""
 
     title = "ridge on PCA + measured"
     measured = True
 
 
 class RidgePressure(Ridge):
-    """Baseline method that predicts readings by ridge regression on predicted contact pressures."""
+    """Baseline method that predicts readings by ridge regression on components of predicted contact pressures."""
 
     title = "ridge on PCA of predicted pressure"
     on_pressure = True
 
 
 class RidgePressureMeasured(RidgePressure):
-    """Baseline method that predicts readings by ridge regression on predicted contact pressures and measurements."""
+    """Baseline method that predicts readings by ridge regression on components of pressures and on measurements."""
 
     title = "ridge on PCA of predicted pressure + measured"
     measured = True

@@ -38,7 +38,10 @@ class GPModel(TouchModel):
 
 
 class GaussianProcess(Method):
-    """Method that fits a `GPModel`, with hyperparameters chosen on held-out groups of the training touches."""
+    """Method that fits a Gaussian process from predicted contact pressure to readings (`GPModel`).
+
+    Its hyperparameters are chosen on held-out groups of the training touches.
+    """
 
     title = "Gaussian process on predicted contact pressure"
 

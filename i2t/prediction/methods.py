@@ -268,7 +268,7 @@ def fit_predictor(
 
 
 def views_of(dataset: Dataset) -> np.ndarray:
-    """Return a data set's views (patches with their surroundings) if they were recorded, otherwise its patches.
+    """Return a data set's views (patches with their surroundings) if every touch has one, otherwise its patches.
 
     Args:
         dataset: Data set of n touches.

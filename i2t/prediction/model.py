@@ -37,14 +37,17 @@ Condition: TypeAlias = Literal["force", "nearest", "travel"]
 
 
 class Inputs(NamedTuple):
-    """Inputs of a network for one touch: the image, and values measured at contact."""
+    """Inputs of a network for one touch: a patch (m) or contact pressure (N), and conditions (N, m) at contact.
+
+    `prepare` converts them to the network's units.
+    """
 
     image: Float[Array, "n n"]  # a patch in m, or another image by `PaperConfig.input`
     conditions: Float[Array, " k"]  # conditions in the order of `ModelConfig.conditions`: N, m, m
 
 
 class MemberPrediction(NamedTuple):
-    """Output of one member of an ensemble of networks for one touch, in standardised units."""
+    """Output of one member of an ensemble for one touch: standardised reading, log variance, image and latent code."""
 
     reading: Float[Array, " c"]
     log_variance: Float[Array, " c"] | None  # predicted log variance of the reading; None unless heteroscedastic
@@ -54,7 +57,10 @@ class MemberPrediction(NamedTuple):
 
 @in_one_line
 class Normalisation(NamedTuple):
-    """Means and standard deviations that convert readings and conditions to a network's standardised units."""
+    """Means and standard deviations that standardise readings and conditions, and the residual variance of readings.
+
+    The residual, in standardised units, serves networks that predict no variance.
+    """
 
     reading: Standard  # uT
     conditions: Standard  # in the order of `ModelConfig.conditions`
@@ -63,7 +69,7 @@ class Normalisation(NamedTuple):
 
 @dataclass(frozen=True)
 class ModelConfig(PaperConfig):
-    """Options of a network that predicts readings, in addition to those of the paper's network."""
+    """Options of a network beyond the paper's: auxiliary decoder, predicted variance, conditions and ensemble size."""
 
     auxiliary: bool = True  # whether there is an auxiliary decoder
     heteroscedastic: bool = False
@@ -86,7 +92,10 @@ class ModelConfig(PaperConfig):
 
 
 class Network(nn.Module):
-    """One network of an ensemble, from the inputs of one touch to a reading, as a Flax module."""
+    """One network of an ensemble, as a Flax module: from standardised inputs of one touch to its standardised reading.
+
+    It also gives the log variance and the decoded image if the configuration asks for them, and the latent code.
+    """
 
     cfg: ModelConfig
 
@@ -131,7 +140,7 @@ def apply(params: Params, cfg: PaperConfig, inputs: Inputs | Array) -> MemberPre
         inputs: Inputs from `prepare`.
 
     Returns:
-        Reading with the other outputs of the network.
+        The standardised reading with the other outputs of the network.
     """
     if not isinstance(cfg, ModelConfig):
         assert not isinstance(inputs, Inputs)
@@ -156,7 +165,7 @@ def losses(
         weights: Weights of the examples.
 
     Returns:
-        Loss that training minimises, and all of its parts.
+        Weighted mean of the loss that training minimises, and weighted means of its parts, all dimensionless.
     """
     prediction = jax.vmap(partial(apply, params, cfg))(batch.inputs)
     squared = jax.vmap(loss.squared_error)(prediction.reading, batch.target)

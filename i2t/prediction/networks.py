@@ -178,7 +178,10 @@ class PaperMaskForce(PaperDepthForce):
 
 
 class OnPressure(NetworkMethod):
-    """Method that trains an ensemble on predicted contact pressure, force and travel; members predict a variance."""
+    """Method that trains five networks on predicted contact pressure, and on force and travel if they were measured.
+
+    Each network also predicts the variance of its reading.
+    """
 
     title = "network on predicted contact pressure"
     cfg = ModelConfig(

@@ -39,7 +39,7 @@ Config = TypeVar("Config")
 
 @in_one_line
 class Reading(NamedTuple):
-    """A predicted reading in the board's order and axes; unpacks as (mean, std). One touch, or n on axis 0.
+    """Mean and standard deviation (uT) of a predicted reading in the board's order and axes: one touch, or n on axis 0.
 
     Example:
         predictor = i2t.load_predictor("nominal")
@@ -52,7 +52,10 @@ class Reading(NamedTuple):
 
 @in_one_line
 class TouchBatch(NamedTuple):
-    """Inputs for predicting n readings: patches, views and values measured at contact; NaN for unknown values."""
+    """Inputs for predicting n readings: patches and views (m), and force (N), nearest and travel (m); NaN if unknown.
+
+    Contact pressures are included if they were predicted before.
+    """
 
     patch: np.ndarray  # (n, p, p) m, behind the nearest surface point
     view: np.ndarray  # (n, w, w) m, the view, or the patch if there is none

@@ -25,7 +25,7 @@ from i2t.types import Patch, Surface
 
 @dataclass(frozen=True)
 class InputLimits:
-    """Limits beyond which a user's input is refused or warned of."""
+    """Limits beyond which a user's input is refused or warned of: force ratios, lengths (m), share of seen pixels."""
 
     unknown_force_ratio: float = 10.0  # largest training force over the median one, if only the median is known
     # largest ratio of a force to the largest training force; beyond it a prediction means nothing
@@ -45,7 +45,7 @@ _INPUT_LIMITS = InputLimits()  # limits beyond which a user's input to a predict
 
 
 class SeenTouches(NamedTuple):
-    """One or many depth patches with their accompanying data; None for data that were not given."""
+    """Depth patches (m) of one or many touches, with nearest distance, view, seen pixels and size if they are given."""
 
     depth: Any  # (p, p) or (n, p, p) m behind the nearest point
     nearest: Any = None  # scalar or (n,) m, signed distance of that point; NaN where it is unknown

@@ -58,7 +58,7 @@ CONTACT_SOLVER = ContactSolver()  # default accuracy and limits of the contact s
 
 
 class Contact(NamedTuple):
-    """Contact of the skin with an object: pressure, force, indentation, gap, and accuracy of the solution."""
+    """Contact of the skin with an object: pressure (Pa), force (N), indentation and gap (m), accuracy of solution."""
 
     pressure: Float[Array, "n n"]  # Pa, pressure on each cell
     force: Float[Array, ""]  # N, force along -z on the skin
@@ -254,7 +254,9 @@ def _track(grid: Grid, forced: bool, at: tuple, change: tuple) -> tuple[tuple, t
         return _deflect(soft, values, grid)
 
     def pressing(displacement: Array) -> Array:
-        """Compute the change of pressure on the cells in contact that deflects them by `displacement`."""
+        """Compute the change of pressure (in units of E) on the cells in contact, and zero elsewhere, that deflects
+        these cells by `displacement` (in units of h).
+        """
         return jax.lax.custom_linear_solve(
             lambda values: inside(deflect(inside(values))),
             displacement,
@@ -290,7 +292,6 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
         The solution x in that subspace, with the shape of `b`; not finite if `b` is not.
     """
     size = jnp.max(jnp.abs(b))  # the squares of b itself may underflow or overflow
-    size = jnp.max(jnp.abs(b))  # squares of b itself may be too small or too large for a number
     b = b / jnp.where(size > 0, size, 1)
     tolerance = (20 * float(jnp.finfo(b.dtype).eps)) ** 2 * jnp.sum(b * b)
 
@@ -310,7 +311,10 @@ def conjugate_gradients(operator: Callable[[Array], Array], b: Array) -> Array:
 
 
 class ContactState(NamedTuple):
-    """State of `descend` for lanes (contacts side by side). Values of a whole lane have cell axes of length 1."""
+    """State of `descend` for each lane (contact): point, gradient, next target, step length, residual and steps.
+
+    Values of a whole lane have cell axes of length 1.
+    """
 
     point: Array  # a point of the allowed set
     gap: Array  # gradient K x + offset at `point`

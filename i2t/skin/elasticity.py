@@ -94,7 +94,10 @@ FINE_GRID = Grid(cells=80, modes=128)
 
 
 class Load(NamedTuple):
-    """Loads on the skin's surface, as coefficients of a Fourier series (rows y, columns x), ready for `interior`."""
+    """Load on the skin for `interior`: Fourier series of pressure (Pa), its slopes and traction, and the sinking (m).
+
+    Rows of coefficients are waves along y, columns waves along x.
+    """
 
     slopes: Float[Array, "2 k k"]  # Pa/m, slopes of the pressure along x and y
     pressure: Float[Array, "k k"]  # Pa
@@ -103,7 +106,7 @@ class Load(NamedTuple):
 
 
 class TractionWaves(NamedTuple):
-    """Fourier series of a traction on the skin, with each wave's lengthwise part, divergence and curl."""
+    """Fourier series of a traction (Pa) on the skin: its waves, their lengthwise parts, divergence and curl (Pa/m)."""
 
     traction: Float[Array, "2 k k"]  # Pa, traction along x and y of each wave
     lengthwise: Float[Array, "2 k k"]  # Pa, component of each wave along its wave vector
@@ -354,7 +357,7 @@ def basis(grid: Grid, coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def half_waves(grid: Grid) -> tuple[np.ndarray, np.ndarray]:
-    """Evaluate the waves of the grid's Fourier series along one axis on the cells of its outer half, by parity.
+    """Evaluate the waves of the grid's Fourier series along one axis at the cells of its positive half, by parity.
 
     Args:
         grid: Grid of cells and waves.

@@ -37,7 +37,7 @@ RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7
 
 @dataclass(frozen=True)
 class FaultModel:
-    """Assumptions about a skin's faults that are the same for all boards and sessions."""
+    """Assumptions of all simulated faults: dip of the earth's field (rad), relaxation and hold times (s), shares."""
 
     # rad, dip of the earth's field below the horizon in central Europe (IGRF-13, 2020)
     earth_dip: float = np.deg2rad(64.0)

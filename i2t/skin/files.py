@@ -21,7 +21,7 @@ KIND = "i2t pad"  # kind of file in the header of a saved pad
 
 
 class PadAbout(NamedTuple):
-    """Description of a pad from its file: its skin, the source of its parameters, and its errors of prediction."""
+    """Description of a pad from its file: skin, source of the parameters, and error (uT) and R2 of its predictions."""
 
     name: str  # name of the skin in data sets
     made_from: str  # a phrase such as ", fitted to 100 real presses"; empty if unknown

@@ -42,7 +42,7 @@ from i2t.types import Pad
 
 
 class Shear(NamedTuple):
-    """Traction and slip of the skin's surface under friction."""
+    """Traction (Pa) and displacement (m) of the skin's surface under friction, slipping cells, and accuracy."""
 
     traction: Float[Array, "2 n n"]  # Pa, traction on the skin along x and y
     displacement: Float[Array, "2 n n"]  # m, displacement of the skin's surface along x and y
@@ -99,7 +99,7 @@ def shear(
         max_steps: Maximum number of steps; if they do not suffice, `converged` is False.
 
     Returns:
-        The traction, displacement and slip after the motion.
+        The traction (Pa), the displacement of the surface (m) and the mask of slipping cells after the motion.
     """
     kernels = jnp.stack(tangential_compliance(pad, grid)) * pad.young / pad.thickness
     spreading = tangential_displacement(pad, pressure, grid)

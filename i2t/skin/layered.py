@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 
 class Sheet(NamedTuple):
-    """One homogeneous elastic layer in a stack of bonded layers."""
+    """One homogeneous elastic layer in a stack: thickness (m), Young's modulus (Pa) and Poisson's ratio."""
 
     thickness: float  # m
     young: float  # Pa
@@ -34,7 +34,11 @@ class Sheet(NamedTuple):
 
 
 class WaveMotion(NamedTuple):
-    """Displacement and rotation of a stack of elastic layers under waves of pressure, at d depths."""
+    """Displacement and rotation of a stack of elastic layers under waves of pressure, at d depths.
+
+    The displacement along z is per pressure (m/Pa). The displacement along the skin (m^2/Pa) and the rotation (m/Pa)
+    are per slope of the pressure.
+    """
 
     along: Float[np.ndarray, "d ..."]  # displacement along x (y) per slope of the pressure along x (y), m^2/Pa
     down: Float[np.ndarray, "d ..."]  # displacement along z per pressure, m/Pa
@@ -52,8 +56,9 @@ def stack_motion(
         depths: d depths below the surface (m), from 0 to the thickness of the stack.
 
     Returns:
-        The motion of each wave at each depth. A uniform pressure (wavenumber 0) has no slope, so its `along` and `turn`
-        are 0.
+        The motion of each wave at each depth: displacement along z per pressure (m/Pa), and displacement along x (y)
+        (m^2/Pa) and rotation (m/Pa) per slope of the pressure. A uniform pressure (wavenumber 0) has no slope, so its
+        `along` and `turn` are 0.
     """
     k, place = np.unique(wavenumbers, return_inverse=True)
     faces = np.cumsum([0.0, *(-sheet.thickness for sheet in sheets)])  # z of each face

@@ -32,7 +32,7 @@ CYLINDER_NODES = 64  # number of nodes of the integral around a cylindrical magn
 
 
 class Magnets(NamedTuple):
-    """k hard cylinder magnets in the tool frame, as in the lattice of an eFlesh skin."""
+    """k hard cylinder magnets in the tool frame: positions, rotations, radii, heights (m) and magnetizations (A/m)."""
 
     positions: Float[Array, "k 3"]  # m, positions of the magnets' centres
     # rotations from a magnet's own axes, in which it is magnetised along z, to tool axes

@@ -25,7 +25,7 @@ from i2t.types import Board
 @traced_floats
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the magnetometers' noise and converter steps (uT); zero turns an error off.
+    """Sizes of the magnetometers' noise and converter steps (uT; 0 turns one off), and numbers of averaged samples.
 
     Example:
         errors = i2t.SimulationErrors(noise=i2t.Noise(contact_samples=1))  # readings without averaging

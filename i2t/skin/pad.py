@@ -50,7 +50,7 @@ MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and a whol
 
 @in_one_line
 class Press(NamedTuple):
-    """Result of pressing a pad onto a surface: noise-free reading, force, indentation and pressure.
+    """Result of pressing a pad onto a surface: noise-free reading (uT), force (N), indentation (m) and pressure (Pa).
 
     Example:
         pressed = i2t.press(pad, height, 0.3e-3)
@@ -85,7 +85,7 @@ def press(
         dipoles: A coarser grid of the same period for the field.
 
     Returns:
-        Reading, force, indentation and pressure.
+        Noise-free reading (uT), force (N), indentation (m), pressure (Pa), and whether the contact solver converged.
 
     Raises:
         ValueError: The heights do not fit the grid, are NaN or nowhere finite, or the indentation is not a length.
@@ -124,7 +124,7 @@ def press_force(
         dipoles: A coarser grid of the same period for the field.
 
     Returns:
-        Reading, force, indentation and pressure.
+        Noise-free reading (uT), force (N), indentation (m), pressure (Pa), and whether the contact solver converged.
     """
     return _press(pad, solve_force(pad, jnp.asarray(height), force, grid, start=start), grid, dipoles)
 

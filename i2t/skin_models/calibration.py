@@ -45,7 +45,7 @@ LOAD_COLUMNS: dict[str, tuple[str, ...]] = {
 
 
 class CalibrationRecord(NamedTuple):
-    """Arrays of a `Calibration`, in the form in which its file stores them."""
+    """Arrays of a `Calibration` in its file: mixture, factors on standard deviations, mixture of an earlier session."""
 
     gp: PopulationGP
     interval_scaling: Array  # (c,) factor on each channel's standard deviation
@@ -157,7 +157,10 @@ class Calibration:
 
 
 class TipPresses(NamedTuple):
-    """Presses of one skin with one tip; the fields are arguments of `calibrate`."""
+    """Presses of one skin with one tip: positions (m), loads (m or N), readings (uT), board and an earlier session.
+
+    The fields are arguments of `calibrate`; unknown ones are None.
+    """
 
     positions: ArrayLike | None
     loads: ArrayLike | None

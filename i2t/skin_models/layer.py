@@ -19,12 +19,15 @@ from i2t.geometry import from_twist, full_precision, inverse
 from i2t.skin.pad import NOMINAL_SKIN, nominal_pad
 from i2t.types import Pad, Surface
 
-# N, smallest load that is used; smaller loads are within the noise of a wrench sensor
+# N, load to which smaller ones are raised, because they are within the noise of a wrench sensor
 MIN_LOAD_N = PressureModelConfig.floor
 
 
 class Layer(NamedTuple):
-    """Elastic layer that represents a pad in contacts; its other properties are those of `nominal_pad`."""
+    """Poisson's ratio and Young's modulus (Pa) of the elastic layer that represents a pad in contacts.
+
+    Its other properties are those of `nominal_pad`.
+    """
 
     poisson: Float[Array, ""] | float = NOMINAL_SKIN.poisson
     young: Float[Array, ""] | float = NOMINAL_SKIN.young
@@ -62,8 +65,8 @@ def approach(
         overtravel: Distance (m) beyond the site at which the approach gives up.
 
     Returns:
-        The contact with its pose T_o_t in the object's frame, and the Jacobian of its distance from the site along the
-        twist, which is zero if it is not finite.
+        The contact with its pose T_o_t in the object's frame, and the `(6,)` Jacobian of its distance (m) from the site
+        along the twist (m, rad), which is zero if it is not finite.
     """
 
     @full_precision

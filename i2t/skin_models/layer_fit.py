@@ -70,7 +70,10 @@ class LayerPosterior(NamedTuple):
 
 
 class UnitFeatures(NamedTuple):
-    """Readings of n presses for each of k magnetization weights, on a layer of unit gains, and their derivatives."""
+    """Readings (uT) of n presses for each of k magnetization weights, at gains and strengths of 1, and derivatives.
+
+    Derivatives are along the coordinates of the prior that change the readings by more than a scale.
+    """
 
     value: Float[np.ndarray, "n c k"]  # uT, features at the parameters
     changes: Float[np.ndarray, "e n c k"]  # derivatives along the coordinates of SHAPE_PARAMETERS

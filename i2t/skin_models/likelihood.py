@@ -40,7 +40,7 @@ TOUCH_ERRORS = TouchErrors()  # default errors of the position at which a press 
 
 
 class ScaleMixture(NamedTuple):
-    """Error distribution with heavy tails: normal about 0, with one of s standard deviations."""
+    """Error distribution with heavy tails: normal about 0, with s standard deviations (m) and their shares."""
 
     std: Float[np.ndarray, " s"]  # m, standard deviations of the components
     share: Float[np.ndarray, " s"]  # share of each standard deviation; the shares sum to 1

@@ -35,7 +35,10 @@ DESIGN_BATCH = 8  # number of design matrices computed at a time, so that they f
 
 @in_one_line
 class LayerParameters(NamedTuple):
-    """Nonlinear parameters of an elastic magnetic layer; also holds their coordinates in the prior or their ranges."""
+    """Parameters of a magnetic layer: size, elasticity, offsets of tip and board, gains, magnetization and noise.
+
+    Units are m, Pa, rad, A/m and uT. The class also holds standard deviations, coordinates in the prior, or ranges.
+    """
 
     thickness: Float[Array, ""]  # m
     gap: Float[Array, ""]  # m, gap from the layer's base to the chips
@@ -63,7 +66,10 @@ SHAPE_PARAMETERS = (*DESIGN_PARAMETERS, "patch_length")
 
 
 class LayerPrior(NamedTuple):
-    """Prior distribution of `LayerParameters`: median and standard deviation of each."""
+    """Prior distribution of `LayerParameters`: the median and a standard deviation of each.
+
+    The standard deviation is that of the parameter itself, of its logarithm, or of the root of its ratio to the median.
+    """
 
     median: LayerParameters
     # standard deviation of the parameter, of its logarithm, or of the root of its ratio to the median

@@ -55,7 +55,7 @@ from i2t.types import Board, Pad, in_one_line
 
 
 class LinearRegression(NamedTuple):
-    """Posterior mean of the magnetization map's weights, and readings predicted without their own group of presses."""
+    """Posterior mean of a map's weights, and readings and log densities of presses, predicted from all other groups."""
 
     weights: Float[np.ndarray, " k"]  # posterior mean of the weights
     leave_group_out: Float[np.ndarray, "n c"]  # uT, prediction of each press from all other groups
@@ -78,7 +78,8 @@ def bayesian_linear_regression(
         group: `(n,)` number of each press's group, from 0; by default each press is a group of its own.
 
     Returns:
-        Posterior mean of the weights, and the reading of each press as predicted from all other groups.
+        Posterior mean of the weights, and the reading of each press (in the features' unit) and the log density of each
+        group as predicted from all other groups.
     """
     n, channels, k = features.shape
     rows = np.asarray(features, np.float64).reshape(-1, k) / noise_std
@@ -178,7 +179,7 @@ def _simulate_readings(pad: Pad, contact: ContactPressure) -> Float[Array, "m c"
 
 
 class TipReadings(NamedTuple):
-    """n presses of one tip with their readings, in random order."""
+    """n presses of one tip in random order: positions (m), loads (m of travel or N), readings (uT), and the board."""
 
     position: Float[Array, "n 2"]  # m, position of each press in the tool frame
     load: Float[Array, " n"]  # load of each press: travel in m, or normal force in N

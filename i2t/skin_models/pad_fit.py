@@ -61,7 +61,7 @@ from i2t.types import Board, Surface, Touches, Truth
 
 @dataclass(frozen=True)
 class SessionRegistration:
-    """Options for registering recorded sessions before a pad model is fitted to their touches."""
+    """Options for registering recorded sessions before a pad model is fitted: folds, and sizes that save compiling."""
 
     position_folds: int = 3  # number of parts of a session's touches, each predicted from the others
     # Up to this number of sessions, a quick compilation of their registrations pays; it may change last digits.
@@ -84,10 +84,10 @@ class _Positions(NamedTuple):
 
 
 class ObjectTouches(NamedTuple):
-    """Touches of one skin on objects with known surfaces."""
+    """Touches of one skin on known objects: data set, mask of the touches used, surfaces by object name, and source."""
 
     dataset: Dataset  # data set with measured forces
-    rows: Bool[np.ndarray, " n"]  # indices of the touches that are used
+    rows: Bool[np.ndarray, " n"]  # mask of the touches that are used
     surfaces: Mapping[str, Surface]  # surfaces of the touched objects, by name
     made_from: str = "touches at hand"  # run, data set or file from which the touches come, for messages
 

@@ -31,7 +31,9 @@ PAD_MODEL_KIND = "i2t pad model"  # kind of file in the header of a saved pad mo
 
 @in_one_line
 class PadModel(NamedTuple):
-    """Model of one pad's readings and their errors at any contact, fitted to its touches of known objects.
+    """Model of one pad's readings and their errors at any contact, with its R2 and errors (uT) on left-out touches.
+
+    It is fitted to touches of known objects.
 
     Example:
         pad_model = i2t.load_pad_model("nominal").model
@@ -202,7 +204,7 @@ def require_skin(
         A sentence if the pad model is used for another skin; None if the skin is the same.
 
     Raises:
-        DataError: The skin or the board differs.
+        DataError: The board differs, or the skin does and `other_skin` is not set.
     """
     origin = model.origin
     if not same_board(model.board, board):

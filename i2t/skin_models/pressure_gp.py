@@ -46,7 +46,7 @@ Tree = TypeVar("Tree")
 
 @in_one_line
 class GPHyperparameters(NamedTuple):
-    """Hyperparameters of the Gaussian process from contact pressure to readings: length scales, load and noise."""
+    """Hyperparameters of a `GP`: weights of length scales, share and width of the change with load, noise."""
 
     weights: Float[Array, " lengths"]  # weights a_l of the length scales, for unit mean variance
     bend: Float[Array, ""]  # share b of the covariance that changes with the load
@@ -94,7 +94,7 @@ class GP(NamedTuple):
 
 
 class PressureTouches(NamedTuple):
-    """n touches to fit a Gaussian process to: contact pressures, readings, and groups for cross-validation."""
+    """n touches to fit a Gaussian process to: contact pressures (N), readings (uT), and groups for cross-validation."""
 
     pressure: ContactPressure  # n contact pressures
     reading: Float[np.ndarray, "n channels"] | Float[Array, "n channels"]  # uT

@@ -84,11 +84,12 @@ class Averaging:
     max_rank: int = 160
 
 
-AVERAGING = Averaging()  # grid of the hyperparameters a, r and v, and the choices of their average
+# grid of a reading model's amplitude a, discrepancy r and noise v, and options of their average
+AVERAGING = Averaging()
 
 
 class ReadingPrior(NamedTuple):
-    """Prior assumptions about a pad's readings, from other pads and other physics: layers and discrepancy."""
+    """Prior assumptions about a pad's readings: layers to choose from, and hyperparameters of the discrepancy."""
 
     layers: Sequence[Layer] = LAYERS  # layers to choose from
     discrepancy: GPHyperparameters = DISCREPANCY  # hyperparameters of the discrepancy, whose noise is ignored
@@ -99,7 +100,7 @@ READING_PRIOR = ReadingPrior()  # assumptions about a pad that come from other p
 
 @in_one_line
 class LinearReadingModel(NamedTuple):
-    """Model of a pad's readings at l loads, at each of which they are linear in the contact pressure on a layer."""
+    """Model of a pad's readings (uT) at l loads (N), linear at each load in the contact pressure (N) on a layer."""
 
     loads: Float[Array, " l"]  # N, loads at which the model predicts
     mean: Float[Array, "l cells c"]  # uT per N on each cell of 1 mm
@@ -110,14 +111,14 @@ class LinearReadingModel(NamedTuple):
 
 
 class PressedTouches(NamedTuple):
-    """n touches of one pad: contact pressures on an elastic layer, and measured readings."""
+    """n touches of one pad: contact pressures (N) on an elastic layer, and their readings (uT)."""
 
     pressure: ContactPressure  # pressures of n touches on some layer
     reading: Float[np.ndarray, "n c"]  # uT
 
 
 class FittedReadings(NamedTuple):
-    """Fitted reading model of a pad, and its leave-one-out errors on the touches of the fit."""
+    """Fitted reading model of a pad, and its leave-one-out errors (uT, measured minus predicted) on the touches."""
 
     model: LinearReadingModel
     leave_one_out: Float[np.ndarray, "n c"]  # uT, measured minus predicted from all other touches
@@ -200,7 +201,7 @@ def interpolate_reading(
 
     Args:
         reading: `(l, c)` readings (uT) at the l `loads`.
-        variance: `(l,)` relative variances at `loads`.
+        variance: `(l,)` variances at `loads`, relative to the square of a channel's signal.
         loads: `(l,)` ascending loads (N).
         force: The requested load (N); zero or less means no touch.
 
@@ -227,8 +228,8 @@ def load_step(
         force: The load (N); it is replaced by the first of `loads` if it is not positive.
 
     Returns:
-        Number i of the interval for the load, the position of the load from load i on in units of the interval, and
-        the load (N).
+        Number i of the interval for the load; the logarithmic distance of the load from load i as a fraction of the
+        interval, outside 0 to 1 beyond the outer loads; and the load (N).
     """
     at, knots = jnp.log(jnp.where(force > 0, force, loads[0])), jnp.log(loads)
     i = jnp.clip(jnp.searchsorted(knots, at) - 1, 0, len(loads) - 2)
@@ -289,7 +290,7 @@ def fit_readings(
         discrepancy: Hyperparameters of the discrepancy's covariance.
 
     Returns:
-        The model, and its leave-one-out errors.
+        The model, and its `(n, c)` leave-one-out errors (uT).
     """
     maps = magnetization_maps(board, layer)
     models, shares = _weigh_hyperparameters(_subsample(touches), maps, discrepancy)

@@ -19,7 +19,7 @@ from i2t.types import in_one_line
 
 @dataclass(frozen=True)
 class Roughness:
-    """Hypotheses on how rough a skin is: size and correlation length of its local heights."""
+    """Hypotheses on a skin's roughness: standard deviation (typical loads) and length (m) of its heights, priors."""
 
     prior: float = 0.5  # prior probability that a skin has local heights
     error_exponent: float = 1.0  # exponent of the leave-one-out error in the probability of a hypothesis
@@ -34,7 +34,7 @@ ROUGHNESS = Roughness()  # default hypotheses on the roughness of a skin's surfa
 
 @in_one_line
 class Heights(NamedTuple):
-    """Local heights of a skin that is not flat, at n presses, under j hypotheses of its roughness.
+    """Local heights of a skin that is not flat, measured at n presses, and j hypotheses of its roughness.
 
     Heights are in typical loads of the first kind of load.
     """
@@ -47,7 +47,7 @@ class Heights(NamedTuple):
 
 
 class SlopedErrors(NamedTuple):
-    """Leave-one-out errors of a mixture on n presses, with the derivatives of the predictions by the load."""
+    """Leave-one-out errors (uT) of a mixture on n presses, and slopes of the predictions (uT per typical load)."""
 
     error: Float[np.ndarray, "n c"]  # uT, error of each prediction
     variance: Float[np.ndarray, "n c"]  # uT^2, variance of each error
@@ -125,7 +125,7 @@ def heights_at(
         inverses: The result of `height_inverses`.
 
     Returns:
-        `(m,)` means and variances of the heights (typical loads).
+        `(m,)` means (typical loads) and variances of the heights over all hypotheses, among them a flat skin.
     """
     mean, square_mean = np.zeros(len(square)), np.zeros(len(square))
     for i, inverse in enumerate(inverses):

@@ -28,7 +28,10 @@ UNIFORM_FAR_AMPLITUDE = 1.0  # amplitude, far from the chip, of a kernel that do
 
 @in_one_line
 class SkinKernels(NamedTuple):
-    """Hyperparameters of s kernels, each a covariance of a skin's readings over position and load of the tip."""
+    """Hyperparameters of s kernels, each a covariance of a skin's readings over position and load of the tip.
+
+    Lengths are in m, loads in typical loads, and variances relative to the square of a channel's scale.
+    """
 
     load_power: Float[np.ndarray, " s"]
     load_offset: Float[np.ndarray, " s"]  # offset of the load, in typical loads
@@ -46,7 +49,7 @@ class SkinKernels(NamedTuple):
 
 
 class PressGeometry(NamedTuple):
-    """Positions, loads and squared distances from the chips of n presses, in the form that kernels use."""
+    """Positions (m), loads (typical loads) and squared distances from the chips (m^2) of n presses, for kernels."""
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # loads of the presses, in typical loads
@@ -151,7 +154,8 @@ def signal_covariances(kernels: SkinKernels, a: PressGeometry, b: PressGeometry)
         b: Presses, one for each column.
 
     Returns:
-        `(s, groups, a, b)` matrices, one for each kernel and group of channels.
+        `(s, groups, a, b)` covariances relative to the square of a channel's scale, for each kernel and group of
+        channels.
     """
     square = squared_distance(a.position, b.position)[None]
     load_square = ((a.load[:, None] - b.load[None, :]) ** 2)[None]
@@ -175,7 +179,8 @@ def signal_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarra
         at: Geometry of n presses.
 
     Returns:
-        `(s, groups, n)` variances of each kernel, group of channels and press.
+        `(s, groups, n)` variances of each kernel, group of channels and press, relative to the square of a channel's
+        scale.
     """
     inner = responses(kernels, at.load) ** 2 + kernels.static_variance[:, None]
     return amplitudes(kernels, at) ** 2 * inner[:, None, :] + kernels.constant_variance[:, None, None]
@@ -189,7 +194,8 @@ def noise_variances(kernels: SkinKernels, at: PressGeometry) -> Float[np.ndarray
         at: Geometry of n presses.
 
     Returns:
-        `(s, groups, n)` variances of each kernel, group of channels and press.
+        `(s, groups, n)` variances of each kernel, group of channels and press, relative to the square of a channel's
+        scale.
     """
     grown = (amplitudes(kernels, at) * responses(kernels, at.load)[:, None, :]) ** 2
     return kernels.noise_variance[:, None, None] + kernels.gain_noise_variance[:, None, None] * grown
@@ -207,7 +213,7 @@ def load_slopes(
         step: Half of the difference of the loads (typical loads).
 
     Returns:
-        `(s, groups, a, b)` derivatives per typical load.
+        `(s, groups, a, b)` derivatives of the relative covariances per typical load.
     """
     high, low = (signal_covariances(kernels, a._replace(load=a.load + sign * step), b) for sign in (1, -1))
     return (high - low) / (2 * step)

@@ -15,14 +15,17 @@ from i2t.skin_models.tip_gp.kernel import PressGeometry, SkinKernels
 
 
 class Observed(NamedTuple):
-    """Readings of n presses to which kernels are conditioned, with additional noise of outlying presses."""
+    """Readings (uT) of n presses to which kernels are conditioned, and additional noise variance of outlying presses.
+
+    The variance is one for each group of channels (chip), relative to the square of a channel's scale.
+    """
 
     target: Float[np.ndarray, "n c"]  # uT
     extra_noise: Float[np.ndarray, "n groups"]  # additional relative variance of outlying presses
 
 
 class LeaveOneOutPresses(NamedTuple):
-    """Leave-one-out errors and variances of n presses by each of s kernels, without a press or its whole part."""
+    """Errors (uT) and variances (uT^2) of n presses by each of s kernels, without the press or its whole part."""
 
     error: Float[np.ndarray, "s n c"]  # uT, reading minus predicted mean
     variance: Float[np.ndarray, "s n c"]  # uT^2, predicted variance, noise included
@@ -32,7 +35,7 @@ class LeaveOneOutPresses(NamedTuple):
 
 
 class Conditioned(NamedTuple):
-    """One kernel conditioned on n presses; each group of channels has a system of its own."""
+    """One kernel conditioned on n presses: inverse covariance of each group of channels, weights and scales (uT)."""
 
     inverse: Float[np.ndarray, "groups n n"]
     weights: Float[np.ndarray, "n c"]
@@ -69,7 +72,7 @@ def leave_one_out(
         part: `(n,)` number of each press's part; by default each press is a part of its own.
 
     Returns:
-        Errors, variances and scales of the predictions.
+        Errors (uT, reading minus prediction), variances (uT^2) and scales (uT) of the predictions.
     """
     n, c = observed.target.shape
     s = len(kernels.load_power)

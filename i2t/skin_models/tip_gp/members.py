@@ -15,7 +15,10 @@ NO_CHIP_POSITIONS = -1  # board number of a member of the mixture whose kernel d
 
 @in_one_line
 class Components(NamedTuple):
-    """k members of a mixture of Gaussian processes, each a kernel with its load, board and prior share."""
+    """k members of a mixture of Gaussian processes: kernels with their load, board, log prior share and kind of mean.
+
+    The mean is zero or the prediction of a previous session.
+    """
 
     kernels: SkinKernels
     load_column: Int[np.ndarray, " k"]

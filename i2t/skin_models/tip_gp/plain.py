@@ -42,7 +42,7 @@ _SCALE_FIT = ScaleFit()  # priors of the plain process's hyperparameters, and th
 
 
 class PlainScales(NamedTuple):
-    """Hyperparameters of a plain Gaussian process over position and load, the baseline."""
+    """Length over position (m), width over load (m or N) and relative noise variance of a plain Gaussian process."""
 
     length: float  # m, length scale over positions
     width: float  # m or N, length scale over loads

@@ -140,7 +140,7 @@ _MIXTURE = MixtureConfig()  # default choices of the mixture of Gaussian process
 
 @in_one_line
 class PressTable(NamedTuple):
-    """Positions and loads of n presses, without their readings."""
+    """Positions (m) and loads (m or N) of n presses, and an earlier session's predictions (uT) of their readings."""
 
     position: Float[np.ndarray, "n 2"]  # m, tool frame; zeros if no position is known
     loads: Float[np.ndarray, "n kinds"]  # m of travel, N of force; one column for each known kind of load

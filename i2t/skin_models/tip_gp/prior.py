@@ -34,7 +34,7 @@ _PLAIN_MEMBERS = PlainMembers()  # plain Gaussian processes that join the popula
 
 
 class KernelPrior(NamedTuple):
-    """Kernels of a population of skins, and how common they are among skins pressed by travel and by force."""
+    """Kernels of a population of skins, and their log prior shares among skins pressed by travel and by force."""
 
     kernels: SkinKernels
     log_share: Float[np.ndarray, "kinds s"]  # log prior shares; the rows are travel and force
