@@ -459,7 +459,6 @@ def _weigh_hyperparameters(
     share = np.exp(log_share - logsumexp(log_share))
     kept = sorted(i for i in np.argsort(-share)[: grid.max_models] if share[i] >= grid.min_share * share.max())
     return [points[i] for i in kept], share[kept] / share[kept].sum()
-    return [grid[i] for i in kept], share[kept] / share[kept].sum()
 
 
 def _linear_maps(
