@@ -73,7 +73,7 @@ class Learner(NamedTuple):
 
 @in_one_line
 class Standard(NamedTuple):
-    """Mean and standard deviation of each value over a training set."""
+    """Mean and standard deviation of each of k values over a training set, in the values' units."""
 
     mean: Float[Array, " k"]
     std: Float[Array, " k"]

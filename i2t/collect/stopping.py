@@ -23,8 +23,8 @@ from i2t.types import Array, Board
 
 
 class StopCondition:
-    """Condition that stops an approach as soon as one skin's reading has changed enough, or force or torque exceeds its
-    limit. The arm calls it with every state.
+    """Condition that stops an approach as soon as force or torque exceeds its limit, or the mean of one skin's last
+    samples differs enough from ambient, in its norm and in its non-uniform part. The arm calls it with every state.
 
     Args:
         skins: Connected skins.

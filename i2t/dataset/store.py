@@ -70,7 +70,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Series:
-    """A recorded time series of one touch: samples of several columns, each with its time."""
+    """A recorded time series of one touch: Unix times (s) of n samples, and k columns of values in one unit."""
 
     time: np.ndarray  # (n,) s, Unix time
     values: np.ndarray  # (n, k) values of the columns

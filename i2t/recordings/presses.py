@@ -55,7 +55,8 @@ def join_presses(parts: Sequence[Presses]) -> Presses:
 def dataset_presses(dataset: Dataset) -> Presses:
     """Convert the touches of a data set to presses of its object, the tip, on the skin.
 
-    A height is minus the travel. Without travel it is the distance at which the tip stopped before the skin, if known.
+    A height is minus the travel, and NaN if the travel is unknown. If the travel is 0, it is the distance at which the
+    tip stopped before the skin, or 0 if that is unknown.
 
     Args:
         dataset: Touches of one object.
@@ -75,7 +76,9 @@ def dataset_presses(dataset: Dataset) -> Presses:
 
 
 class LoadedPresses(NamedTuple):
-    """n presses with position, one load (travel or force) and reading, as models of a tip on a skin take them."""
+    """n presses with position (m), one load (travel in m or force in N) and reading (uT), as models of a tip on a skin
+    take them.
+    """
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # load of each press: travel in m, or force in N; constant if unknown

@@ -81,7 +81,9 @@ class SegmentationConfig:
 
 
 class SegmentedPresses(NamedTuple):
-    """Beginnings, ends and steady readings of the k presses in a continuous recording of n rows."""
+    """The k presses of a continuous recording of n rows: first rows, ends, steady parts, steady readings minus baseline
+    (uT), baselines (uT) and times (s).
+    """
 
     start: Int[np.ndarray, " k"]  # first row of each press
     end: Int[np.ndarray, " k"]  # row after the last row of each press
@@ -94,7 +96,9 @@ class SegmentedPresses(NamedTuple):
 
 
 class SegmentedPress(NamedTuple):
-    """One press in a continuous recording; row numbers count from the recording's first row."""
+    """One press in a continuous recording: its rows (counted from the recording's first) and times (s), its steady
+    reading minus the baseline (uT), and the other columns at its start and while steady.
+    """
 
     start: int  # first row of the press
     end: int  # row after the last row of the press

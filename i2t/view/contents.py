@@ -31,7 +31,7 @@ class Poses(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Time series of one quantity, such as readings or forces; NaN where unknown."""
+    """Time series of readings (uT), temperature (degrees Celsius), force (N) or torque (Nm); NaN where unknown."""
 
     place: str  # "readings" (uT, ambient subtracted), "temperature" (degrees Celsius), "force" (N) or "torque" (Nm)
     names: tuple[str, ...]
@@ -40,14 +40,14 @@ class Numbers(NamedTuple):
 
 
 class Field(NamedTuple):
-    """Readings over time as one vector for each chip of the board, in tool axes."""
+    """Readings (uT) over time as one vector in tool axes for each chip of the board."""
 
     time: Times
     vectors: Float[np.ndarray, "n chips 3"]  # uT, tool axes
 
 
 class DepthImage(NamedTuple):
-    """A depth image, or a depth patch, of a touch."""
+    """A depth image or depth patch (m) of a touch, its frame and its time (s)."""
 
     place: str  # "depth" or "patch"
     frame: str  # frame in which it was taken
