@@ -55,7 +55,7 @@ class Losses(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Inputs and target readings of n training examples, along axis 0."""
+    """Inputs of a network and target readings (n, c) of n training examples, along axis 0, as its losses take them."""
 
     inputs: PyTree
     target: Float[Array, "n c"]
@@ -92,7 +92,9 @@ class TrainState(NamedTuple):
 
 
 class EpochInfo(NamedTuple):
-    """Training and validation losses of one epoch."""
+    """Mean losses of one epoch: those of its minibatches, each before its step, and those of the validation touches
+    after the epoch (NaN without validation touches).
+    """
 
     train: Losses  # losses as means over the epoch's minibatches, evaluated before each step
     validation: Losses  # losses after the epoch; NaN without validation touches

@@ -53,7 +53,7 @@ WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for 
 
 @dataclass(frozen=True)
 class SkinInfo:
-    """One skin on the tool as all touches of a session describe it: its name, its board and notes."""
+    """One skin on the tool as all touches of a session describe it: its name in the data set, its board and notes."""
 
     pad: str
     board: Board

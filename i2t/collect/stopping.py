@@ -211,7 +211,7 @@ def onset_distance(
         min_samples: Minimum number of samples in that range.
 
     Returns:
-        Distance (m) from first contact to the end; NaN if too few samples are in the range.
+        Distance (m) from first contact to the end; NaN if the samples in the range are too few or too alike for a line.
     """
     answered = np.isfinite(change)
     complete = np.isfinite(readings[:, answered]).all(1)

@@ -69,7 +69,7 @@ class CleaningReport:
 
 
 class CleanMesh(NamedTuple):
-    """A mesh after cleaning, with the dropped pieces and a report on the cleaning."""
+    """A mesh (m) after cleaning, the dropped pieces, which still obstruct the arm, and a report on the cleaning."""
 
     mesh: Mesh
     obstacles: Mesh  # pieces that were dropped but still obstruct the arm

@@ -41,7 +41,7 @@ class OrientationConfig:
 
 
 def turn_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) -> Mesh:
-    """Turn the faces of a mesh so that every part of it faces outward.
+    """Turn the faces of each part of a mesh alike, and outward if winding numbers give enough evidence.
 
     Args:
         mesh: The mesh (m), whose faces all have an area.

@@ -270,7 +270,7 @@ def check_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
         last: Whether no more rows follow.
 
     Returns:
-        The damaged stamps and the restarts among these rows.
+        The damaged stamps and the restarts among the settled rows, and the number of settled rows.
     """
     damaged = np.zeros(len(time), bool)
     restarts: list[int] = []

@@ -14,7 +14,9 @@ LoadName: TypeAlias = Literal["travel", "force", "none"]
 
 
 class Presses(NamedTuple):
-    """n presses of a tip on a skin, in the order of time; an unrecorded column is None, and a missing value NaN."""
+    """n presses of a tip on a skin, in the order of time: positions and heights (m), readings (uT), forces (N), times
+    (s) and names of pads and sessions. An unrecorded column is None, and a missing value NaN.
+    """
 
     position: Float[np.ndarray, "n 2"]  # m, position of the tip's axis on the skin, along the skin's edges
     # uT, readings with three channels for each chip; NaN for a chip that did not answer

@@ -117,7 +117,9 @@ class SegmentedPress(NamedTuple):
 
 
 class SegmentationRules(NamedTuple):
-    """Thresholds for presses in rows of one recording, by its rate and noise; a block is a group of averaged rows."""
+    """Rules for finding presses in one recording, from its rate and noise: noise and smallest spike (uT) of each
+    channel, time (s) between rows, and durations in blocks, which are groups of averaged rows.
+    """
 
     noise_std: Float[np.ndarray, " c"]  # uT, standard deviation of a row's noise
     step: float  # s, time between rows
@@ -137,7 +139,9 @@ class SegmentationRules(NamedTuple):
 
 
 class OpenRecording(NamedTuple):
-    """State of the search for presses in a recording to which more rows may be added."""
+    """State of the search for presses in a recording to which more rows may be added: the rules, the kept rows, the
+    block up to which they were searched, and the reading at rest (uT).
+    """
 
     rules: SegmentationRules
     first: int  # row of the recording that is the first of the kept rows
@@ -268,7 +272,8 @@ def finish_recording(recording: OpenRecording) -> tuple[OpenRecording, list[Segm
 
 
 def filter_presses(presses: Sequence[SegmentedPress], rules: SegmentationRules) -> list[SegmentedPress]:
-    """Remove presses that are too short, and those that are only a skin recovering from a press.
+    """Remove presses shorter than `min_press_s`, and those with a peak below `min_peak_share` of the median peak, which
+    are only a skin recovering from a press.
 
     Args:
         presses: All presses of a recording.

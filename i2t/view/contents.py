@@ -23,7 +23,7 @@ Times: TypeAlias = Float[np.ndarray, " n"]  # s, times
 
 
 class Poses(NamedTuple):
-    """Poses of the object, tool or camera in the world over time."""
+    """Poses (4, 4) of the object, tool or camera in the world over time, in m."""
 
     frame: str  # "object", "tool" or "camera"
     time: Times
@@ -56,7 +56,7 @@ class DepthImage(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Text events of a touch and their times."""
+    """Text events of a touch and their Unix times (s)."""
 
     time: Times
     texts: tuple[str, ...]

@@ -37,7 +37,7 @@ class PermutationTest(NamedTuple):
 
 
 def neighbours(x: Float[np.ndarray, "n d"], k: int = NUM_NEIGHBOURS) -> Int[np.ndarray, "n k"]:
-    """Find the k nearest other touches of every touch. Ties are broken by a fixed random order.
+    """Find the k nearest other touches of every touch by Euclidean distance. Ties are broken by a fixed random order.
 
     Args:
         x: Features of the touches.
