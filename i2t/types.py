@@ -39,7 +39,7 @@ def in_one_line(kind: type[Kind]) -> type[Kind]:
         kind: The class to decorate.
 
     Returns:
-        The same class.
+        The same class, with another `__repr__`.
     """
     kind.__repr__ = one_line  # type: ignore[method-assign,assignment]  # it is given a named tuple
     return kind

@@ -58,7 +58,7 @@ class LogRows(NamedTuple):
             which: A slice or a mask.
 
         Returns:
-            The selected rows.
+            The selected rows, in the order of the log.
         """
         return LogRows(self.time[which], self.readings[which], self.labels[which])
 

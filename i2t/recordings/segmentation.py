@@ -227,7 +227,7 @@ def open_recording(
         earlier: `(c,)` baseline of the recording before this one in uT, or None if there is none.
 
     Returns:
-        The empty state.
+        The state before the first row.
     """
     channels = len(rules.noise_std)
     nothing = (np.zeros(0), np.zeros((0, channels)), np.zeros((0, columns)))
