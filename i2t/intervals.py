@@ -34,7 +34,7 @@ Resampled = Callable[[Float[np.ndarray, "draws groups"], Int[np.ndarray, " n"]],
 
 
 class Estimate(NamedTuple):
-    """Means (or other statistics) with lower and upper 95 % limits, as floats or arrays of one shape."""
+    """Means (or other statistics) with the lower and upper ends of 95 % intervals, as floats or arrays of one shape."""
 
     mean: Any
     low: Any
@@ -55,13 +55,13 @@ def estimate_at(estimates: Estimate, index: int) -> Estimate:
 
 
 def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
-    """Compute the mean and Student's t interval of independent values, such as one for each seed.
+    """Compute the mean and Student's 95 % interval of independent values, such as one for each seed.
 
     Args:
         values: `(n, ...)` values, independent along axis 0.
 
     Returns:
-        The mean and both limits, floats for values of shape `(n,)`. The limits of a single value are NaN.
+        The mean and both limits over axis 0, floats for values of shape `(n,)`. The limits of a single value are NaN.
     """
     sample = np.asarray(values, np.float64)
     n, mean = len(sample), sample.mean(0)
@@ -72,7 +72,7 @@ def student_interval(values: Sequence[int | float] | np.ndarray) -> Estimate:
 
 
 def rate_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
-    """Compute a mean of values between 0 and 1, with Jeffreys' limits at the effective number of trials n_e.
+    """Compute a mean of values between 0 and 1, with Jeffreys' 95 % interval at the effective number of trials n_e.
 
     n_e = p (1 - p) / v [t(n - 1) / t(k)]^2, where v is the variance of the mean p over clusters (at least the variance
     for independent episodes), k its degrees of freedom, and t() quantiles of Student's t. Let m be the number of
@@ -134,7 +134,7 @@ def _independent(values: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " k"]:
 
 
 def mean_interval(values: Shaped[Array, "n ..."], clusters: Clusters = ()) -> Estimate:
-    """Compute a mean with a 95 % interval over clusters, or Student's interval if there are no clusters.
+    """Compute a mean with a 95 % interval over clusters, or Student's 95 % interval if there are no clusters.
 
     Args:
         values: `(n, ...)` values of n episodes.

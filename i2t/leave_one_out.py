@@ -27,14 +27,16 @@ UNINFORMED_VARIANCE = 1e6  # variance predicted where rounding left a matrix tha
 
 
 class LeftOutRows(NamedTuple):
-    """Leave-one-out errors and variances: each row of a Gaussian model predicted from all other rows."""
+    """Leave-one-out errors (value minus predicted mean) and variances of n rows, each given the others."""
 
     error: Float[Array, "... n c"]  # value of each row minus its predicted mean
     variance: Float[Array, "... n #c"]
 
 
 class LeftOutBlocks(NamedTuple):
-    """Leave-block-out errors and log densities: each block of m rows predicted from all other rows."""
+    """Leave-block-out errors (value minus predicted mean) of each row, and log density of each block of m rows, given
+    all rows outside the block.
+    """
 
     error: Float[Array, "... m c"]  # value of each row minus its predicted mean
     log_density: Float[Array, "... c"]  # predicted log density of the block's values
@@ -101,7 +103,8 @@ def leave_out_parts(
         scale: Factor of the standard deviations, as for `leave_out_rows`.
 
     Returns:
-        Errors (value minus mean) in the unit of y, and the variance of each row.
+        Errors (value minus mean) in the unit of y, and the variance of each row, which is very large where rounding
+        left a matrix that is not positive definite.
     """
     error, variance = np.empty_like(weights), np.empty((*weights.shape[:2], 1))
     for number in np.unique(part):
@@ -113,7 +116,7 @@ def leave_out_parts(
 
 
 def inverses(matrices: Float[np.ndarray, "groups n n"], *, failed: float) -> Float[np.ndarray, "groups n n"]:
-    """Invert symmetric positive definite matrices.
+    """Invert symmetric matrices that are positive definite, except for rounding.
 
     Args:
         matrices: Matrices of one size.

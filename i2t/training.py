@@ -55,7 +55,7 @@ class Losses(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """Inputs and target readings of n training examples, along axis 0."""
+    """Inputs of a network and target readings (n, c) of n training examples, along axis 0, as its losses take them."""
 
     inputs: PyTree
     target: Float[Array, "n c"]
@@ -73,7 +73,7 @@ class Learner(NamedTuple):
 
 @in_one_line
 class Standard(NamedTuple):
-    """Mean and standard deviation of each value over a training set."""
+    """Mean and standard deviation of each of k values over a training set, in the values' units."""
 
     mean: Float[Array, " k"]
     std: Float[Array, " k"]
@@ -92,7 +92,9 @@ class TrainState(NamedTuple):
 
 
 class EpochInfo(NamedTuple):
-    """Training and validation losses of one epoch."""
+    """Mean losses of one epoch: those of its minibatches, each before its step, and those of the validation touches
+    after the epoch (NaN without validation touches).
+    """
 
     train: Losses  # losses as means over the epoch's minibatches, evaluated before each step
     validation: Losses  # losses after the epoch; NaN without validation touches

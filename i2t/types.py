@@ -39,7 +39,7 @@ def in_one_line(kind: type[Kind]) -> type[Kind]:
         kind: The class to decorate.
 
     Returns:
-        The same class.
+        The same class, with another `__repr__`.
     """
     kind.__repr__ = one_line  # type: ignore[method-assign,assignment]  # it is given a named tuple
     return kind
@@ -80,8 +80,9 @@ class Surface(NamedTuple):
 
 @in_one_line
 class Patch(NamedTuple):
-    """Depth patch: a depth image in front of the skin, seen along tool z. Rows run along tool y and columns along tool
-    x, with pixel centres at ((k + 0.5)/n - 0.5) times the window's edge.
+    """Depth patch: an image of the depth (m) in front of the skin behind the nearest surface point, and the position
+    (m) of that point along tool z. Rows run along tool y and columns along tool x, with pixel centres at
+    ((k + 0.5)/n - 0.5) times the window's edge.
 
     Example:
         patch = i2t.render_patch(surface, T_o_t)
@@ -144,7 +145,9 @@ class Board(NamedTuple):
 
 @in_one_line
 class Pad(NamedTuple):
-    """A magnetic skin: an unevenly magnetised elastic layer that is bonded to its board or clamped at its edge.
+    """A magnetic skin, an unevenly magnetised elastic layer that is bonded to its board or clamped at its edge:
+    thickness (m), Young's modulus (Pa), Poisson's ratio, magnetisation (A/m) of its cells, gains of the chips' axes,
+    board, friction coefficient, and compliance (m/N) of the clamped centre.
 
     Example:
         pad = i2t.sample_pad(jax.random.key(0), board=i2t.anyskin_board())
@@ -164,7 +167,8 @@ class Pad(NamedTuple):
 
 @in_one_line
 class Truth(NamedTuple):
-    """Error-free values of n simulated touches, which a real lab cannot measure: view, force, indentation, reading.
+    """Error-free values of n simulated touches, which a real lab cannot measure: view and nearest distance (m), force
+    (N), indentation (m), and reading (uT) without noise or ambient.
 
     Example:
         touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, errors, 100)
@@ -181,7 +185,7 @@ class Truth(NamedTuple):
 
 @in_one_line
 class Touches(NamedTuple):
-    """Touches, one in each row of every array: depth views, readings (uT), force, travel, poses and labels.
+    """Touches, one in each row of every array: depth views (m), readings (uT), force (N), travel (m), poses and labels.
 
     NaN marks what was not measured. `nearest` (m) is the position of the nearest surface point along tool z at the end
     of the press. It is minus the travel of the press where camera and arm agree.

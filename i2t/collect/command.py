@@ -60,7 +60,7 @@ def exiting_on_signals() -> Iterator[None]:
 
 
 def exit_on_signal(number: int, *_: Any) -> None:
-    """Handle a signal: end the program with the signal's exit code, but run every `finally` before.
+    """Handle a signal: end the program with exit code 128 + `number`, but run every `finally` before.
 
     Args:
         number: Number of the signal.

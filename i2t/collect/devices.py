@@ -18,7 +18,7 @@ from i2t.types import Board
 
 
 class Devices(NamedTuple):
-    """The arm, skins and camera of a collection, not connected yet, and their common clock."""
+    """Arm with its safety limits, skins on the tool and camera, not connected yet, and their common clock."""
 
     arm: GuardedArm
     skins: tuple[SkinOnTool, ...]  # skins on the tool; the first is the pressing skin

@@ -54,7 +54,9 @@ CHECK_CAMERA_ADVICE = (
 
 @dataclass(frozen=True)
 class FirstTouchConfig:
-    """Number, choice and tolerances of the looks and slow touches that check a rig before the first press."""
+    """Options of the looks and slow touches that check a rig before the first press: their number, the choice of sites,
+    tolerances (m), force (N) and speed (m/s).
+    """
 
     num_candidates: int = 32  # number of candidate sites for the first looks and touches
     num_looks: int = 3
@@ -104,7 +106,9 @@ class RigContradictedError(DeviceError):
 
 
 class SlowTouch(NamedTuple):
-    """A planned slow touch of a site, which checks the rig."""
+    """A planned slow touch that checks the rig: its site, the distance (m) from the site within which the tool must
+    meet the object, and the procedure with slow settings.
+    """
 
     name: str
     site: Site
@@ -123,7 +127,9 @@ class FirstTouchPlan(NamedTuple):
 
 
 class Look(NamedTuple):
-    """Comparison of one depth view of an object with the view that the rig predicts."""
+    """Comparison of one depth view of an object with the view that the rig predicts: fractions of contradicting pixels,
+    and the shifts (m) of the expected view that explain the measured one.
+    """
 
     wrong: float  # fraction of the object's pixels that contradict the rig
     missed: float  # fraction of the object's pixels that would contradict the rig if there were no object
@@ -378,7 +384,7 @@ def expected_view(
 
     Returns:
         `(h, w)` depth (m), `(h, w)` mask of the pixels that show the object within 40 mm of the site, and `(h, w)`
-        depth (m) of the table.
+        depth (m) of the table, also where the object hides it; NaN above the horizon.
     """
     pinhole = replace(camera, model=Distortion.NONE, coefficients=())
     depth, which = render_view(triangles, T_w_c, pinhole)

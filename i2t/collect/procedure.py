@@ -79,7 +79,9 @@ RETURN_CODES: Mapping[StopReason, ReturnCode] = {
 
 
 class HeldPress(NamedTuple):
-    """A press that has ended, with the tool still in contact."""
+    """A press that has ended and whose readings were taken, before the tool retreats; if it ended by distance, nothing
+    was met.
+    """
 
     result: ApproachResult
     log: EventLog  # log of the touch

@@ -53,7 +53,7 @@ WRENCH_CHANNELS = (*(f"force {axis}" for axis in "xyz"), *(f"torque {axis}" for 
 
 @dataclass(frozen=True)
 class SkinInfo:
-    """One skin on the tool as all touches of a session describe it: its name, its board and notes."""
+    """One skin on the tool as all touches of a session describe it: its name in the data set, its board and notes."""
 
     pad: str
     board: Board
@@ -62,7 +62,7 @@ class SkinInfo:
 
 @dataclass(frozen=True)
 class SessionInfo:
-    """What all touches of a session share: object, poses, camera, skins and notes."""
+    """What all touches of a session share: object, poses of robot base and object in W, camera, skins and notes."""
 
     object: str
     session: str
@@ -83,7 +83,8 @@ def _not_kept(path: Path, error: OSError) -> StorageError:
 
 
 class EventLog:
-    """Log of one touch: samples of the skins, states of the arm and events, in memory and in a raw file.
+    """Log of one touch, in memory and in a raw file: the skins' samples by their number, the arm's states, and events
+    with their times (s).
 
     Args:
         file: Raw file, open for unbuffered writing.

@@ -19,7 +19,7 @@ from i2t.rendering.render import prepare_surface
 
 
 class Offset(NamedTuple):
-    """Distance and angle between the estimated and the assumed pose of the object or camera."""
+    """Distance (m) and angle (rad) from the assumed to the estimated pose of an object or camera, with their errors."""
 
     distance: float  # m, distance from the assumed pose
     distance_std: float  # m, standard deviation of `distance`

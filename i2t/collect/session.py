@@ -60,7 +60,7 @@ def collect(
         on_outcome: Function that is called with each touch once it is saved.
 
     Returns:
-        The exit code: 0 if nothing failed.
+        The exit code: 0 if nothing failed, or 1 if a dry run found a defect.
 
     Raises:
         ValueError: If options contradict each other, or a file cannot be read.

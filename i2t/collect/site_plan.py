@@ -26,7 +26,8 @@ from i2t.types import Array
 
 
 class SiteSampler:
-    """Sequence of random sites of an object that are safe to touch, numbered in the order of touching.
+    """Sequence of random safe sites of an object (by slope, free surroundings and height above the table; whether the
+    arm reaches them is not checked), numbered in the order of touching.
 
     Args:
         target: The object to touch.

@@ -28,7 +28,9 @@ MISSING_RIG_MESSAGE = (
 
 
 class PreparedCollection(NamedTuple):
-    """A collection whose folder, rig and object were read, before its devices are made."""
+    """A collection before its devices are made: options, rig, object, notes of the folder, and the Unix time (s) of
+    each touch that the folder already holds.
+    """
 
     args: CollectArgs
     rig: Rig

@@ -23,8 +23,8 @@ from i2t.types import Array, Board
 
 
 class StopCondition:
-    """Condition that stops an approach as soon as one skin's reading has changed enough, or force or torque exceeds its
-    limit. The arm calls it with every state.
+    """Condition that stops an approach as soon as force or torque exceeds its limit, or the mean of one skin's last
+    samples differs enough from ambient, in its norm and in its non-uniform part. The arm calls it with every state.
 
     Args:
         skins: Connected skins.
@@ -211,7 +211,7 @@ def onset_distance(
         min_samples: Minimum number of samples in that range.
 
     Returns:
-        Distance (m) from first contact to the end; NaN if too few samples are in the range.
+        Distance (m) from first contact to the end; NaN if the samples in the range are too few or too alike for a line.
     """
     answered = np.isfinite(change)
     complete = np.isfinite(readings[:, answered]).all(1)

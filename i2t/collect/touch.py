@@ -20,7 +20,7 @@ TOOL = ""  # key, in a touch's dictionaries of skins, of the skin that presses t
 
 @dataclass
 class SkinOnTool:
-    """A skin that the tool carries, with its board and pose: the pressing skin, or a further one."""
+    """A skin on the tool (the pressing skin or a further one): driver, board, pose (m) in the tool frame, and names."""
 
     name: str  # name of the skin in a touch and in files; TOOL for the pressing skin
     skin: Skin
@@ -31,14 +31,16 @@ class SkinOnTool:
 
 
 class Site(NamedTuple):
-    """Site to touch: its number, and the skin's pose in the world frame where it would just lie on the surface."""
+    """Site to touch: its number, and the pose (m) of the pressing skin in W at which it just touches the surface."""
 
     number: int
     T_w_t: Float[Array, "4 4"]
 
 
 class SeenPatch(NamedTuple):
-    """Depth patch in front of a skin, as seen by the camera before the touch."""
+    """Depth patch (m) in front of a skin as the camera saw it before the touch, its larger view, the position (m) of
+    its nearest point along tool z, and the fraction of its pixels that were measured.
+    """
 
     patch: Float[Array, "48 48"]  # m
     view: Float[Array, "72 72"]  # m, the patch with its surroundings
@@ -47,7 +49,7 @@ class SeenPatch(NamedTuple):
 
 
 class SkinTouch(NamedTuple):
-    """Measurements of one skin in a touch: pose, readings, force and travel."""
+    """Measurements of one skin in a touch: pose, ambient field and change (uT), force (N), travel (m) and patch (m)."""
 
     T_w_s: Float[Array, "4 4"]  # pose of the skin at the end of the press
     code: ReturnCode  # code of how the press ended if this skin detected it, else AIR
@@ -60,7 +62,9 @@ class SkinTouch(NamedTuple):
 
 
 class TouchResult(NamedTuple):
-    """Measurements of all skins in one touch. The properties are those of the pressing skin."""
+    """Measurements of all skins in one touch, the reason why the press stopped, and the camera's view with its pose.
+    The properties are those of the pressing skin.
+    """
 
     site: Site
     attempt: int
@@ -96,7 +100,9 @@ class TouchResult(NamedTuple):
 
 
 class SiteOutcome(NamedTuple):
-    """Outcome of the attempts to touch one site, from which the next site may be chosen."""
+    """Outcome of the attempts to touch one site: return code, reason, the touch (None if all attempts failed), and
+    whether the arm can reach the site. The next site may be chosen from it.
+    """
 
     site: Site
     code: ReturnCode

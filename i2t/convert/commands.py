@@ -42,7 +42,7 @@ PACKED_FILE = "touches.h5"  # name of the file that a converter writes
 
 @dataclass(kw_only=True)
 class ReadCommand:
-    """Base of the commands of i2t.convert that read a file or folder."""
+    """Base of the commands of i2t.convert: the file or folder to read, and whether damaged parts are left out."""
 
     source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SRC")]  # file or folder to read
     # leave out damaged parts and touches in which a chip did not answer, and name what was left out
@@ -65,7 +65,7 @@ class ReadCommand:
 
 @dataclass(kw_only=True)
 class WriteCommand(ReadCommand):
-    """Base of the commands of i2t.convert that write a file or folder."""
+    """Base of the commands of i2t.convert that write: the file or folder to write, and whether it may be replaced."""
 
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]  # folder or file to write
     overwrite: bool = False  # replace the files of an earlier conversion
@@ -117,7 +117,9 @@ class WriteCommand(ReadCommand):
 
 @dataclass(kw_only=True)
 class Recording(WriteCommand):
-    """Base of the commands that convert a recording to a data set."""
+    """Base of the commands that convert a recording to a data set: window and reach of its patches (mm), whether the
+    touches are real, and whether mistakes are looked for.
+    """
 
     window_mm: float = 1e3 * PATCH_WINDOW  # edge (mm) of the square that a patch shows; presses outside it are left out
     # largest depth (mm) behind the nearest point in a patch; deeper points are clipped to it

@@ -41,7 +41,9 @@ class LabelColumn(IntEnum):
 
 
 class LogRows(NamedTuple):
-    """Rows of a log of sensor samples, in its order: time stamps, readings and labels."""
+    """Rows of a log of sensor samples, in its order: time stamps (s), readings (uT; NaN for a chip that did not
+    answer), and labels, whose columns begin as in `LabelColumn`.
+    """
 
     time: np.ndarray  # (n,) s, time stamps of the rows
     readings: np.ndarray  # (n, c) uT; NaN for a chip that did not answer
@@ -56,7 +58,7 @@ class LogRows(NamedTuple):
             which: A slice or a mask.
 
         Returns:
-            The selected rows.
+            The selected rows, in the order of the log.
         """
         return LogRows(self.time[which], self.readings[which], self.labels[which])
 
@@ -78,7 +80,9 @@ class LogRows(NamedTuple):
 
 
 class TimedRows(NamedTuple):
-    """Rows of a log with ascending times, divided into parts at pauses and restarts of the clock."""
+    """Rows of a log with ascending times, a mask of the rows that begin a part (after a pause or a restart of the
+    clock), and the time (s) between rows.
+    """
 
     rows: LogRows  # rows with ascending time, except at the beginning of a part
     begins: np.ndarray  # (n,) mask of rows after a pause, or at which the clock begins again

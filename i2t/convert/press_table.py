@@ -36,7 +36,9 @@ Profile: TypeAlias = Callable[[np.ndarray], np.ndarray]
 
 
 class SessionCheck(NamedTuple):
-    """What the readings of a session show about its coordinates (axes, zero height, ...), to correct its presses."""
+    """Diagnosis of a session from its readings: findings on its coordinates (axes, zero height, ...), the board turned
+    accordingly, and notes for the data set.
+    """
 
     board: Board
     findings: tuple[Finding, ...] = ()
@@ -73,7 +75,7 @@ def check_session(
         keep_zero: Whether that height is kept even if the readings contradict it.
 
     Returns:
-        Findings to apply to the session.
+        The findings, the board (turned if a finding requires it), and the findings as entries of a data set's `meta`.
     """
     findings = diagnose(presses, board, stated_zero=stated_zero)
     for finding in sorted(findings, key=lambda finding: not finding.wrong):
@@ -87,7 +89,9 @@ def check_session(
 
 
 class Indenter(NamedTuple):
-    """An indenter: its name, and the depth patches that show its tip."""
+    """An indenter: its name, a function that makes depth patches (m) of its tip at given positions, and the z (m) of
+    the tip's lowest point in its own frame.
+    """
 
     name: str
     # function that makes patches from x, y, window and reach (m)

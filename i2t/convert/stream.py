@@ -50,7 +50,9 @@ from i2t.types import Board
 
 @dataclass(frozen=True)
 class PartRules:
-    """Thresholds that decide whether a press at the beginning or end of a part of a log was recorded whole."""
+    """Thresholds that decide whether a press at the beginning or end of a part of a log was recorded whole, in rows,
+    standard deviations between rows, mm or N, and fractions.
+    """
 
     head_rows: int = 20  # number of rows at rest at the beginning of a part
     level_rows: int = 3  # number of rows whose mean is a level

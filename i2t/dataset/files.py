@@ -108,7 +108,7 @@ def verified(path: Path) -> Iterator[h5py.File]:
         path: Path of the file.
 
     Yields:
-        The open file.
+        The file, open for reading.
 
     Raises:
         DataError: The file cannot be read or was changed.

@@ -61,7 +61,7 @@ class BadFileWarning(UserWarning):
 
 @dataclass(frozen=True)
 class Image:
-    """A depth or colour image of one touch as the camera delivered it. A value times `scale` is in `unit`."""
+    """A depth or colour image of one touch as the camera delivered it: integers, which times `scale` are in `unit`."""
 
     values: np.ndarray  # (rows, columns) or (rows, columns, channels), integers
     scale: float = 1.0
@@ -70,7 +70,7 @@ class Image:
 
 @dataclass(frozen=True)
 class Series:
-    """A recorded time series of one touch: samples of several columns, each with its time."""
+    """A recorded time series of one touch: Unix times (s) of n samples, and k columns of values in one unit."""
 
     time: np.ndarray  # (n,) s, Unix time
     values: np.ndarray  # (n, k) values of the columns
@@ -80,7 +80,9 @@ class Series:
 
 @dataclass(frozen=True)
 class Record:
-    """Everything that was recorded of one touch: its measurements, images, time series, events and counts."""
+    """Everything that was recorded of one touch: its measurements, images, time series, events with Unix times (s),
+    counts, and the touches of further skins.
+    """
 
     touch: Dataset  # data set that holds one touch
     images: Mapping[str, Image] = field(default_factory=dict)

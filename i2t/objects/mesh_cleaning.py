@@ -21,7 +21,7 @@ from i2t.objects.solids import Mesh
 
 @dataclass(frozen=True)
 class CleaningConfig:
-    """Thresholds of mesh cleaning: which vertices are merged, and which pieces are dropped as dust."""
+    """Thresholds of mesh cleaning: distance (m) within which vertices merge, and relative area of pieces of dust."""
 
     merge_distance: float = 1e-8  # m, distance within which vertices are merged
     # largest area of one dropped grain relative to the largest piece, and of all grains to the mesh
@@ -30,7 +30,9 @@ class CleaningConfig:
 
 @dataclass(frozen=True)
 class CleaningReport:
-    """Report on the cleaning of a mesh. `str` makes a sentence for the user."""
+    """Report on the cleaning of a mesh: what was merged, dropped and turned, and how many edges are still open; holes
+    are not filled. `str` makes a sentence for the user.
+    """
 
     path: str
     faces_read: int
@@ -67,7 +69,7 @@ class CleaningReport:
 
 
 class CleanMesh(NamedTuple):
-    """A mesh after cleaning, with the dropped pieces and a report on the cleaning."""
+    """A mesh (m) after cleaning, the dropped pieces, which still obstruct the arm, and a report on the cleaning."""
 
     mesh: Mesh
     obstacles: Mesh  # pieces that were dropped but still obstruct the arm

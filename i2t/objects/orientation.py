@@ -22,7 +22,9 @@ from i2t.objects.solids import Mesh
 
 @dataclass(frozen=True)
 class OrientationConfig:
-    """Options for turning faces outward: where winding numbers are evaluated, and how much evidence turns a part."""
+    """Options for turning faces outward: points at which winding numbers are evaluated, numbers of parts above which
+    cheaper rules apply, and the evidence (0 to 1) from which a part is turned.
+    """
 
     min_points: int = 9  # points on each side of a part
     max_points: int = 64  # points on each side of a part, if there are at most two parts
@@ -39,7 +41,7 @@ class OrientationConfig:
 
 
 def turn_outward(mesh: Mesh, config: OrientationConfig = OrientationConfig()) -> Mesh:
-    """Turn the faces of a mesh so that every part of it faces outward.
+    """Turn the faces of each part of a mesh alike, and outward if winding numbers give enough evidence.
 
     Args:
         mesh: The mesh (m), whose faces all have an area.

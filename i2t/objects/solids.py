@@ -32,7 +32,9 @@ class Mesh(NamedTuple):
 
 @in_one_line
 class Object(NamedTuple):
-    """Object to touch, in its own frame: z up, centred in x and y and standing on z = 0 unless read otherwise."""
+    """Object to touch: name, mesh (m), kind, pose in its mesh file, and pieces that are only obstacles. In its frame, z
+    is up; it is centred in x and y and stands on z = 0 unless read otherwise.
+    """
 
     name: str
     mesh: Mesh

@@ -66,7 +66,7 @@ COUNTER_PERIODS_S = {
 
 
 class ClockVerdict(NamedTuple):
-    """Which time stamps of n rows are damaged, and at which rows the clock restarts."""
+    """Mask of the damaged time stamps among n rows, rows at which the clock restarts, and number of final verdicts."""
 
     damaged: Bool[np.ndarray, " n"]  # True for time stamps that contradict the rows before and after them
     restarts: Int[np.ndarray, " k"]  # rows at which the clock goes back and continues from there
@@ -74,7 +74,9 @@ class ClockVerdict(NamedTuple):
 
 
 class RowClock(NamedTuple):
-    """Time between the rows of a recorded log, and how the rows' time stamps determine it."""
+    """Time between the rows of a recorded log, the resolution of its time stamps, and whether rows are taken as evenly
+    spaced or the time between them is assumed.
+    """
 
     step: float  # s, time between rows
     by_rows: bool  # whether rows are taken as evenly spaced because the time stamps do not show the spacing
@@ -102,7 +104,7 @@ def has_time_zone(stamp: str) -> bool:
         stamp: Time stamp as written in the table.
 
     Returns:
-        False for a date and time without a zone; else True.
+        False for a date and time, or a time of day, without a zone; else True.
     """
     return ":" not in stamp or re.search(r"(Z|[+-]\d\d:?\d\d)$", stamp.strip()) is not None
 
@@ -268,7 +270,7 @@ def check_stamps(time: Float[np.ndarray, " n"], *, begun: bool = False, last: bo
         last: Whether no more rows follow.
 
     Returns:
-        The damaged stamps and the restarts among these rows.
+        The damaged stamps and the restarts among the settled rows, and the number of settled rows.
     """
     damaged = np.zeros(len(time), bool)
     restarts: list[int] = []

@@ -23,14 +23,14 @@ MAX_ROW_OFFSET_S = 15e-3
 def match_rows(
     states: Float[np.ndarray, " n"], values: Float[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " k"], Int[np.ndarray, " k"]]:
-    """Match sensor rows with states of the probe at the same time.
+    """Match each sensor row with the state of the probe that is nearest in time, within 15 ms.
 
     Args:
         states: `(n,)` increasing times of the states, in s.
         values: `(m,)` times of the sensor rows, in s.
 
     Returns:
-        Row numbers of the k sensor rows that have a state, and row numbers of these states.
+        Row numbers of the k sensor rows that have a state, and row numbers of these states. Other rows are dropped.
     """
     after = np.clip(np.searchsorted(states, values), 0, len(states) - 1)
     before = np.maximum(after - 1, 0)

@@ -34,7 +34,7 @@ def os_errors_as_data_errors(path: Path) -> Iterator[None]:
         path: Path of the file that the block reads.
 
     Yields:
-        Nothing.
+        Control to the block, without a value.
 
     Raises:
         DataError: The block raised an OSError.

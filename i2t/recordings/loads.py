@@ -16,7 +16,7 @@ ASSUMED_TRAVEL_M = 2e-3  # m, travel assumed for every press if neither travel n
 def loaded_presses(dataset: Dataset, load: Literal["auto", "travel", "force"]) -> LoadedPresses:
     """Select, from touches of one object (the tip) with one skin, the presses with a known position and load.
 
-    Presses that failed or did not meet the skin are left out.
+    Presses that failed or did not meet the skin, and those with a negative load, are left out.
 
     Args:
         dataset: Recorded or simulated touches of one object with one skin.

@@ -13,7 +13,9 @@ ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"  # note if 
 
 @dataclass
 class ReadingLog:
-    """Notes on a recording that is being read, each listed once. Damage raises an error unless it may be skipped."""
+    """Notes on a recording that is being read, each listed once, and counts of damaged rows and of chips that did not
+    answer. Damage raises an error unless `skip_bad` is set.
+    """
 
     skip_bad: bool
     lines: list[str] = field(default_factory=list)

@@ -14,7 +14,9 @@ LoadName: TypeAlias = Literal["travel", "force", "none"]
 
 
 class Presses(NamedTuple):
-    """n presses of a tip on a skin, in the order of time; an unrecorded column is None, and a missing value NaN."""
+    """n presses of a tip on a skin, in the order of time: positions and heights (m), readings (uT), forces (N), times
+    (s) and names of pads and sessions. An unrecorded column is None, and a missing value NaN.
+    """
 
     position: Float[np.ndarray, "n 2"]  # m, position of the tip's axis on the skin, along the skin's edges
     # uT, readings with three channels for each chip; NaN for a chip that did not answer
@@ -55,7 +57,8 @@ def join_presses(parts: Sequence[Presses]) -> Presses:
 def dataset_presses(dataset: Dataset) -> Presses:
     """Convert the touches of a data set to presses of its object, the tip, on the skin.
 
-    A height is minus the travel. Without travel it is the distance at which the tip stopped before the skin, if known.
+    A height is minus the travel, and NaN if the travel is unknown. If the travel is 0, it is the distance at which the
+    tip stopped before the skin, or 0 if that is unknown.
 
     Args:
         dataset: Touches of one object.
@@ -75,7 +78,9 @@ def dataset_presses(dataset: Dataset) -> Presses:
 
 
 class LoadedPresses(NamedTuple):
-    """n presses with position, one load (travel or force) and reading, as models of a tip on a skin take them."""
+    """n presses with position (m), one load (travel in m or force in N) and reading (uT), as models of a tip on a skin
+    take them.
+    """
 
     position: Float[np.ndarray, "n 2"]  # m
     load: Float[np.ndarray, " n"]  # load of each press: travel in m, or force in N; constant if unknown

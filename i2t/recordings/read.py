@@ -60,7 +60,9 @@ MAX_STREAM_STEP_S = 0.5  # s, largest time between successive rows of a recordin
 
 
 class TargetKind(NamedTuple):
-    """Unit, scale and type of a target, a quantity that a head predicts from readings."""
+    """Description of a target that a head predicts from readings: unit, factor from the library's unit to it, whether
+    it is binary, and the range below which it counts as constant.
+    """
 
     unit: str
     scale: float  # factor from the library's unit to `unit`
@@ -143,7 +145,8 @@ class SkinRecording:
             target: Name of the target.
 
         Returns:
-            True if the known values differ from row to row; for a yes-no target, if both values occur.
+            True if the known values range over more than the target's `min_range` (from their 1st to their 99th
+        percentile), or if both values of a yes-no target occur.
         """
         known_rows = self.known_rows(target)
         if known_rows.sum() < 2:
@@ -270,7 +273,7 @@ def is_stream(recording: SkinRecording) -> bool:
         recording: Recording of one skin.
 
     Returns:
-        True for a stream; False if the times are unknown.
+        True if the median time between rows is below 0.5 s; False if the times are unknown.
     """
     steps = np.diff(recording.time)
     return bool(np.isfinite(steps).any() and np.nanmedian(steps) < MAX_STREAM_STEP_S)

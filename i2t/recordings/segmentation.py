@@ -81,7 +81,9 @@ class SegmentationConfig:
 
 
 class SegmentedPresses(NamedTuple):
-    """Beginnings, ends and steady readings of the k presses in a continuous recording of n rows."""
+    """The k presses of a continuous recording of n rows: first rows, ends, steady parts, steady readings minus baseline
+    (uT), baselines (uT) and times (s).
+    """
 
     start: Int[np.ndarray, " k"]  # first row of each press
     end: Int[np.ndarray, " k"]  # row after the last row of each press
@@ -94,7 +96,9 @@ class SegmentedPresses(NamedTuple):
 
 
 class SegmentedPress(NamedTuple):
-    """One press in a continuous recording; row numbers count from the recording's first row."""
+    """One press in a continuous recording: its rows (counted from the recording's first) and times (s), its steady
+    reading minus the baseline (uT), and the other columns at its start and while steady.
+    """
 
     start: int  # first row of the press
     end: int  # row after the last row of the press
@@ -113,7 +117,9 @@ class SegmentedPress(NamedTuple):
 
 
 class SegmentationRules(NamedTuple):
-    """Thresholds for presses in rows of one recording, by its rate and noise; a block is a group of averaged rows."""
+    """Rules for finding presses in one recording, from its rate and noise: noise and smallest spike (uT) of each
+    channel, time (s) between rows, and durations in blocks, which are groups of averaged rows.
+    """
 
     noise_std: Float[np.ndarray, " c"]  # uT, standard deviation of a row's noise
     step: float  # s, time between rows
@@ -133,7 +139,9 @@ class SegmentationRules(NamedTuple):
 
 
 class OpenRecording(NamedTuple):
-    """State of the search for presses in a recording to which more rows may be added."""
+    """State of the search for presses in a recording to which more rows may be added: the rules, the kept rows, the
+    block up to which they were searched, and the reading at rest (uT).
+    """
 
     rules: SegmentationRules
     first: int  # row of the recording that is the first of the kept rows
@@ -219,7 +227,7 @@ def open_recording(
         earlier: `(c,)` baseline of the recording before this one in uT, or None if there is none.
 
     Returns:
-        The empty state.
+        The state before the first row.
     """
     channels = len(rules.noise_std)
     nothing = (np.zeros(0), np.zeros((0, channels)), np.zeros((0, columns)))
@@ -264,7 +272,8 @@ def finish_recording(recording: OpenRecording) -> tuple[OpenRecording, list[Segm
 
 
 def filter_presses(presses: Sequence[SegmentedPress], rules: SegmentationRules) -> list[SegmentedPress]:
-    """Remove presses that are too short, and those that are only a skin recovering from a press.
+    """Remove presses shorter than `min_press_s`, and those with a peak below `min_peak_share` of the median peak, which
+    are only a skin recovering from a press.
 
     Args:
         presses: All presses of a recording.

@@ -58,7 +58,7 @@ EXCEL_DAYS = (36526.0, 73051.0)
 
 
 class TextTable(NamedTuple):
-    """Cells of a table as texts, with columns and units converted to i2t's."""
+    """A table in memory: rows of cells as texts, with i2t's column names and units, and notes on what was changed."""
 
     header: list[str]
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
@@ -66,7 +66,7 @@ class TextTable(NamedTuple):
 
 
 class TableRows(NamedTuple):
-    """A table whose rows are read from its file once, one after the other."""
+    """A table as `TextTable`, whose rows are an iterator that reads the file once; the last notes follow its end."""
 
     header: list[str]
     rows: Iterator[tuple[int, list[str]]]  # number of the line in the file, and its fields

@@ -23,7 +23,7 @@ Times: TypeAlias = Float[np.ndarray, " n"]  # s, times
 
 
 class Poses(NamedTuple):
-    """Poses of the object, tool or camera in the world over time."""
+    """Poses (4, 4) of the object, tool or camera in the world over time, in m."""
 
     frame: str  # "object", "tool" or "camera"
     time: Times
@@ -31,7 +31,7 @@ class Poses(NamedTuple):
 
 
 class Numbers(NamedTuple):
-    """Time series of one quantity, such as readings or forces; NaN where unknown."""
+    """Time series of readings (uT), temperature (degrees Celsius), force (N) or torque (Nm); NaN where unknown."""
 
     place: str  # "readings" (uT, ambient subtracted), "temperature" (degrees Celsius), "force" (N) or "torque" (Nm)
     names: tuple[str, ...]
@@ -40,14 +40,14 @@ class Numbers(NamedTuple):
 
 
 class Field(NamedTuple):
-    """Readings over time as one vector for each chip of the board, in tool axes."""
+    """Readings (uT) over time as one vector in tool axes for each chip of the board."""
 
     time: Times
     vectors: Float[np.ndarray, "n chips 3"]  # uT, tool axes
 
 
 class DepthImage(NamedTuple):
-    """A depth image, or a depth patch, of a touch."""
+    """A depth image or depth patch (m) of a touch, its frame and its time (s)."""
 
     place: str  # "depth" or "patch"
     frame: str  # frame in which it was taken
@@ -56,7 +56,7 @@ class DepthImage(NamedTuple):
 
 
 class Events(NamedTuple):
-    """Text events of a touch and their times."""
+    """Text events of a touch and their Unix times (s)."""
 
     time: Times
     texts: tuple[str, ...]

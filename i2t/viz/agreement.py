@@ -18,7 +18,9 @@ NUM_NEIGHBOURS = 10  # number of nearest neighbours of a touch that are compared
 
 
 class Agreement(NamedTuple):
-    """Agreement of two modalities of the same touches. Each measure is 1 for full agreement and near 0 for none."""
+    """Agreement of two modalities of the same touches: shared neighbours, mutual neighbours and linear CKA, each 1 for
+    full agreement and near 0 for none.
+    """
 
     overlap: float  # mean share of a touch's k nearest neighbours that both modalities have in common
     mutual: float  # pairs of mutual neighbours in both modalities, as a share of those in either
@@ -35,7 +37,7 @@ class PermutationTest(NamedTuple):
 
 
 def neighbours(x: Float[np.ndarray, "n d"], k: int = NUM_NEIGHBOURS) -> Int[np.ndarray, "n k"]:
-    """Find the k nearest other touches of every touch. Ties are broken by a fixed random order.
+    """Find the k nearest other touches of every touch by Euclidean distance. Ties are broken by a fixed random order.
 
     Args:
         x: Features of the touches.

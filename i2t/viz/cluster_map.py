@@ -16,7 +16,7 @@ from i2t.viz.style import CURVE_COLOURS, CURVE_MARKERS, MM_PER_M, Picture, title
 
 
 class TouchViews(NamedTuple):
-    """Images of n touches to be plotted, such as contact masks."""
+    """Images of n touches to be plotted, such as contact masks, with values in [0, 1], and the edge (m) of an image."""
 
     values: Array  # (n, rows, columns) in [0, 1]
     window: float  # m, edge of a view

@@ -20,14 +20,16 @@ NUM_CLUSTERS = 5  # number of clusters of views in the paper
 
 
 class Clusters(NamedTuple):
-    """k clusters of n touches, by their views: the cluster of each touch, and each cluster's mean features."""
+    """k clusters of n touches, largest first: the cluster number of each touch, and each cluster's mean features."""
 
     label: Int[np.ndarray, " n"]  # cluster of each touch; cluster 0 is the largest
     centre: Float[np.ndarray, "k d"]  # mean features of each cluster
 
 
 class TouchMap(NamedTuple):
-    """Positions of n touches on a plane map (t-SNE), their k clusters, and e example touches of each cluster."""
+    """Positions of n touches on a plane map (t-SNE), their cluster numbers, the map positions of the k clusters' means,
+    and row numbers of e example touches of each cluster.
+    """
 
     at: Float[np.ndarray, "n 2"]  # positions of the touches on the map
     label: Int[np.ndarray, " n"]
@@ -36,7 +38,8 @@ class TouchMap(NamedTuple):
 
 
 def views(patch: Float[np.ndarray, "n h w"], kind: Literal["mask", "depth"] = "mask") -> Float[np.ndarray, "n d"]:
-    """Convert patches to flat feature vectors: contact masks, or depths relative to the reach.
+    """Convert patches to flat feature vectors: contact masks (1 close to the nearest point, else 0), or depths as
+    fractions of the reach.
 
     Args:
         patch: Depth (m) behind the nearest surface point.

@@ -32,7 +32,9 @@ log = logging.getLogger(__name__)
 
 
 class EpisodeRecord(NamedTuple):
-    """One episode of t touches, at least one, with n candidates and a board of c / 3 chips."""
+    """One episode of t touches, at least one: meshes and names of the n candidates, tool poses, readings (uT),
+    posterior after each touch, and the true candidate.
+    """
 
     meshes: Sequence[Mesh]  # meshes of the candidates in the world frame, at their believed poses
     names: Sequence[str]  # names of the candidates

@@ -12,7 +12,7 @@ from i2t.viz.style import CURVE_COLOURS, CURVE_MARKERS, Colour, Picture, titled
 def plot_confusions(
     counts: Mapping[str, Shaped[Array, "c c"]], names: Sequence[str], title: str, simulated: bool
 ) -> Picture:
-    """Plot a confusion matrix for each method.
+    """Plot a confusion matrix for each method, as shares of the trials of each true class.
 
     Args:
         counts: Confusion matrix of each method: number of trials by true class (row) and decided class (column).

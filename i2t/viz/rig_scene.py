@@ -18,7 +18,7 @@ from i2t.viz.style import MM_PER_M, Colour, Picture
 
 
 class RigScene(NamedTuple):
-    """Scene of a lab's rig to be drawn: object, base, flange, tool, camera and workspace box."""
+    """Scene of a rig to be drawn: mesh of the object in W (m), poses of base, tool, flange and camera, and the box."""
 
     vertices: Float[Array, "v 3"]  # m, vertices of the object in W
     faces: Int[Array, "f 3"]

@@ -51,7 +51,7 @@ def object_plotter(
         numbers: Whether to number the touches.
 
     Returns:
-        The pyvista plotter.
+        The pyvista plotter, which renders off screen.
 
     Raises:
         RuntimeError: No scene can be drawn here.

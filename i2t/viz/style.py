@@ -17,7 +17,7 @@ CURVE_MARKERS = "osD^vP*"  # matplotlib's markers of the data series of a figure
 
 
 class Colour(StrEnum):
-    """Colours of lines and markers in all figures."""
+    """Colours of lines and markers in all figures, as hexadecimal RGB codes."""
 
     BLUE = "#0072B2"
     ORANGE = "#E69F00"

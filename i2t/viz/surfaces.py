@@ -17,7 +17,9 @@ from i2t.viz.style import MM_PER_M, Colour, Picture, titled
 
 
 class ShownSurface(NamedTuple):
-    """One stage of a reconstructed surface to be drawn: its mesh, its uncertainty, and the touches so far."""
+    """One stage of a reconstructed surface to be drawn: its mesh (m), its standard deviation (m) at each vertex, and
+    the tool poses of the touches so far.
+    """
 
     label: str
     vertices: Float[Array, "v 3"]  # m, vertices of the surface

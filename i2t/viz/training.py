@@ -63,7 +63,7 @@ def plot_predicted_touches(
 def plot_training_curves(
     series: Mapping[str, Shaped[Array, "..."]], title: str, ylabel: str, simulated: bool
 ) -> Picture:
-    """Plot curves over epochs as mean and range over seeds.
+    """Plot curves over epochs on a logarithmic axis, as mean and range (minimum to maximum) over seeds.
 
     Args:
         series: Values `(epochs,)` or `(seeds, epochs)` by name.

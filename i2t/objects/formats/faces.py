@@ -12,7 +12,7 @@ from i2t.objects.polygons import triangulate
 
 
 class ParsedMesh(NamedTuple):
-    """The triangles of a mesh file, as read and not yet cleaned."""
+    """Triangles of a mesh file as read, in the file's unit and not yet cleaned, and counts of the ignored elements."""
 
     vertices: NDArray[np.float64]  # (n, 3) vertices in the file's unit; all are finite and used
     faces: NDArray[np.int64]  # (m, 3) indices of the faces' corners

@@ -37,7 +37,9 @@ _Mode = IntEnum("_Mode", "POINTS LINES LINE_LOOP LINE_STRIP TRIANGLES TRIANGLE_S
 
 @dataclass(frozen=True)
 class SceneLimits:
-    """Largest glTF scene that is read; bounds are needed because a small file may repeat a mesh many times."""
+    """Largest glTF scene that is read: numbers of nodes, and of faces over all instances of meshes (a small file may
+    repeat a mesh many times), and the tolerance of a mesh's stated bounding box.
+    """
 
     max_nodes: int = 10_000
     max_faces: int = 2**23  # largest number of faces over all instances of all meshes, and likewise of vertices

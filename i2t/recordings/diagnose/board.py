@@ -85,7 +85,7 @@ def find_board(
     growth: Float[np.ndarray, " n"] | None = None,
     config: StageConfig = StageConfig(),
 ) -> Finding:
-    """Test how the board is rotated under the skin.
+    """Test how the board is turned or mirrored relative to the axes of the stage that positions the tip.
 
     Args:
         presses: n presses of one skin at many places.

@@ -61,7 +61,7 @@ def check_presses(
 
 
 def repeated_rows(readings: Float[np.ndarray, "n c"]) -> Bool[np.ndarray, " n"]:
-    """Find rows that repeat the reading before them.
+    """Find rows that repeat the reading before them in every channel.
 
     Args:
         readings: `(n, c)` readings in the order of time.

@@ -14,7 +14,9 @@ from i2t.recordings.presses import Presses
 
 
 class FindingName(StrEnum):
-    """Names of the hypotheses that a diagnosis tests on a recording, as written in data sets and metrics."""
+    """Names of the hypotheses that a diagnosis tests on a recording (units, signs, lag, height zero, turn of the board,
+    ...), as written in data sets and metrics.
+    """
 
     UNITS = "units"
     FORCE_SIGN = "sign of the force"
@@ -96,13 +98,15 @@ def find(findings: Iterable[Finding], name: str) -> Finding | None:
 
 
 class Correction(NamedTuple):
-    """Correction of a recording: factors for its columns, shift of its labels, and rotation of its board."""
+    """Correction of a recording: factors for its columns, the number of rows by which labels lag behind readings, and
+    the map (a rotation or mirror) from the stage's x and y to the board's.
+    """
 
     length: float = 1.0
     field: float = 1.0
     height: float = 1.0
     force: float = 1.0
-    lag: int = 0  # rows by which readings lag, as `lag_rows` takes them
+    lag: int = 0  # rows by which labels lag behind readings, as `lag_rows` takes them
     board_from_stage: Float[np.ndarray, "2 2"] | None = None
 
 
@@ -113,7 +117,7 @@ def correction_of(findings: Iterable[Finding]) -> Correction:
         findings: Findings about one recording.
 
     Returns:
-        The combined correction.
+        The correction. Where no finding corrects anything, factors are 1, the lag is 0 and the map is None.
     """
     changes = {name: value for finding in findings for name, value in finding.correction.items()}
     board_from_stage = changes.get("board_from_stage")

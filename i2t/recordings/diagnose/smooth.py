@@ -13,7 +13,7 @@ from i2t.leave_one_out import leave_out_rows
 
 
 class LeaveOneOutRows(NamedTuple):
-    """Errors and log density of n rows, each predicted by a Gaussian process from all others."""
+    """Errors of n rows, each predicted by a Gaussian process from all others, and the sum of their log densities."""
 
     error: Float[np.ndarray, "n c"]  # error of each row as predicted from all others
     log_density: float  # log density of all rows, each predicted from all others, at the most likely scale
@@ -27,8 +27,8 @@ def leave_one_out(covariance: Float[np.ndarray, "n n"], values: Float[np.ndarray
         values: `(n, c)` values of the rows, with mean zero.
 
     Returns:
-        The errors and the log density of the rows. If the matrix is not positive definite, they are infinite and
-        minus infinite.
+        The errors, and the log density of the rows at the most likely factor, up to a constant. If the matrix is not
+        positive definite, they are infinite and minus infinite.
     """
     try:
         factor = cholesky(covariance, lower=True)
