@@ -32,7 +32,7 @@ from i2t.types import ReturnCode, Surface, Touches
 
 EPISODES_PER_BATCH = 8  # number of episodes whose posteriors are computed together
 
-# Weights of the log likelihoods in the posterior, by kind of evidence: of the reading, of the position at which the
+# Weights of three log likelihoods in the posterior, by kind of evidence: of the reading, of the position at which the
 # press ended, and of presence, which is whether the press met the object.
 EVIDENCE_WEIGHTS = {
     "readings": (1.0, 0.0, 0.0),
@@ -201,7 +201,7 @@ def select_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
 
 
 class BeliefModel(NamedTuple):
-    """Reading model and likelihood of a pad from which a belief is computed, and names of the kinds of evidence to use."""
+    """Reading model and likelihood of a pad from which beliefs are computed, and names of the kinds of evidence to use."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood

@@ -36,7 +36,7 @@ from i2t.types import Surface, in_one_line
 
 @dataclass(frozen=True)
 class SiteDraws:
-    """Sizes of the batches in which safe touch sites are drawn, and the fraction of safe candidates that is required."""
+    """Sizes of the batches in which safe touch sites are drawn, and the required fraction of safe candidates."""
 
     sites: int = 256  # number of sites drawn at a time
     candidates_per_site: int = 2  # number of candidates for each site; about half of the candidates are safe

@@ -100,7 +100,9 @@ class SessionRegistrationConfig:
 
 @in_one_line
 class SessionEstimate(NamedTuple):
-    """Estimated poses of the object and the camera in one session, with their uncertainty and residuals.
+    """Estimated poses of the object (in the world) and of the camera (relative to its hand-eye calibration) in one
+    session, the covariance (m^2) of both twists, and the residual of each contact (m) and view (in standard
+    deviations).
 
     Example:
         estimate = i2t.register_session(touches, surface)

@@ -23,7 +23,8 @@ log = logging.getLogger(__name__)
 # environment variable with the folder of i2t's compile cache; off disables the cache
 CACHE_VARIABLE = "I2T_COMPILE_CACHE"
 JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"  # environment variable with JAX's own choice of the folder
-# bytes, largest size of one processor's cache folder, which JAX scans whenever it stores a program
+# bytes, size of one processor's cache folder beyond which JAX deletes the least recently used programs; small, because
+# JAX scans the folder whenever it stores a program
 MAX_CACHE_BYTES = 2**28
 
 

@@ -21,7 +21,8 @@ import numpy as np
 Config = TypeVar("Config")
 _traced: set[type] = {float}  # types of traced fields, including configurations
 
-# XLA's options for programs that must compile quickly
+# XLA's options for programs that must compile quickly on a CPU: no fusion emitters, and LLVM's second level of
+# optimisation
 QUICK_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 2}
 
 

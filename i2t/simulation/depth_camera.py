@@ -19,7 +19,9 @@ from i2t.types import Array
 
 @runtime_checkable
 class DepthErrors(Protocol):
-    """Sizes of a depth camera's errors; `i2t.simulation.touches.SimulationErrors` is an example."""
+    """Sizes of a depth camera's errors: sideways displacement (pixels), noise (m) and rounding step (m);
+    `i2t.simulation.touches.SimulationErrors` is an example.
+    """
 
     @property
     def depth_bleed(self) -> float:
@@ -43,7 +45,7 @@ def render_view(
         triangles: `(n, 3 corners, 3)` coordinates (m) in the base.
         T_b_c: Pose of the camera.
         camera: The camera, whose lens must be a pinhole.
-        near_plane: Distance (m) from the camera below which triangles are not drawn.
+        near_plane: Depth (m); a triangle with a corner nearer than this is not drawn at all.
 
     Returns:
         `(h, w)` depths (m) along the camera's axis, +inf where nothing is seen, and `(h, w)` index of the triangle that

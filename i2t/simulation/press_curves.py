@@ -24,7 +24,9 @@ from i2t.types import Array, Pad
 
 
 class PressCurve(NamedTuple):
-    """Simulated press with s stops: measurements and true contact at each stop."""
+    """Simulated press with s stops: measured reading (uT), force (N) and travel past first contact (m) at each, and the
+    true force on each cell (N) and centre of pressure (m).
+    """
 
     reading: Float[Array, "*batch s c"]  # uT, reading at each travel
     force: Float[Array, "*batch s"]  # N, force at each travel
