@@ -43,7 +43,8 @@ class _KindOfDevice(NamedTuple):
     address_flag: str
 
 
-# Kinds of devices: entry-point group of their drivers, protocol, and command-line option that names a device.
+# Kinds of devices: entry-point group of their drivers, protocol, and command-line option for the device's address
+# (host, port or serial number).
 KINDS: dict[DeviceKind, _KindOfDevice] = {
     "arm": _KindOfDevice("i2t.arms", GuardedArm, "--host"),
     "skin": _KindOfDevice("i2t.skins", Skin, "--port"),

@@ -98,7 +98,7 @@ class TabulatedTouches(NamedTuple):
 
 
 class OutcomeTable(NamedTuple):
-    """Touches simulated in advance, for look-ups by an environment, and the true pose of the objects in each placement."""
+    """Touches simulated in advance, for look-ups by an environment, and the objects' true pose in each placement."""
 
     touches: TabulatedTouches
     T_w_o: Float[Array, "placements 4 4"]  # true poses of the objects

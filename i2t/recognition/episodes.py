@@ -201,7 +201,7 @@ def select_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
 
 
 class BeliefModel(NamedTuple):
-    """Reading model and likelihood of a pad from which beliefs are computed, and names of the kinds of evidence to use."""
+    """Reading model and likelihood of a pad for computing beliefs, and names of the kinds of evidence to use."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood
