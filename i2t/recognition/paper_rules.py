@@ -110,7 +110,7 @@ class _AtMedianForce(Predictor):
     """Predictor that uses the median force of its training touches instead of the measured one."""
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Predict, as in `Predictor.predict_batch`."""
+        """Predict readings as `Predictor.predict_batch` does, with that median force for every touch."""
         return super().predict_batch(touches._replace(force=np.full_like(touches.force, self.default_force)))
 
 

@@ -93,7 +93,7 @@ class SessionRegistrationConfig:
 
     @property
     def std(self) -> Float[Array, "12"]:
-        """Standard deviations (m) of the object's twist, followed by those of the camera's."""
+        """Standard deviations (m) of the six parts of the object's twist, followed by those of the camera's."""
         turned = self.placement_angle * TWIST_LEVER_M, self.hand_eye_angle * TWIST_LEVER_M
         return jnp.repeat(jnp.stack([self.placement, turned[0], self.hand_eye, turned[1]]), 3)
 

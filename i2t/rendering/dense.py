@@ -69,7 +69,7 @@ class _Scene(NamedTuple):
 
     @property
     def groups_per_mesh(self) -> int:
-        """Number of rows of `boxes` that belong to a mesh."""
+        """Number of groups of 32 clusters in each mesh, which are its rows of `boxes`."""
         return self.clusters.per_mesh // CLUSTERS_PER_GROUP
 
 

@@ -32,8 +32,8 @@ def use_compile_cache() -> Path | None:
     """Let JAX cache compiled programs from now on, in this process and in those that it starts.
 
     Returns:
-        The cache's folder. None if nothing is cached because the cache is off or its folder cannot be written to, or if
-        JAX's own cache is set.
+        The cache's folder. None if nothing is cached because the cache is off, its folder cannot be written to or the
+        package filelock is missing, or if JAX's own cache is set.
 
     Example:
         i2t.use_compile_cache()

@@ -36,7 +36,7 @@ class PressCurve(NamedTuple):
 
     @property
     def contact(self) -> Bool[Array, "*batch s cells"]:
-        """Cells that truly bear pressure."""
+        """Mask of the cells of 1 mm that truly bear pressure at each stop."""
         return cells_in_contact(self.newtons)
 
 

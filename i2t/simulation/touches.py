@@ -318,7 +318,7 @@ def touch_simulator(
     limits: PressLimits | None = None,
     T_w_o: Float[Array | np.ndarray, "4 4"] | None = None,
 ) -> Callable[[Float[Array | np.ndarray, "4 4"]], Touches]:
-    """Simulate a robot in front of an object, which is placed once and touched at any sites.
+    """Make a function that simulates touches of an object, which is placed once, by a robot at any sites.
 
     Args:
         key: Random key of the session and of all its touches.

@@ -61,7 +61,8 @@ LAYERS = tuple(
     )
 )  # fmt: skip
 # Default hyperparameters of the Gaussian process of the discrepancy between measured readings and physics; the five
-# numbers are weights of its length scales (1.5 to 24 mm). They are near the medians of fits to 900 touches of a pad in six physics.
+# numbers are weights of its length scales (1.5 to 24 mm). They are near the medians of fits to 900 touches of a pad in
+# six physics.
 DISCREPANCY = GPHyperparameters(
     jnp.array([0.05, 0.75, 0.15, 0.03, 0.02]), bend=jnp.array(0.4), width=jnp.array(1.0), noise=jnp.array(0.0)
 )
