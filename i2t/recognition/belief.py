@@ -113,7 +113,7 @@ def sample_particles(
         std_ratio: Standard deviation about each particle, relative to the prior's.
 
     Returns:
-        Equally probable particles, with the covariance about each.
+        Equally probable particles, with the covariance (m^2) about each.
     """
     uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     uniform = np.clip(uniform, 1e-6, 1 - 1e-6)

@@ -140,7 +140,7 @@ def compare_paired(
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        Accuracies of the first method minus those of the second.
+        Accuracy of the first method minus that of the second, after the last touch and averaged over touches.
 
     Raises:
         ValueError: The methods have different episodes, or fewer than two.

@@ -134,7 +134,7 @@ def to_json(pad: KnownPad) -> dict[str, object]:
 
 
 def with_placement(errors: SimulationErrors, object_covariance: np.ndarray) -> SimulationErrors:
-    """Set the simulated placement errors of objects to a rig's pose uncertainty, averaged over the axes.
+    """Set the simulated placement errors of objects to a rig's pose uncertainty, with variances averaged over the axes.
 
     Args:
         errors: Errors of the simulated world.

@@ -400,7 +400,7 @@ def empty_buffers(poses: int, grid: PixelGrid, dtype: DTypeLike, with_faces: boo
         with_faces: Whether visible faces are requested.
 
     Returns:
-        `(p, tiles, pixels)` infinite heights and, if requested, faces.
+        `(p, tiles, pixels)` infinite heights and, if requested, zeros for the indices of faces.
     """
     heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
     return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)

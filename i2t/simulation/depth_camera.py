@@ -89,7 +89,7 @@ def render_view(
 def shade_view(
     triangles: Float[Array, "n 3 3"], which: Int[Array, "h w"], T_b_c: Float[Array, "4 4"]
 ) -> UInt8[Array, "h w 3"]:
-    """Colour a view in grey; faces that point to the camera are brighter.
+    """Colour a view in grey; faces are brighter the more directly the camera looks at them, from either side.
 
     Args:
         triangles: `(n, 3 corners, 3)` coordinates (m) in the base.
@@ -97,7 +97,7 @@ def shade_view(
         T_b_c: Pose of the camera.
 
     Returns:
-        `(h, w, 3)` red, green and blue of the pixels.
+        `(h, w, 3)` red, green and blue of the pixels, from 0 to 255; black where nothing is seen.
     """
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)

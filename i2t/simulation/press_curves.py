@@ -61,7 +61,7 @@ def simulate_press_curve(
         skin_changes: Changes (uT) of the reading at which the press stops, by default the paper's and four times that.
 
     Returns:
-        The stops of the press, s in all.
+        Press with s stops, one for each change: measurements with errors, and the true contact.
     """
     key_slant, key_force, key_travel, key_sensor = jax.random.split(key, 4)
     stops = len(skin_changes)

@@ -236,7 +236,7 @@ def collect_sites(
     rounds: int = 8,
     obstacles: Surface | None = None,
 ) -> Float[np.ndarray, "{n} 4 4"]:
-    """Draw safe sites in several rounds. This function runs on the host and compiles each round.
+    """Draw safe sites in several rounds. This function runs on the host and calls a compiled one in each round.
 
     Args:
         key: Random key.
