@@ -63,8 +63,8 @@ def traced_floats(kind: type[Config]) -> type[Config]:
 
 
 def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[str, ...] = ()) -> Callable[..., Any]:
-    """Compile a program quickly, with less optimisation, because a process runs it only a few times. On devices other than
-    CPUs, and while JAX traces another program, a batch or a derivative, this is `jax.jit`.
+    """Compile a program quickly, with less optimisation, because a process runs it only a few times. On devices other
+    than CPUs, and while JAX traces another program, a batch or a derivative, this is `jax.jit`.
 
     Args:
         function: A pure function.

@@ -85,7 +85,7 @@ class SimulationErrors:
         return cls(**{error.name: sensor.get(error.name, 0.0) for error in fields(cls)})
 
     def scaled(self, factor: float) -> "SimulationErrors":
-        """Multiply the errors of placement, camera, arm, tilt and slant by a factor; those of depth, force and skin stay.
+        """Multiply the errors of placement, camera pose, arm, tilt and slant by a factor; all others stay.
 
         Args:
             factor: The factor; 0 removes the errors.
