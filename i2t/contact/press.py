@@ -60,7 +60,7 @@ class StopSearch:
     max_exact_readings: int = 8
 
 
-_STOP_SEARCH = StopSearch()  # accuracy of the search for the indentation at which a press ends
+_STOP_SEARCH = StopSearch()  # steps and tolerances of the search for the indentation at which a press ends
 
 
 @traced_floats

@@ -35,7 +35,7 @@ from i2t.types import Array as AnyArray
 from i2t.types import Pad, Surface, in_one_line
 
 CELL_MM = 1.0  # mm, edge of a cell of `ContactPressure`
-SOLVER_TOLERANCE = 1e-3  # relative tolerance of the contact solver, far below the uncertainty of the heights
+SOLVER_TOLERANCE = 1e-3  # largest violation of the contact conditions, relative to the largest deflection
 MAX_SOLVER_STEPS = 25  # number of steps in which the contact solver reaches `SOLVER_TOLERANCE` from any start
 
 # Nodes of the three-point Gauss-Hermite rule in the two tilts, in standard deviations; exact to the fifth moment of the

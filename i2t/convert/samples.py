@@ -19,7 +19,7 @@ from i2t.skin.boards import AXES_OF_CHIP, mean_finite, without_silent_chips
 
 CHIPS = 5  # number of chips on the board of the paper's skin
 PAPER_READING_SIZE = AXES_OF_CHIP * CHIPS  # number of values in a sample of the paper's skin
-MAX_SAMPLE_VALUE = 1e6  # uT, largest plausible value of a sample; the range of the chips ends at 1.3e5 uT
+MAX_SAMPLE_VALUE = 1e6  # uT, value of a sample from which its touch counts as damaged; chips end at 1.3e5 uT
 
 
 def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, np.ndarray]:

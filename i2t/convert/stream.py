@@ -66,7 +66,7 @@ class PartRules:
     max_unseen_travel: float = 0.05  # largest motion of the tip in a gap before a press, as a fraction of the travel
 
 
-_PART_RULES = PartRules()  # rules for the parts of a log, at whose ends presses may be cut
+_PART_RULES = PartRules()  # rules by which a press at an end of a part of a log counts as recorded whole
 
 
 class _Columns(NamedTuple):

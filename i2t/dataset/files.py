@@ -51,7 +51,7 @@ class _H5Limits:
     text_bytes: int = 2**28
 
 
-_H5_LIMITS = _H5Limits()  # largest accepted contents of a file of touches, far above those of real files
+_H5_LIMITS = _H5Limits()  # largest contents of a file of touches, far above real ones; larger ones are refused
 
 
 def write(path: Path, fill: Callable[[h5py.File], None]) -> Path:

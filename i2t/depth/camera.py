@@ -30,7 +30,8 @@ from i2t.files.writing import as_path
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff")  # file name endings of depth images that can be read
 MAX_DEPTH_M = 20.0  # m, largest depth that counts as measured; larger values mark holes or an empty background
 MAX_UINT16 = 2**16 - 1  # largest 16-bit value, with which some depth images mark pixels without depth
-# Metres per unit of 16-bit depth images: millimetres, RealSense L515, TUM RGB-D, RealSense SR300, RealSense D405.
+# Metres per unit of common 16-bit depth images, in which 65535 units mark a hole: millimetres, RealSense L515, TUM
+# RGB-D, RealSense SR300, RealSense D405.
 COMMON_UNITS_M = (1e-3, 2.5e-4, 2e-4, 1.25e-4, 1e-4)
 
 
@@ -78,7 +79,8 @@ class Distortion(StrEnum):
     BROWN_CONRADY = "brown_conrady"
 
 
-# Lens models by their names in ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV. None marks a fisheye lens.
+# Lens models by their names in ROS (plumb_bob), Kalibr (radtan), COLMAP and OpenCV. None marks a fisheye lens, which is
+# refused.
 LENS_MODELS: dict[str, Distortion | None] = {
     **dict.fromkeys(("", "pinhole", "perspective", "no_distortion"), Distortion.NONE),
     **dict.fromkeys(("plumb_bob", "radtan", "radial_tangential", "opencv", "brown", "rational_polynomial"),

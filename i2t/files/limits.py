@@ -23,4 +23,4 @@ class ReadLimits:
     unpacked_growth: int = 40
 
 
-READ_LIMITS = ReadLimits()  # largest accepted sizes of files and of their contents
+READ_LIMITS = ReadLimits()  # largest sizes of files and of their contents; larger ones are refused

@@ -28,7 +28,8 @@ from i2t.skin.boards import mean_finite, silent_chips
 from i2t.types import Array
 
 # uT along x, y and z, smallest range of the MLX90393's converter in either direction. Its data sheet gives 2^15 steps
-# of 0.150 uT along x and y and of 0.242 uT along z at the finest settings.
+# of 0.150 uT along x and y and of 0.242 uT along z at the finest settings. A value that stays
+# near or beyond this range counts as saturated.
 CONVERTER_RANGE_UT = (4915.0, 4915.0, 7930.0)
 
 

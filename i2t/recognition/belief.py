@@ -40,12 +40,14 @@ from i2t.skin_models.layer import MIN_LOAD_N
 from i2t.skin_models.likelihood import Likelihood, outlier_range
 from i2t.types import in_one_line
 
-MIN_PROBABILITY = 1e-30  # floor of probabilities in logarithms; smaller probabilities count as equal
+MIN_PROBABILITY = 1e-30  # smallest probability in a logarithm; smaller ones are raised to it
 
 
 @in_one_line
 class TouchObservation(NamedTuple):
-    """Measurements of one touch at a site: reading, force, travel of the tool, and whether it met anything."""
+    """Measurements of one touch at a site: change of the reading (uT), force (N), travel (m) of the tool from the site
+    to the end of the press, and whether it met anything.
+    """
 
     reading: Float[Array, " c"]  # uT, change of the reading
     force: Float[Array, ""]  # N
@@ -55,7 +57,9 @@ class TouchObservation(NamedTuple):
 
 @in_one_line
 class Particles(NamedTuple):
-    """k pose particles of an object: displacements from its believed pose (`i2t.geometry.from_twist`)."""
+    """k pose particles of an object: twists (m) that displace it from its believed pose (`i2t.geometry.from_twist`),
+    and the covariance (m^2) of the twist about each.
+    """
 
     twist: Float[Array, "k 6"]  # m, twist of each pose particle
     covariance: Float[Array, "k 6 6"]  # m^2, covariance of the pose about each particle
@@ -63,7 +67,10 @@ class Particles(NamedTuple):
 
 @in_one_line
 class Belief(NamedTuple):
-    """Belief over objects and their poses (k particles each) after some touches of an episode."""
+    """Belief over objects and their poses after some touches of an episode: the log weight of each of the k pose
+    particles of each object, mean (m) and covariance (m^2) of the twist about each, and mean (uT) and variance (uT^2)
+    of the sensor's bias.
+    """
 
     log_weight: Float[Array, "objects k"]  # log probability of object, particle and all touches so far
     mean: Float[Array, "objects k 6"]  # m, mean twist about each particle
@@ -73,7 +80,10 @@ class Belief(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """Log densities of one touch under each pose particle, and the particle's normal distribution after the touch."""
+    """Log densities of one touch's reading and position under each pose particle, log probability that it met something
+    or nothing, the predicted reading (uT), and the normal distribution of the twist (m) about the particle after the
+    touch.
+    """
 
     tactile: Float[Array, "..."]  # log density of the reading
     spatial: Float[Array, "..."]  # log density of the position
@@ -103,7 +113,7 @@ def sample_particles(
         std_ratio: Standard deviation about each particle, relative to the prior's.
 
     Returns:
-        Equally probable particles, with the covariance about each.
+        Equally probable particles, with the covariance (m^2) about each.
     """
     uniform = qmc.Sobol(6, seed=seed).random_base2(int(np.ceil(np.log2(max(count, 2)))))[:count]
     uniform = np.clip(uniform, 1e-6, 1 - 1e-6)
@@ -166,7 +176,7 @@ def update(belief: Belief, observation: TouchObservation, predicted: PredictedTo
 
 
 def log_likelihood(evidence: Evidence, likelihood: Likelihood) -> Float[Array, "..."]:
-    """Compute the log density of a touch from the kinds of evidence that have weight.
+    """Compute the weighted sum of a touch's log densities: of its reading, its position, and whether it met anything.
 
     Args:
         evidence: Evidence of the touch under any number of particles.
@@ -203,8 +213,8 @@ def evidence(
         likelihood: The distribution of measurements about predictions.
 
     Returns:
-        Log densities of the reading, of the position and of contact, and the twist's normal distribution given the
-        position.
+        Log densities of the reading and of the position (0 without contact), log probability of the contact or of its
+        absence, the predicted reading (uT), and the twist's normal distribution given the position.
     """
     # A noisy wrench sensor may report less than the smallest possible load of a press.
     force = jnp.maximum(observation.force, MIN_LOAD_N)

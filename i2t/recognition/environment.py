@@ -53,7 +53,9 @@ PadTree = TypeVar("PadTree", Pad, PadResponse)
 @traced_floats
 @dataclass(frozen=True)
 class EnvironmentConfig:
-    """Rules of a recognition environment: errors, press limits, number of touches and costs."""
+    """Rules of a recognition environment: simulated errors, limits and law of a press, number of touches of an episode,
+    earlier presses of the pad, limits of safe sites, and the cost of a refused touch.
+    """
 
     errors: SimulationErrors = field(default_factory=SimulationErrors)
     limits: PressLimits = field(default_factory=PressLimits)
@@ -73,7 +75,9 @@ class EnvironmentConfig:
 
 
 class TouchOutcome(NamedTuple):
-    """Outcome of a simulated touch at the end of its press, as read by an ideal skin without errors or memory."""
+    """Outcome of a simulated touch at the end of its press: the reading (uT) of an ideal skin without errors or memory,
+    the measured force (N), the tool's pose as the arm reports it, and whether it met anything.
+    """
 
     reading: Float[Array, "*batch c"]  # uT
     force: Float[Array, "*batch"]  # N, measured force
@@ -82,7 +86,9 @@ class TouchOutcome(NamedTuple):
 
 
 class TabulatedTouches(NamedTuple):
-    """Simulated touches of every pad on every object in every placement at every site, as read by an ideal skin."""
+    """Simulated touches of every pad on every object in every placement at every site: readings (uT) of an ideal skin,
+    forces (N), travels (m) from the site, and whether each met anything.
+    """
 
     reading: Float[Array, "pads objects placements sites c"]  # uT
     force: Float[Array, "pads objects placements sites"]  # N
@@ -92,14 +98,16 @@ class TabulatedTouches(NamedTuple):
 
 
 class OutcomeTable(NamedTuple):
-    """Table of touches simulated in advance, from which an environment looks up the outcome of a touch."""
+    """Touches simulated in advance, for look-ups by an environment, and the objects' true pose in each placement."""
 
     touches: TabulatedTouches
     T_w_o: Float[Array, "placements 4 4"]  # true poses of the objects
 
 
 class TouchBeliefs(NamedTuple):
-    """Predictions from which an environment computes its posterior (`i2t.recognition.environment_beliefs`)."""
+    """Touches predicted for each pad, site, object and pose particle, with the likelihood of measurements and the
+    particles, from which an environment computes its posterior (`i2t.recognition.environment_beliefs`).
+    """
 
     predicted: PredictedTouch  # (pads, sites, objects, k) predicted touches
     likelihood: Likelihood
@@ -107,7 +115,9 @@ class TouchBeliefs(NamedTuple):
 
 
 class EnvironmentParams(NamedTuple):
-    """The possible objects, the pads, and the sites of their touches."""
+    """The possible objects, the pads with their responses, and the sites with the object on which each was drawn and
+    whether it may be touched; optionally a table of simulated touches, and predictions for the posterior.
+    """
 
     surfaces: Surface  # stacked surfaces of the objects
     pads: Pad  # stacked pads
@@ -152,7 +162,9 @@ class EnvironmentParams(NamedTuple):
 
 
 class TouchAction(NamedTuple):
-    """Action of an agent: the site of the next touch, and its prediction of the object."""
+    """Action of an agent: the index of the site to touch next, and logits of the objects predicted before that touch
+    (None for the environment's own posterior).
+    """
 
     touch: Int[Array, ""]  # index of the site to touch
     # logits of the objects, as predicted by the agent; None for the environment's own posterior
@@ -160,7 +172,9 @@ class TouchAction(NamedTuple):
 
 
 class EnvironmentObservation(NamedTuple):
-    """Observation of an agent after a touch: measurements, refusal, remaining touches, and the posterior."""
+    """Observation of an agent after a touch: reading (uT), force (N), travel (m) from the site, tool pose, contact,
+    whether the touch was refused, the fraction of the touches that is left, and the posterior (empty without beliefs).
+    """
 
     reading: Float[Array, " c"]  # uT
     force: Float[Array, ""]  # N
@@ -173,7 +187,9 @@ class EnvironmentObservation(NamedTuple):
 
 
 class EpisodeState(NamedTuple):
-    """State of an episode of t touches: object, pad, errors, touches so far, and belief. Future touches are zero."""
+    """State of an episode of t touches: indices of object, pad and placement, constant errors, sites and outcomes of
+    the touches so far, counts of made and refused touches, and belief. Rows of future touches are zero.
+    """
 
     object: Int[Array, "*e"]
     pad: Int[Array, "*e"]
@@ -190,7 +206,7 @@ class EpisodeState(NamedTuple):
 
 @dataclass(frozen=True)
 class TouchEnvironment:
-    """Environment for recognising objects by simulated touches; all methods are pure and work on one episode.
+    """Rules of an environment for recognising objects by simulated touches; all methods are pure, on one episode.
 
     Example:
         environment, params = make_environment(("star", "hexagon", "cylinder"), pads=4)
@@ -295,8 +311,8 @@ class TouchEnvironment:
             params: The objects and pads of the environment.
 
         Returns:
-            Observation, episode, reward, whether the episode ended, and `info`: whether the touch was refused, the
-            prediction's loss, the object and the pad.
+            Observation, episode, reward (minus the prediction's loss, and minus the cost of a refused touch), whether
+            the episode ended, and `info`: whether the touch was refused, the loss (nats), the object and the pad.
         """
         listed = (action.touch >= 0) & (action.touch < params.sites)
         site = jnp.clip(action.touch, 0, params.sites - 1)
@@ -324,7 +340,7 @@ class TouchEnvironment:
             params: The objects and pads of the environment.
 
         Returns:
-            End of the press, as read by an ideal skin.
+            Outcome of the press, with the reading (uT) of an ideal skin.
         """
         T_w_site = params.T_w_site[site]
         if params.table is not None:
@@ -363,7 +379,7 @@ class TouchEnvironment:
             params: The objects and pads of the environment.
 
         Returns:
-            Measurements of the t touches on axis 0.
+            Measurements of the t touches on axis 0; those of future touches are meaningless.
         """
         advance = advance_along_approach(params.T_w_site[state.site], state.outcomes.T_w_t)
         return TouchObservation(self.read(state, params.pads), state.outcomes.force, advance, state.outcomes.contact)

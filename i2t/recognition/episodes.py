@@ -32,7 +32,7 @@ from i2t.types import ReturnCode, Surface, Touches
 
 EPISODES_PER_BATCH = 8  # number of episodes whose posteriors are computed together
 
-# Weights of the log likelihoods in the posterior, by kind of evidence: of the reading, of the position at which the
+# Weights of three log likelihoods in the posterior, by kind of evidence: of the reading, of the position at which the
 # press ended, and of presence, which is whether the press met the object.
 EVIDENCE_WEIGHTS = {
     "readings": (1.0, 0.0, 0.0),
@@ -46,7 +46,9 @@ EVIDENCE_WEIGHTS = {
 
 
 class Episodes(NamedTuple):
-    """Record of e episodes of t touches each."""
+    """Record of e episodes of t touches each: indices of the true objects and of the touched sites, measurements, and
+    poses of the tool at the ends of the presses.
+    """
 
     truth: Int[np.ndarray, " e"]  # index of the true object
     site: Int[np.ndarray, "e t"]  # index of each touch's site in the pool
@@ -55,7 +57,7 @@ class Episodes(NamedTuple):
 
 
 class MeasuredTouches(NamedTuple):
-    """Readings, forces and tool poses of n touches."""
+    """Tool poses at the ends of n presses, as the arm reports them, with readings (uT) and forces (N)."""
 
     T_w_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at the ends of the presses, as the arm reports them
     reading: Float[np.ndarray, "n c"]  # uT
@@ -65,7 +67,7 @@ class MeasuredTouches(NamedTuple):
 def episodes_from_dataset(
     recorded: Dataset, names: Sequence[str], touches: int, *, overtravel: float = PressLimits.overtravel
 ) -> tuple[SitePool, Episodes]:
-    """Take each session of a recorded data set as an episode of its first touches.
+    """Take each session of a recorded data set as an episode of its first usable touches, unless it has too few.
 
     A recording contains the ends of presses, so the site of a press with contact is its end, and its advance is zero. A
     press without contact ended `overtravel` beyond its site. Its site is placed that far back, so that the belief
@@ -74,14 +76,14 @@ def episodes_from_dataset(
     Args:
         recorded: Touches with measured forces.
         names: Names of the objects with meshes.
-        touches: Number of touches of each episode.
+        touches: Number of touches of each episode; sessions with fewer usable ones are left out.
         overtravel: Distance (m) beyond its site after which a recorded press gave up.
 
     Returns:
         Sites as T_o_site of the believed object, and the episodes.
 
     Raises:
-        DataError: The object of a session is not among `names`, or there are too few usable touches.
+        DataError: The object of an episode is not among `names`, or no session has enough usable touches.
     """
     recording = recorded.touches
     episodes = [rows[:touches] for rows in usable_touches(recording).values() if len(rows) >= touches]
@@ -199,7 +201,7 @@ def select_evidence(likelihood: Likelihood, kind: str) -> Likelihood:
 
 
 class BeliefModel(NamedTuple):
-    """Reading model and likelihood of a pad from which a belief is computed, and the kinds of evidence to use."""
+    """Reading model and likelihood of a pad for computing beliefs, and names of the kinds of evidence to use."""
 
     reading_model: LinearReadingModel
     likelihood: Likelihood
@@ -233,7 +235,7 @@ def believe(
         touches_at_a_time: Maximum number of touches that are predicted together, on every object in every pose.
 
     Returns:
-        `(e, t, objects)` probabilities of the objects after each touch, by kind of evidence and suffix.
+        `(e, t, objects)` probabilities of the objects after each touch, by the kind of evidence followed by the suffix.
     """
     count, touches = episodes.site.shape
     per_batch = max(min(touches_at_a_time // touches, count), 1)

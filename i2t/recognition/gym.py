@@ -131,7 +131,7 @@ def register_environments() -> str:
     """Register the environment with Gymnasium.
 
     Returns:
-        Name of the environment for `gymnasium.make`.
+        Name of the environment for `gymnasium.make`, "i2t/WhichObject-v0".
     """
     name = "i2t/WhichObject-v0"
     gymnasium.register(name, entry_point=SingleTouchEnv)

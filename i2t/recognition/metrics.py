@@ -23,7 +23,7 @@ from i2t.intervals import (
 )
 from i2t.types import Array
 
-PROBABILITY_FLOOR = 1e-6  # smallest probability in a log loss; smaller ones are raised to it
+PROBABILITY_FLOOR = 1e-6  # smallest probability in a log loss or in log odds; smaller ones are raised to it
 
 
 def to_json(values: Any) -> Any:
@@ -121,7 +121,9 @@ def confusion(p: Float[Array, "e c"], truth: Int[Array, " e"]) -> Float[Array, "
 
 
 class PairedComparison(NamedTuple):
-    """Differences in accuracy between two methods on the same episodes; positive if the first one is better."""
+    """Differences in accuracy between two methods on the same episodes, after the last touch and averaged over touches,
+    with intervals; positive if the first method is better.
+    """
 
     last: Estimate  # difference of the accuracies after the last touch
     mean: Estimate  # difference of the accuracies averaged over touches
@@ -138,7 +140,7 @@ def compare_paired(
         clusters: Factors that episodes share, as for `cluster_interval`; empty if they are independent.
 
     Returns:
-        Accuracies of the first method minus those of the second.
+        Accuracy of the first method minus that of the second, after the last touch and averaged over touches.
 
     Raises:
         ValueError: The methods have different episodes, or fewer than two.
@@ -157,7 +159,7 @@ def confidence(p: Float[Array, "*shape c"]) -> Float[Array, "*shape"]:
     """Return the probability of the decided class.
 
     Args:
-        p: Beliefs.
+        p: Beliefs, probabilities of the c classes on the last axis.
 
     Returns:
         `(*shape,)` largest probability of each belief.
@@ -166,7 +168,9 @@ def confidence(p: Float[Array, "*shape c"]) -> Float[Array, "*shape"]:
 
 
 class CalibrationError(NamedTuple):
-    """Expected calibration error (0 is perfect), and its distribution for calibrated decisions of equal confidences."""
+    """Expected calibration error, from 0 (perfect) to 1, with the mean and the 95 % quantile that it would have by
+    chance if decisions of these confidences were right as often as predicted.
+    """
 
     error: float
     chance: float  # mean calibration error of decisions that are right as often as predicted
@@ -206,7 +210,7 @@ def calibration_error(
 
 
 def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, "e t"]:
-    """Compute minus the natural logarithm of the true class's probability, which is at least `PROBABILITY_FLOOR`.
+    """Compute minus the natural logarithm of the true class's probability, raised to `PROBABILITY_FLOOR` if smaller.
 
     Args:
         p: `(e, t, c)` probabilities of c classes after each of t touches in e episodes.
@@ -222,7 +226,10 @@ def log_loss(p: Float[Array, "e t c"], truth: Int[Array, " e"]) -> Float[Array, 
 
 
 class Stopping(NamedTuple):
-    """Errors and touches of episodes that stop once the belief is as confident as requested, or after the last."""
+    """Scores of episodes that stop once the belief is as confident as requested, or after the last touch: requested,
+    measured and predicted fractions of wrong decisions, of all episodes and of those that became confident, the
+    fraction that did, and the mean number of touches.
+    """
 
     requested_error: float
     error: Estimate  # fraction of wrong decisions

@@ -38,7 +38,10 @@ from i2t.types import Surface
 
 
 class PredictedContact(NamedTuple):
-    """Predicted contact of a skin's elastic layer with an object at l loads, the same for every pad with that layer."""
+    """Predicted contact of a skin's elastic layer with an object, the same for every pad with that layer: whether they
+    meet, distance (m) from the site to first contact and its derivative by the object's twist, and indentation (m) and
+    force on each cell of 1 mm (N) at l loads.
+    """
 
     hit: Bool[Array, ""]  # whether the skin meets the object before the press gives up
     approach_distance: Float[Array, ""]  # m, from the site to first contact; the overtravel without contact
@@ -48,7 +51,10 @@ class PredictedContact(NamedTuple):
 
 
 class PredictedTouch(NamedTuple):
-    """Predicted outcome of a touch: contact, indentation and reading at the l loads of the `LinearReadingModel`."""
+    """Predicted outcome of a touch: whether the skin meets the object, distance (m) from the site to first contact and
+    its derivative by the object's twist, and indentation (m), reading (uT) and the reading's variance (relative to the
+    square of a channel's signal) at the l loads of the `LinearReadingModel`.
+    """
 
     hit: Bool[Array, ""]  # whether the skin meets the object before the press gives up
     approach_distance: Float[Array, ""]  # m, travel from the site to first contact; the overtravel without contact
@@ -80,7 +86,8 @@ def predict_contact(
         layer: The pressed layer.
 
     Returns:
-        Contact, distance to it and its Jacobian, indentations (m) and forces on cells (N); zeros without contact.
+        Contact, distance (m) to it and its Jacobian, indentations (m) and forces on cells (N). Without contact, the
+        distance is the overtravel, and the Jacobian, indentations and forces are 0.
     """
     (T_o_t, distance, hit), jacobian = approach(surface, T_w_o, twist, T_w_site, overtravel)
     pressed, indentation = surface_pressure(layer_pad(layer), surface, T_o_t, loads)
@@ -102,7 +109,7 @@ def predict_reading(contact: PredictedContact, model: LinearReadingModel) -> Pre
         model: Reading model of the pad.
 
     Returns:
-        Touch with reading and variance at each load.
+        Touch with reading (uT) and relative variance at each load, and with the indentation scaled by the softness.
     """
     reading, variance = readings_at_loads(model, contact.newtons)
     return PredictedTouch(
@@ -129,7 +136,7 @@ def interpolate_load(
         force: Load (N) at which to interpolate; zero or less means no touch.
 
     Returns:
-        Indentation (m), reading (uT) and its relative variance; all zero without load.
+        Indentation (m), reading (uT) and its relative variance; all zero without load or contact.
     """
     i, step, _ = load_step(loads, force)
     # The indentation of a contact is a power of its load; a reading grows about in proportion to the load.

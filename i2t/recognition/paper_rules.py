@@ -56,7 +56,9 @@ Scorer: TypeAlias = Callable[[MeasuredTouches], Float[np.ndarray, "n objects"]] 
 
 @in_one_line
 class PaperEpisodes(NamedTuple):
-    """Record of e episodes in which a method ran the paper's recognition loop.
+    """Record of e episodes in which a method ran the paper's recognition loop: indices of the true objects and of the
+    pools of sites, and the method's distance of each touch from each object (in standard deviations of the training
+    readings; in millimetres for proprioception).
 
     Example:
         results = i2t.run_paper_loop(keys, {"mine": predictor}, surfaces, pad, reading_std=std, episodes=24)
@@ -108,7 +110,7 @@ class _AtMedianForce(Predictor):
     """Predictor that uses the median force of its training touches instead of the measured one."""
 
     def predict_batch(self, touches: TouchBatch) -> Reading:
-        """Predict, as in `Predictor.predict_batch`."""
+        """Predict readings as `Predictor.predict_batch` does, with that median force for every touch."""
         return super().predict_batch(touches._replace(force=np.full_like(touches.force, self.default_force)))
 
 
@@ -186,7 +188,7 @@ def reading_distances(
 
 
 def contact_distances(surfaces: Sequence[Surface], touches: MeasuredTouches) -> Float[np.ndarray, "n objects"]:
-    """Compute distances of the tool's contacts from each object's surface, the score of proprioception.
+    """Compute distances of the tool's origin, at the end of each press, from each object's surface (proprioception).
 
     Args:
         surfaces: Surfaces of the objects.

@@ -36,7 +36,7 @@ NO_SITE = -1  # index of the chosen site if no candidate site is allowed
 
 
 class InformationGain(NamedTuple):
-    """Expected information (nats) that a touch of each site gives about the object and its pose."""
+    """Expected information (nats) from a touch of each site about the object, and about object and pose together."""
 
     object: Float[Array, "..."]  # expected information about the object
     object_and_pose: Float[

@@ -48,8 +48,9 @@ from i2t.skin_models.pad_model import PadModel
 from i2t.types import in_one_line
 
 MAX_EMPTY_DRAWS = 10  # number of draws of candidates without an allowed site after which no touch is chosen
-# Calibration of the probability that the object is unknown, for a prior of 0.5. It was fitted on validation objects and
-# others of which half were unknown (`experiments.studies open_set`).
+# Calibration of the probability that the object is unknown, for a prior of 0.5: after t touches, its log odds L become
+# offset + slope / (1 + growth (t - 1)) L. It was fitted on validation objects and others of which half were unknown
+# (`experiments.studies open_set`).
 UNKNOWN_SCALING = calibrated.PlattScaling(offset=0.40, slope=0.65, growth=0.18)
 
 
@@ -90,7 +91,7 @@ class RecognizerConfig:
 
 @in_one_line
 class ChosenSite(NamedTuple):
-    """Site that the recogniser chose for the next touch, with the pose of the tool."""
+    """Site that the recogniser chose for the next touch: its index, and the tool's pose there in the world."""
 
     number: int  # index of the site
     T_w_t: Float[np.ndarray, "4 4"]  # pose of the tool at which the skin just touches the believed surface
@@ -98,7 +99,7 @@ class ChosenSite(NamedTuple):
 
 @in_one_line
 class SiteObservation(NamedTuple):
-    """Measurements of one touch, with the index of its site."""
+    """Index of a touched site, and the measurements there: reading (uT), force (N), travel (m) and contact."""
 
     number: int  # index of the site
     touch: TouchObservation
@@ -106,7 +107,9 @@ class SiteObservation(NamedTuple):
 
 @in_one_line
 class RecognizerState(NamedTuple):
-    """State of a recognition: the belief over objects and poses, and the sites touched so far."""
+    """State of a recognition: the belief over objects and poses, a mask of the sites touched or excluded so far, the
+    number of touches, and calibrated probabilities of the known objects.
+    """
 
     belief: Belief  # belief over objects and their poses
     touched: Bool[np.ndarray, " sites"]  # True for sites that were touched or excluded
@@ -117,7 +120,9 @@ class RecognizerState(NamedTuple):
 
 @in_one_line
 class RecognitionInfo(NamedTuple):
-    """Calibrated probabilities of the objects after a touch, and the most probable object."""
+    """Calibrated probabilities of the known objects and of an unknown one after a touch, and name (None for an unknown
+    one) and probability of the most probable.
+    """
 
     # probabilities of the known objects, in the order of `ObjectRecognizer.names`
     probability: Float[np.ndarray, " objects"]
@@ -226,7 +231,7 @@ class ObjectRecognizer:
         return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability)
 
     def choose_touch(self, state: RecognizerState, *, key: Key[Array, ""] | None = None) -> ChosenSite | None:
-        """Choose the site with the largest expected information among those that are safe on the possible objects.
+        """Choose the site with the largest expected information among random candidates that are probably safe.
 
         Args:
             state: The state after the touches so far.
@@ -248,7 +253,7 @@ class ObjectRecognizer:
         return None
 
     def stop_reason(self, state: RecognizerState) -> str | None:
-        """Explain why no more touches are needed.
+        """Explain why no more touches are needed or possible.
 
         Args:
             state: The state after the touches so far.
@@ -284,7 +289,7 @@ class ObjectRecognizer:
         Args:
             site: The touched site.
             reading: Reading (uT) of the skin in contact, ambient subtracted, in the board's order.
-            force: Measured force (N) along the tool's z axis.
+            force: Measured force (N) along the tool's z axis; a negative one counts as 0.
             T_w_t: Pose of the tool at the end of the press.
             contact: Whether the touch met anything.
 
@@ -380,7 +385,7 @@ class ObjectRecognizer:
         return np.asarray(self.T_w_o @ np.asarray(from_twist(mean[self.names.index(name)]), np.float64))
 
     def site_pose(self, number: int) -> Float[np.ndarray, "4 4"]:
-        """Return the tool's pose at a site.
+        """Return the tool's pose at a site, in the world.
 
         Args:
             number: Index of the site.

@@ -134,7 +134,7 @@ def to_json(pad: KnownPad) -> dict[str, object]:
 
 
 def with_placement(errors: SimulationErrors, object_covariance: np.ndarray) -> SimulationErrors:
-    """Set the simulated placement errors of objects to a rig's pose uncertainty, averaged over the axes.
+    """Set the simulated placement errors of objects to a rig's pose uncertainty, with variances averaged over the axes.
 
     Args:
         errors: Errors of the simulated world.
@@ -166,7 +166,8 @@ def merge_samples(
         max_interval: Time (s) between two samples of one contact.
 
     Returns:
-        Touches of `recorded`, in which merged touches have mean readings, forces and travels.
+        Touches of `recorded`, in which a merged touch has the mean reading, force and travel of its samples, and all
+        else from the first of them.
     """
     touches, time = recorded.touches, times_of(recorded)
     usable = np.isin(np.arange(len(recorded)), np.concatenate(list(usable_touches(touches).values())))

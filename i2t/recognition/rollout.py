@@ -39,7 +39,7 @@ from i2t.runtime.compiling import jit_by_amount, jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.types import Pad, Surface
 
-# Number of touches and episodes computed at a time; a small last batch wastes little, and the data fit the caches.
+# Number of touches, or of episodes, computed at a time; a small last batch wastes little, and the data fit the caches.
 EPISODE_BATCH = 16
 
 TouchNumber: TypeAlias = tuple[int, int, int]  # index of the touch, of the episode and of the site
@@ -47,7 +47,9 @@ SitePolicy: TypeAlias = Callable[[Array, EpisodeState, EnvironmentParams], Array
 
 
 class RunningEpisodes(NamedTuple):
-    """States of e episodes that run in parallel, with their environment and all touches so far; arrays on the host."""
+    """States of e episodes that run in parallel, with their environment, the key of their touches, and the touches that
+    the last call of `advance` made; arrays on the host.
+    """
 
     environment: TouchEnvironment
     params: EnvironmentParams
@@ -252,7 +254,7 @@ def random_site(key: Key[Array, ""], state: EpisodeState, params: EnvironmentPar
         params: The objects and pads of the environment.
 
     Returns:
-        Index of the site.
+        Index of the site, or -1 if none is left.
     """
     return draw_site(key, jnp.ones(params.sites), untouched_sites(state, params))
 
@@ -267,7 +269,7 @@ def heuristic_site(key: Key[Array, ""], state: EpisodeState, params: Environment
         params: The objects and pads of the environment.
 
     Returns:
-        Index of the site.
+        Index of the site, or -1 if none is left.
     """
     key_object, key_site = jax.random.split(key)
     which = loop.choose_hypothesis(key_object, belief.posterior(_belief(state)), state.num_touched)
@@ -286,7 +288,7 @@ def informative_site(key: Key[Array, ""], state: EpisodeState, params: Environme
         params: The objects and pads of the environment.
 
     Returns:
-        Index of the site.
+        Index of the site, or -1 if none is left.
     """
     assert params.beliefs is not None
     table = jax.tree.map(lambda x: x[state.pad], params.beliefs.predicted)

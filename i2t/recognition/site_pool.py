@@ -36,7 +36,7 @@ from i2t.types import Surface, in_one_line
 
 @dataclass(frozen=True)
 class SiteDraws:
-    """Sizes of the batches in which safe touch sites are drawn."""
+    """Sizes of the batches in which safe touch sites are drawn, and the required fraction of safe candidates."""
 
     sites: int = 256  # number of sites drawn at a time
     candidates_per_site: int = 2  # number of candidates for each site; about half of the candidates are safe
@@ -44,12 +44,13 @@ class SiteDraws:
     min_safe_fraction: float = 1 / 64
 
 
-_SITE_DRAWS = SiteDraws()  # batches in which safe sites are drawn
+_SITE_DRAWS = SiteDraws()  # sizes of the batches in which safe sites are drawn, and the required fraction of safe ones
 
 
 @in_one_line
 class SitePool(NamedTuple):
-    """Safe touch sites of some objects: tool poses, and the object on which each was drawn.
+    """Safe touch sites of some objects: tool poses at which the skin just touches the surface, and the index of the
+    object on which each was drawn.
 
     Example:
         sites = i2t.SitePool(T_w_t, np.zeros(len(T_w_t), int))  # all drawn on the first object
@@ -73,7 +74,7 @@ class SitePool(NamedTuple):
 
 
 class SitePools(NamedTuple):
-    """Safe touch sites in separate pools, each with the same number of sites of every object."""
+    """Tool poses at safe touch sites in separate pools, each with the same number of sites of every object."""
 
     T_w_t: Float[np.ndarray, "pools objects sites 4 4"]
 
@@ -88,7 +89,9 @@ class SitePools(NamedTuple):
 
 
 class TouchPlan(NamedTuple):
-    """Sites of the touches of some episodes, chosen in advance."""
+    """Touches of e episodes, chosen in advance: all sites, indices of the t sites that each episode touches, and the
+    index of the pool that it may share with other episodes.
+    """
 
     sites: SitePool
     chosen: Int[np.ndarray, "e t"]  # indices of the touched sites

@@ -55,7 +55,9 @@ _EVIDENCE = EvidenceConfig()  # default sampling and uncertainties of the eviden
 
 
 class Sweep(NamedTuple):
-    """Free space that the pad swept on a straight path to a pose, along the tool's z axis."""
+    """Free space that the pad swept on a straight path along the tool's z axis: the tool's pose at its end, and its
+    length (m).
+    """
 
     T_o_t: Float[np.ndarray, "4 4"]  # (4, 4) pose of the tool at first contact, or at the end of a sweep through air
     length: float  # m, length of the path to `T_o_t`
@@ -76,7 +78,7 @@ class Sweep(NamedTuple):
 
 
 class SeenThrough(NamedTuple):
-    """Free space between a depth camera and the surfaces that it saw."""
+    """Free space between a depth camera and the surfaces that it saw: depth image (m), camera, and its pose."""
 
     # m, depth image: +inf where there is no surface, NaN where the camera measured nothing
     depth: Float[np.ndarray, "h w"]
@@ -103,7 +105,10 @@ class SeenThrough(NamedTuple):
 
 
 class SurfaceEvidence(NamedTuple):
-    """Evidence of one touch or view about a surface: free space, and points with signed distances (m, inside < 0)."""
+    """Evidence of one touch or view about a surface: the region of free space, points (m) in it with lower bounds of
+    the signed distance, points (m) with signed distances (m, inside < 0) and their standard deviations, and points of
+    the pad, one of which is on the surface (none without contact).
+    """
 
     region: Sweep | SeenThrough  # free space, which is carved out of the surface exactly
     free: Float[np.ndarray, "f 3"]  # m, points in free space
@@ -203,7 +208,7 @@ def with_free_patch(touch: SurfaceEvidence, depth: Float[np.ndarray, "e e"]) -> 
     Args:
         touch: Evidence of the touch from `contact_evidence`.
         depth: Square image of free depths (m) beyond the pad's plane over the patch's window; row i along tool y. Only
-            four fifths of each count as free.
+            four fifths of each count as free, and depths of less than 0.4 mm are ignored.
 
     Returns:
         Evidence of the touch with these free points.
@@ -237,7 +242,7 @@ def view_evidence(
             object's.
 
     Returns:
-        Evidence with points of the surface and the space that the camera looked through.
+        Evidence with randomly chosen points of the surface and the space that the camera looked through.
 
     Raises:
         ValueError: The view shows nothing above the table and in the box, its size is not the camera's, or the

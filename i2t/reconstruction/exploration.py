@@ -36,9 +36,11 @@ from i2t.simulation.site_limits import SiteLimits
 from i2t.simulation.sites import is_above_table, is_upward
 
 PolicyName = Literal["random", "uncertainty", "reduction"]
-# policies that choose the next touch for reconstruction
+# names of the policies that choose the next touch for reconstruction: any safe site, the site whose surface is least
+# certain, and the site whose touch is expected to reduce the error of the surface most
 POLICY_NAMES: tuple[PolicyName, ...] = ("random", "uncertainty", "reduction")
-# Site limits for an object that the tool reaches from all sides: no table, no flange, any direction.
+# Site limits for an object that the tool reaches from all sides: normals of any direction, and a table 1 m below the
+# origin, so that mount and flange stay above it.
 AROUND_LIMITS = SiteLimits(min_cos=-1.0, table=-1.0)
 
 
@@ -63,7 +65,9 @@ class ExplorationConfig:
 
 
 class SiteProposals(NamedTuple):
-    """n proposed touch sites on the estimated surface, with the surface's uncertainty and safety of each."""
+    """n proposed touch sites on the estimated surface: tool poses in the object's frame, standard deviation (m) of the
+    surface, and whether the limits allow each site.
+    """
 
     T_o_t: Float[np.ndarray, "n 4 4"]  # poses of the tool at contact, its z into the object
     std: Float[np.ndarray, " n"]  # m, standard deviation of the surface at the sites
@@ -71,7 +75,9 @@ class SiteProposals(NamedTuple):
 
 
 class TouchChoice(NamedTuple):
-    """Tool pose of the next touch, its score, and the sites among which it was chosen."""
+    """Tool pose of the next touch and its score by the policy (None and NaN if no site is safe), and all proposed
+    sites.
+    """
 
     T_o_t: Float[np.ndarray, "4 4"] | None  # (4, 4) pose of the tool at the chosen site; None if no site is safe
     score: float  # the policy's score of the site; NaN if no site is safe

@@ -53,11 +53,13 @@ class LibraryConfig:
     sites_per_batch: int = 16  # number of sites of one shape at a time, so that any number of sites compiles once
 
 
-_LIBRARY = LibraryConfig()  # default loads and tilts of the presses in a library of contacts, and batch sizes
+_LIBRARY = LibraryConfig()  # default loads and tilts of the presses in a library of patches, and batch sizes
 
 
 class FirstContacts(NamedTuple):
-    """n first contacts of the tool with one shape, and the patch of the shape's surface at each."""
+    """n first contacts of the tool with shapes: tool poses, depths (m) of the surface beyond the plane of contact over
+    the patch and over fine and coarse cells of the pad, and whether the tool met the shape at a safe site.
+    """
 
     T_o_t: Float[Array, "n 4 4"]  # (4, 4) tool pose at first contact
     patch: Float[Array, "n p p"]  # m, depth beyond the plane of contact, clipped to the reach

@@ -41,7 +41,9 @@ from i2t.skin.contact import cells_in_contact
 
 
 class PatchLibrary(NamedTuple):
-    """n patches of many shapes, and presses of a nominal layer onto each at l loads; the same for every pad."""
+    """n patches of many shapes, as depths (m) beyond the plane of first contact, and presses of a nominal layer onto
+    each at l loads (N): force on each cell (N), indentation (m) and centre of pressure (m). The same for every pad.
+    """
 
     patch: Float[Any, "n p p"]  # m, depth beyond the plane of first contact, clipped to the reach
     # m, depth beyond the plane of first contact over the cells of the pad, not clipped (+inf where there is no surface)
@@ -54,7 +56,9 @@ class PatchLibrary(NamedTuple):
 
 
 class PatchLikelihood(NamedTuple):
-    """Sizes of the errors of a measured press about the predicted one, for inference of the patch.
+    """Sizes of the errors of a measured press about the predicted one, and options of the weights, for inference of the
+    patch: standard deviations of slant (m/m), force (N), travel and first contact (m), relative error of readings,
+    degrees of freedom, temperature, fraction of the prior, and blur of masks (pixels).
 
     The values are close to those that `experiments.reconstruct patch` chooses on validation objects.
     """
@@ -74,7 +78,8 @@ class PatchLikelihood(NamedTuple):
 
 
 class PressModel(NamedTuple):
-    """Predicted readings of one pad at each of a library's n patches under each of its l loads.
+    """Predicted readings (uT), their change by a slanted press, and travels (m) of one pad at each of a library's n
+    patches under each of its l loads (N), with the sensor's noise and the likelihood of measurements.
 
     Readings are turned to the axes in which the sensor's noise is independent. Their axis comes first in memory, and
     that of the patches last, because every touch needs all patches.
@@ -90,7 +95,9 @@ class PressModel(NamedTuple):
 
 
 class PatchPosterior(NamedTuple):
-    """Posterior over the patches of a library, given a press, with k equally weighted samples."""
+    """Posterior over the n patches of a library, given a press: weights, k equally weighted samples and their mean (m),
+    probabilities of contact, and mean (m) and covariance (m^2) of the centre of pressure.
+    """
 
     weight: Float[Array, " n"]  # weights of the library's patches; they sum to 1
     rows: Int[Array, " k"]  # rows of the samples in the library
@@ -118,7 +125,7 @@ def infer_patch(
     Args:
         reading: Readings (uT) at the one stop of a press, (c,), or at several, (s, c), in the board's order and axes.
             A stop with a non-finite reading or force is ignored.
-        force: Force (N) at each stop.
+        force: Force (N) at each stop; a force below 0.02 N is raised to it.
         travel: Travel (m) past first contact at each stop; NaN if it was not measured.
         model: Readings of the pad at the library's patches.
         library: The patches.

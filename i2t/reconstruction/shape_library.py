@@ -16,21 +16,24 @@ from jaxtyping import Float, Int, Int8
 from i2t.objects.solids import Mesh, centre_box
 from i2t.reconstruction.signed_distances import VoxelGrid, grid_around, signed_distance_grid
 
-STEP_M = 0.25e-3  # m, resolution of the signed distances that a shape library stores as whole numbers
+STEP_M = 0.25e-3  # m, unit of the signed distances that a shape library stores as 8-bit integers, clipped to 127 units
 
 # Rotation and reflection matrices: the 4 turns of a square about z and their mirror images.
 TURNS = np.stack(
     [np.diag((*signs, 1))[[*order, 2]] for order in ((0, 1), (1, 0)) for signs in product((1, -1), repeat=2)]
 )
-# Matrices that bring one of the 6 axis directions of a shape to the top. Their products with `TURNS` are the 48
-# rotations and reflections of a cube.
+# Matrices, some of them reflections, that bring one of the 6 axis directions of a shape to the top. Their products with
+# `TURNS` are the 48 rotations and reflections of a cube.
 STANCES = np.stack(
     [np.roll(np.eye(3, dtype=int), axis, axis=1) * (1, 1, sign) for axis in range(3) for sign in (1, -1)]
 )
 
 
 class ShapeLibrary(NamedTuple):
-    """Signed distances (inside < 0) of k shapes on a grid of g points. With turns there are 8 k shapes, by turn."""
+    """Signed distances (inside < 0) of k shapes on a grid of g points, in units of `STEP_M`, clipped to 127 units
+    (32 mm). The 8 turns and mirrors about z (`TURNS`) are not stored; with them there are 8 k shapes, numbered
+    turn * k + shape.
+    """
 
     grid: VoxelGrid
     steps: Int8[np.ndarray, "g k"]  # signed distances in units of `STEP_M`, clipped to 127
@@ -58,7 +61,7 @@ class ShapeLibrary(NamedTuple):
         """Look up the signed distances of some shapes at all points of the grid.
 
         Args:
-            shapes: Indices of the shapes, turns included.
+            shapes: Indices of the shapes, turns included: turn * k + shape, for the library's k shapes.
 
         Returns:
             `(g, m)` signed distances (m) of the m shapes at the g points, negative inside.

@@ -66,7 +66,9 @@ class SurfaceConfig:
 
 
 class SurfaceModel(NamedTuple):
-    """Prior knowledge of an unknown object's surface: a library of k shapes on a grid of g points."""
+    """Prior knowledge of an unknown object's surface: a library of k shapes, the g points (m) of its grid, and
+    assumptions on shapes and evidence.
+    """
 
     library: ShapeLibrary
     points: Float[np.ndarray, "g 3"]  # m, points of the library's grid
@@ -79,7 +81,9 @@ class SurfaceModel(NamedTuple):
 
 
 class SurfaceState(NamedTuple):
-    """Evidence of all touches and views of an unknown object so far, with the weights of the library's shapes."""
+    """Evidence of all touches and views of an unknown object so far, log weights of the library's shapes (neither
+    normalised nor tempered), and lower bounds (m) of the signed distance at the grid's points.
+    """
 
     log_weights: Float[np.ndarray, " k"]  # log weights of the library's shapes, neither normalised nor tempered
     evidence: tuple[SurfaceEvidence, ...]
@@ -87,7 +91,9 @@ class SurfaceState(NamedTuple):
 
 
 class SurfaceInfo(NamedTuple):
-    """Fit of the latest touch or view to each shape of the library, and how many shapes remain plausible."""
+    """Log likelihood of the latest touch or view under each shape of the library, and the effective number of shapes
+    that remain plausible after all evidence.
+    """
 
     log_likelihood: Float[np.ndarray, " k"]  # log likelihood of the evidence under each shape of the library
     effective_shapes: float  # effective sample size of the weights
@@ -107,7 +113,9 @@ class SurfaceEstimate(NamedTuple):
 
 
 class SurfacePrior(NamedTuple):
-    """Mean and covariance of the signed distances of the library's m weighted shapes at the grid's g points."""
+    """Prior of the signed distance at the grid's g points: its mean (m), and the deviations (m) of m shapes of the
+    library from it, times the square roots of their weights, so that their products are the covariance.
+    """
 
     mean: Float[np.ndarray, " g"]  # m, prior mean of the signed distance
     # m, deviations of the shapes that count, times the square roots of their weights
@@ -115,7 +123,9 @@ class SurfacePrior(NamedTuple):
 
 
 class SurfacePosterior(NamedTuple):
-    """Posterior of the signed distance, regressed on the n points of all evidence; `predict` evaluates it anywhere."""
+    """Posterior of the signed distance, which `predict` evaluates anywhere: the prior, the n points (m) on which it is
+    regressed, and the factor and solution of that regression.
+    """
 
     prior: SurfacePrior
     points: Float[np.ndarray, "n 3"]  # m, points of the regression
@@ -192,7 +202,7 @@ def update(model: SurfaceModel, state: SurfaceState, evidence: SurfaceEvidence) 
         New state, and the log likelihood of this evidence under each shape of the library.
 
     Raises:
-        ValueError: The touch or view met something outside the box that objects are in.
+        ValueError: No point that the touch or view met is inside the box that objects are in.
     """
     met = evidence.pad_points if evidence.is_contact else evidence.points
     low, high = model.points.min(0), model.points.max(0)

@@ -54,7 +54,7 @@ class ClockConfig:
     max_batch_error: float = 0.5
 
 
-CLOCK = ClockConfig()  # thresholds for the clock of a log
+CLOCK = ClockConfig()  # default thresholds for pauses, damaged stamps, steps and batches in the time stamps of a log
 # s, time after which a full counter restarts, by kind of counter
 COUNTER_PERIODS_S = {
     "a 32-bit counter of microseconds": 2.0**32 * 1e-6,

@@ -16,7 +16,8 @@ from i2t.recordings.files import data_error, read_numbers
 from i2t.skin.boards import silent_chips
 
 EFLESH_READINGS = 15  # number of values in a reading of eFlesh's AnySkin board
-# s, largest time between sensor and state in one row. They are within 8 ms, and rows are at least 34 ms apart.
+# s, largest time between sensor and state in one row; sensor rows without a state so near are left out. The two are
+# within 8 ms, and rows are at least 34 ms apart.
 MAX_ROW_OFFSET_S = 15e-3
 
 

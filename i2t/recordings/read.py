@@ -70,7 +70,8 @@ class TargetKind(NamedTuple):
     min_range: float = 0.5  # range in the library's unit below which the target is constant
 
 
-# Targets that a recording may hold, such as the position of the tip.
+# Targets that a recording may hold, such as the position of the tip: unit in messages, factor from the library's unit
+# (m, N) to it, smallest range (in the library's unit) of a target that is not constant, and whether it is binary.
 TARGETS: Mapping[str, TargetKind] = {
     "position": TargetKind("mm", 1e3, min_range=0.2e-3),
     "travel": TargetKind("mm", 1e3, min_range=0.1e-3),

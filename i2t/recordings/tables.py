@@ -47,7 +47,8 @@ from i2t.recordings.columns import (
 from i2t.recordings.files import os_errors_as_data_errors
 from i2t.recordings.log import ReadingLog
 
-MAX_TABLE_VALUE = 1e9  # largest plausible number in a table in any unit; larger numbers count as damaged
+# Number in a table, in any unit, from which it counts as damaged; its row, or the value alone, is not used.
+MAX_TABLE_VALUE = 1e9
 COMMENT_MARK = "#"  # sign that begins a comment line of a table
 # signs that may separate the cells of a table, with their names in messages
 DELIMITERS = {";": "semicolons", "\t": "tabs", ",": "commas", "|": "vertical bars", " ": "spaces"}

@@ -27,7 +27,9 @@ STUDENT_T_DOF = 4.0  # degrees of freedom of the t distribution of residuals, a 
 
 
 class Contacts(NamedTuple):
-    """n contacts with an object at its believed pose, each with the k faces that the skin may meet."""
+    """n contacts with an object at its believed pose: weights, the object's pose in the tool frame, and corners (m) of
+    the k faces that the skin may meet at each; and the prior standard deviations (m) of the object's twist.
+    """
 
     prior_std: Float[Array, "6"]  # m, prior standard deviations of the twist
     weight: Float[Array, " n"]
@@ -36,7 +38,9 @@ class Contacts(NamedTuple):
 
 
 class LinearisedContacts(NamedTuple):
-    """Residuals (m) of n contacts with the object moved by the twist z, with their derivatives by z."""
+    """Residuals (m) along the surface's normal of n contacts with the object moved by the twist z, their derivatives by
+    z (m for one standard deviation of the prior), and the ratio of each gap along tool z to its residual.
+    """
 
     residual: Float[Array, " n"]  # m, gap between skin and object along the surface's normal
     jacobian: Float[Array, "n 6"]  # m, derivative of the residual by the twist, for one standard deviation of the prior
@@ -50,7 +54,8 @@ def contact_poses(touches: Touches) -> tuple[Float[np.ndarray, "n 4 4"], Bool[np
         touches: Recorded touches.
 
     Returns:
-        `(n, 4, 4)` poses T_w_t of the tool at first contact, and `(n,)` flags of the touches that met the object.
+        `(n, 4, 4)` poses T_w_t of the tool at first contact, and `(n,)` flags of the touches that met the object and
+        whose travel was measured. The poses of the others are as recorded.
     """
     T_w_t, travel = np.array(touches.T_w_t), np.asarray(touches.travel)
     met = np.isfinite(travel) & np.isin(touches.code, (ReturnCode.SKIN, ReturnCode.WRENCH))

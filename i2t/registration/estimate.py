@@ -9,7 +9,8 @@ from i2t.types import in_one_line
 
 @in_one_line
 class PoseEstimate(NamedTuple):
-    """An object's pose, its uncertainty, and its fit to the measurements.
+    """An object's pose in the world, the covariance (m^2) of its twist, the residual (m) and weight of each touch or
+    point, and the cost (minus the log density of the posterior).
 
     Example:
         estimate = i2t.register_by_depth(mesh, T_w_o, depth, camera, T_w_c)

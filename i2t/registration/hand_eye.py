@@ -30,7 +30,8 @@ from i2t.types import Array as AnyArray
 
 
 class HandEye(NamedTuple):
-    """Offset of the camera from its hand-eye calibration, common to several sessions, with its uncertainty.
+    """Offset of the camera from its hand-eye calibration, common to several sessions: a pose in tool axes, the
+    covariance (m^2) of its twist, the disagreement of the sessions (in standard deviations) and their number.
 
     Example:
         hand_eye = pool_hand_eye(list(estimates.values()))

@@ -34,7 +34,7 @@ class Damping:
 
 
 class LeastSquares(NamedTuple):
-    """A least-squares problem as functions of the parameters x.
+    """A least-squares problem as functions of the parameters x: linearisation, cost to minimise and normal equations.
 
     The problem chooses the type of its linearisation, which is passed on to the other two functions.
     """

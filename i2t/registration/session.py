@@ -93,14 +93,16 @@ class SessionRegistrationConfig:
 
     @property
     def std(self) -> Float[Array, "12"]:
-        """Standard deviations (m) of the object's twist, followed by those of the camera's."""
+        """Standard deviations (m) of the six parts of the object's twist, followed by those of the camera's."""
         turned = self.placement_angle * TWIST_LEVER_M, self.hand_eye_angle * TWIST_LEVER_M
         return jnp.repeat(jnp.stack([self.placement, turned[0], self.hand_eye, turned[1]]), 3)
 
 
 @in_one_line
 class SessionEstimate(NamedTuple):
-    """Estimated poses of the object and the camera in one session, with their uncertainty and residuals.
+    """Estimated poses of the object (in the world) and of the camera (relative to its hand-eye calibration) in one
+    session, the covariance (m^2) of both twists, and the residual of each contact (m) and view (in standard
+    deviations).
 
     Example:
         estimate = i2t.register_session(touches, surface)

@@ -32,7 +32,7 @@ def register_sessions(
     *,
     config: SessionRegistrationConfig | None = None,
 ) -> dict[int, SessionEstimate]:
-    """Register every session that touched an object with a known surface.
+    """Estimate the poses of object and camera in every session that touched an object with a known surface.
 
     Args:
         dataset: Recorded or simulated touches.
@@ -41,7 +41,7 @@ def register_sessions(
             and reach are taken from the data set.
 
     Returns:
-        The estimates by session number.
+        The estimates by session number. Sessions without contact or without a surface of their object are left out.
     """
     touches = dataset.touches
     config = config or SessionRegistrationConfig(depth_noise=depth_noise(touches.patch))

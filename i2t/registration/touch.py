@@ -237,7 +237,8 @@ def importance_covariance(
         mode: `(6,)` z at the maximum of the density, in standard deviations of the prior.
         covariance: `(6, 6)` covariance of Laplace's method, the inverse of the information at the mode.
         draws: Standard normal numbers; the first six are the direction of a draw, the others determine its tail.
-        min_proposal_std: Standard deviation that is added to the draws, because float32 cannot resolve much less.
+        min_proposal_std: Standard deviation, relative to the prior's, that is added to the draws, because float32
+            cannot resolve much less.
         min_variance_factor: Smallest factor by which a round may shrink the variance along any direction.
 
     Returns:

@@ -28,7 +28,8 @@ class ClusterSizes:
     small_face: float = 0.6e-6  # m^2, about five pixels of a patch: mean area of the face at a random point
 
 
-CLUSTER_SIZES = ClusterSizes()  # number of faces in a cluster, by the size of the mesh and of its faces
+# default number of faces in a cluster: least in meshes of few faces, most in large meshes of small faces
+CLUSTER_SIZES = ClusterSizes()
 
 
 def build_bvh(triangles: np.ndarray) -> Surface:

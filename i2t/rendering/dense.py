@@ -69,7 +69,7 @@ class _Scene(NamedTuple):
 
     @property
     def groups_per_mesh(self) -> int:
-        """Number of rows of `boxes` that belong to a mesh."""
+        """Number of groups of 32 clusters in each mesh, which are its rows of `boxes`."""
         return self.clusters.per_mesh // CLUSTERS_PER_GROUP
 
 
@@ -130,7 +130,7 @@ def cast_dense(
         with_faces: Whether to return faces.
 
     Returns:
-        `(p, tiles, pixels)` heights (m) and, if requested, the faces.
+        `(p, tiles, pixels)` heights (m), +inf without a hit, and, if requested, the indices of the faces.
     """
     scene = _Scene(boxes, clusters, view, grid)
     poses, count = len(clusters.mesh), scene.groups_per_mesh

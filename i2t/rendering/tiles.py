@@ -28,8 +28,8 @@ from i2t.rendering.bitset import (
 from i2t.rendering.bvh import CLUSTERS_PER_GROUP
 from i2t.rendering.ops import dynamic_slice, dynamic_update, fusion_barrier, indices, maximum, minimum
 
-MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, projected area below which a face counts as edge on
-FACE_TERMS = 13  # number of terms that describe a face to the renderer: three edges, its plane, its lowest corner
+MIN_PROJECTED_AREA_M2 = 1e-16  # m^2, twice the projected area of a face below which it is edge on and not drawn
+FACE_TERMS = 13  # number of terms of a face: 9 of its three edges, 3 of its plane, and its lowest corner's z
 
 # Nearest hits so far as (p, tiles, pixels) arrays: heights (m) and, if requested, faces.
 Hits: TypeAlias = tuple[Array, ...]
@@ -98,7 +98,9 @@ class PixelGrid:
 
 
 class FaceClusters(NamedTuple):
-    """The faces of all meshes to render, in clusters of equal size; a row is a cluster."""
+    """The faces of all meshes to render, in clusters of equal size: a row of corner coordinates (m) for each cluster,
+    the index of each pose's mesh, and the numbers of clusters of a mesh and of faces of a cluster.
+    """
 
     rows: Float[Array, "clusters size*9"]
     mesh: Int[Array, " p"]  # index of each pose's mesh
@@ -107,7 +109,9 @@ class FaceClusters(NamedTuple):
 
 
 class ClusterList(NamedTuple):
-    """Clusters of faces that each pose needs for drawing, as bits of the groups of 32 clusters that it lists."""
+    """Clusters of faces that each pose needs for drawing: indices of groups, a word of bits for the 32 clusters of each
+    group, and running sums of the set bits along the groups.
+    """
 
     ids: Int[Array, "p groups"]
     words: UInt[Array, "p groups"]
@@ -133,8 +137,9 @@ class _Table(NamedTuple):
 
 
 class Scratch(NamedTuple):
-    """Clusters set up for drawing, overwritten by every pass. A row of `faces` and `names` is a cluster; the last row
-    of `faces` draws nothing.
+    """Clusters set up for drawing, overwritten by every pass: terms of their faces, tiles that each face crosses
+    (bits), and the cluster's index in its mesh. A row of `faces` and `names` is a cluster; the last row of `faces`
+    draws nothing.
     """
 
     faces: Float[Array, "rows terms"]  # `FACE_TERMS` numbers of each face of the cluster
@@ -395,7 +400,7 @@ def empty_buffers(poses: int, grid: PixelGrid, dtype: DTypeLike, with_faces: boo
         with_faces: Whether visible faces are requested.
 
     Returns:
-        `(p, tiles, pixels)` infinite heights and, if requested, faces.
+        `(p, tiles, pixels)` infinite heights and, if requested, zeros for the indices of faces.
     """
     heights = jnp.full((poses, *grid.x.shape), jnp.inf, dtype)
     return (heights, jnp.zeros(heights.shape, jnp.int32)) if with_faces else (heights,)

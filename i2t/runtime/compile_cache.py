@@ -23,7 +23,8 @@ log = logging.getLogger(__name__)
 # environment variable with the folder of i2t's compile cache; off disables the cache
 CACHE_VARIABLE = "I2T_COMPILE_CACHE"
 JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"  # environment variable with JAX's own choice of the folder
-# bytes, largest size of one processor's cache folder, which JAX scans whenever it stores a program
+# bytes, size of one processor's cache folder beyond which JAX deletes the least recently used programs; small, because
+# JAX scans the folder whenever it stores a program
 MAX_CACHE_BYTES = 2**28
 
 
@@ -31,8 +32,8 @@ def use_compile_cache() -> Path | None:
     """Let JAX cache compiled programs from now on, in this process and in those that it starts.
 
     Returns:
-        The cache's folder. None if nothing is cached because the cache is off or its folder cannot be written to, or if
-        JAX's own cache is set.
+        The cache's folder. None if nothing is cached because the cache is off, its folder cannot be written to or the
+        package filelock is missing, or if JAX's own cache is set.
 
     Example:
         i2t.use_compile_cache()

@@ -21,7 +21,8 @@ import numpy as np
 Config = TypeVar("Config")
 _traced: set[type] = {float}  # types of traced fields, including configurations
 
-# XLA's options for programs that must compile quickly
+# XLA's options for programs that must compile quickly on a CPU: no fusion emitters, and LLVM's second level of
+# optimisation
 QUICK_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 2}
 
 
@@ -62,8 +63,8 @@ def traced_floats(kind: type[Config]) -> type[Config]:
 
 
 def jit_quickly(function: Callable[..., Any], *, static_argnames: str | tuple[str, ...] = ()) -> Callable[..., Any]:
-    """Compile a program that a process runs only a few times. On devices other than CPUs, and while JAX traces another
-    program, a batch or a derivative, this is `jax.jit`.
+    """Compile a program quickly, with less optimisation, because a process runs it only a few times. On devices other
+    than CPUs, and while JAX traces another program, a batch or a derivative, this is `jax.jit`.
 
     Args:
         function: A pure function.

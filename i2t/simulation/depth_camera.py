@@ -19,7 +19,9 @@ from i2t.types import Array
 
 @runtime_checkable
 class DepthErrors(Protocol):
-    """Sizes of a depth camera's errors; `i2t.simulation.touches.SimulationErrors` is an example."""
+    """Sizes of a depth camera's errors: sideways displacement (pixels), noise (m) and rounding step (m);
+    `i2t.simulation.touches.SimulationErrors` is an example.
+    """
 
     @property
     def depth_bleed(self) -> float:
@@ -43,7 +45,7 @@ def render_view(
         triangles: `(n, 3 corners, 3)` coordinates (m) in the base.
         T_b_c: Pose of the camera.
         camera: The camera, whose lens must be a pinhole.
-        near_plane: Distance (m) from the camera below which triangles are not drawn.
+        near_plane: Depth (m); a triangle with a corner nearer than this is not drawn at all.
 
     Returns:
         `(h, w)` depths (m) along the camera's axis, +inf where nothing is seen, and `(h, w)` index of the triangle that
@@ -87,7 +89,7 @@ def render_view(
 def shade_view(
     triangles: Float[Array, "n 3 3"], which: Int[Array, "h w"], T_b_c: Float[Array, "4 4"]
 ) -> UInt8[Array, "h w 3"]:
-    """Colour a view in grey; faces that point to the camera are brighter.
+    """Colour a view in grey; faces are brighter the more directly the camera looks at them, from either side.
 
     Args:
         triangles: `(n, 3 corners, 3)` coordinates (m) in the base.
@@ -95,7 +97,7 @@ def shade_view(
         T_b_c: Pose of the camera.
 
     Returns:
-        `(h, w, 3)` red, green and blue of the pixels.
+        `(h, w, 3)` red, green and blue of the pixels, from 0 to 255; black where nothing is seen.
     """
     normal = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)

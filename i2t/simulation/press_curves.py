@@ -24,7 +24,9 @@ from i2t.types import Array, Pad
 
 
 class PressCurve(NamedTuple):
-    """Simulated press with s stops: measurements and true contact at each stop."""
+    """Simulated press with s stops: measured reading (uT), force (N) and travel past first contact (m) at each, and the
+    true force on each cell (N) and centre of pressure (m).
+    """
 
     reading: Float[Array, "*batch s c"]  # uT, reading at each travel
     force: Float[Array, "*batch s"]  # N, force at each travel
@@ -34,7 +36,7 @@ class PressCurve(NamedTuple):
 
     @property
     def contact(self) -> Bool[Array, "*batch s cells"]:
-        """Cells that truly bear pressure."""
+        """Mask of the cells of 1 mm that truly bear pressure at each stop."""
         return cells_in_contact(self.newtons)
 
 
@@ -59,7 +61,7 @@ def simulate_press_curve(
         skin_changes: Changes (uT) of the reading at which the press stops, by default the paper's and four times that.
 
     Returns:
-        The stops of the press, s in all.
+        Press with s stops, one for each change: measurements with errors, and the true contact.
     """
     key_slant, key_force, key_travel, key_sensor = jax.random.split(key, 4)
     stops = len(skin_changes)

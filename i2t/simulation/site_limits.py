@@ -9,8 +9,8 @@ from i2t.patches.dimensions import PAD_WINDOW
 
 @dataclass(frozen=True)
 class SiteLimits:
-    """Limits of a safe site. The defaults are those of the paper's collection, with estimates for a UR flange and
-    mount.
+    """Limits of a safe site: slope, rise of the surface around it, and clearance of mount and flange above the table.
+    The defaults are those of the paper's collection, with estimates for a UR flange and mount.
 
     Raises:
         ValueError: A limit is outside its range, or the flange's box ends before it begins.

@@ -25,13 +25,13 @@ from i2t.simulation.site_limits import SiteLimits
 from i2t.types import Surface, in_one_line
 
 traced_floats(SiteLimits)  # here, because its own module does not import JAX
-COLLECTION_LIMITS = SiteLimits()  # limits of safe sites for collections of touches
-RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)  # limits of safe sites for recognition
+COLLECTION_LIMITS = SiteLimits()  # limits of safe sites for collections of touches: normals within 76 degrees of up
+RECOGNITION_LIMITS = SiteLimits(min_cos=0.5)  # limits of safe sites for recognition: normals within 60 degrees of up
 
 
 @in_one_line
 class Sites(NamedTuple):
-    """n touch sites, as tool poses, and whether each passed the safety checks."""
+    """n touch sites, as tool poses in the world, and whether each passed the safety checks; other poses are NaN."""
 
     T_w_t: Float[Array, "n 4 4"]  # (4, 4) contact frames in W, m
     safe: Bool[Array, " n"]
@@ -39,7 +39,7 @@ class Sites(NamedTuple):
 
 @in_one_line
 class TouchSites(NamedTuple):
-    """n safe touch sites on an object, in its frame: tool poses, points and normals."""
+    """n safe touch sites on an object, in its frame: tool poses, points (m) and outward unit normals."""
 
     T_o_t: Float[np.ndarray, "n 4 4"]  # pose of the tool at contact, whose z points into the object
     points: Float[np.ndarray, "n 3"]  # m, origin of the tool on the surface
@@ -236,7 +236,7 @@ def collect_sites(
     rounds: int = 8,
     obstacles: Surface | None = None,
 ) -> Float[np.ndarray, "{n} 4 4"]:
-    """Draw safe sites in several rounds. This function runs on the host and compiles each round.
+    """Draw safe sites in several rounds. This function runs on the host and calls a compiled one in each round.
 
     Args:
         key: Random key.

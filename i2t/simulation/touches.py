@@ -85,7 +85,7 @@ class SimulationErrors:
         return cls(**{error.name: sensor.get(error.name, 0.0) for error in fields(cls)})
 
     def scaled(self, factor: float) -> "SimulationErrors":
-        """Multiply all pose errors by a factor; the errors of depths, forces and readings stay.
+        """Multiply the errors of placement, camera pose, arm, tilt and slant by a factor; all others stay.
 
         Args:
             factor: The factor; 0 removes the errors.
@@ -318,7 +318,7 @@ def touch_simulator(
     limits: PressLimits | None = None,
     T_w_o: Float[Array | np.ndarray, "4 4"] | None = None,
 ) -> Callable[[Float[Array | np.ndarray, "4 4"]], Touches]:
-    """Simulate a robot in front of an object, which is placed once and touched at any sites.
+    """Make a function that simulates touches of an object, which is placed once, by a robot at any sites.
 
     Args:
         key: Random key of the session and of all its touches.

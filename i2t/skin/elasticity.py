@@ -86,10 +86,10 @@ class Grid:
         return 2 * np.pi / (self.modes * self.spacing) * np.r_[0:half, 1 : half + 1]
 
 
-GRID = Grid()  # default grid of cells on the skin
+GRID = Grid()  # default grid of cells on the skin, of 0.5 mm
 # grid of 1 mm cells on the skin, for the pressures of many contacts, which need not be fine
 CELL_GRID = Grid(cells=20, modes=32)
-# grid on the skin for sharp edges, if they matter more than speed; see `docs/physics.md`
+# grid of 0.25 mm cells on the skin for sharp edges, if they matter more than speed; see `docs/physics.md`
 FINE_GRID = Grid(cells=80, modes=128)
 
 

@@ -32,7 +32,9 @@ from i2t import geometry
 from i2t.runtime.compiling import traced_floats
 from i2t.types import Board
 
-RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0  # uT, full scale: 2^15 steps at gain 7 and resolution 0 (MLX90393 data sheet)
+# uT, full scale of x and y, and of z, at which simulated fields are clipped: 2^15 steps at gain 7 and resolution 0
+# (MLX90393 data sheet)
+RANGE_XY_UT, RANGE_Z_UT = 4915.0, 7930.0
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,7 @@ class FaultModel:
     warming_spread: float = 0.12
 
 
-FAULT_MODEL = FaultModel()  # assumptions of the simulated faults that no session changes
+FAULT_MODEL = FaultModel()  # assumptions about simulated faults, the same for all boards and sessions
 
 Size: TypeAlias = float | Float[Array, ""]  # size of a fault; traced if `Faults` is
 

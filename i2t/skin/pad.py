@@ -42,7 +42,7 @@ class NominalSkin:
     max_range_share: float = 0.85  # largest field at rest along any axis, as a share of the converter's range
 
 
-NOMINAL_SKIN = NominalSkin()  # properties of a middling ReSkin, and assumptions on how skins differ
+NOMINAL_SKIN = NominalSkin()  # sizes, stiffness, friction and magnet of a typical ReSkin, and how skins differ
 # Quantities of a pad that `sample_pad` draws, each with its own random key.
 DRAWN = ("thickness", "young", "gap", "map", "strength", "gains", "friction", "clamped", "compliance")
 MAP_CELLS = 20  # cells of a magnetization map along each edge: 1 mm, and a whole number for each of 4 poles

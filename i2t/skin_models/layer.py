@@ -33,7 +33,7 @@ class Layer(NamedTuple):
     young: Float[Array, ""] | float = NOMINAL_SKIN.young
 
 
-NOMINAL_LAYER = Layer()  # elastic layer of the nominal pad
+NOMINAL_LAYER = Layer()  # elastic layer (Poisson's ratio and Young's modulus) of the nominal pad
 
 
 def layer_pad(layer: Layer) -> Pad:

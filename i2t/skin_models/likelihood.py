@@ -36,7 +36,7 @@ class TouchErrors:
     position_stds: tuple[float, ...] = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
 
 
-TOUCH_ERRORS = TouchErrors()  # default errors of the position at which a press ends
+TOUCH_ERRORS = TouchErrors()  # default errors of the indentation and the position at which a press ends
 
 
 class ScaleMixture(NamedTuple):

@@ -60,8 +60,9 @@ LAYERS = tuple(
         (0.0, 0.35),
     )
 )  # fmt: skip
-# Default hyperparameters of the Gaussian process of the discrepancy between measured readings and physics. They are
-# near the medians of fits to 900 touches of a pad in six physics.
+# Default hyperparameters of the Gaussian process of the discrepancy between measured readings and physics; the five
+# numbers are weights of its length scales (1.5 to 24 mm). They are near the medians of fits to 900 touches of a pad in
+# six physics.
 DISCREPANCY = GPHyperparameters(
     jnp.array([0.05, 0.75, 0.15, 0.03, 0.02]), bend=jnp.array(0.4), width=jnp.array(1.0), noise=jnp.array(0.0)
 )
@@ -95,7 +96,7 @@ class ReadingPrior(NamedTuple):
     discrepancy: GPHyperparameters = DISCREPANCY  # hyperparameters of the discrepancy, whose noise is ignored
 
 
-READING_PRIOR = ReadingPrior()  # assumptions about a pad that come from other pads and other physics
+READING_PRIOR = ReadingPrior()  # elastic layers and discrepancy that are assumed before a pad is measured
 
 
 @in_one_line

@@ -55,7 +55,8 @@ class _Checked(NamedTuple):
     checksum_type: str  # format character of the checksum in `struct`
 
 
-# Layouts of the formats that have a checksum.
+# Layouts of the formats that have a checksum: header, number of values of a chip (the last ones of temperature, x, y
+# and z), function that computes the checksum, and the checksum's type in `struct`.
 CHECKED_FORMATS = {
     Format.FRAMED: _Checked(b"\xaa\x55", 3, lambda content: reduce(xor, content, 0), "B"),
     Format.CRC: _Checked(b"\xa5\x5a", 4, zlib.crc32, "I"),

@@ -51,6 +51,7 @@ class _Table(NamedTuple):
         return self.required + self.optional
 
 
+# Tables of a rig file: comment, required keys and optional keys.
 # CAUTION: The comments are part of a rig's hash; a changed comment keeps a collection from being resumed.
 TABLES = {
     "tool": _Table(

@@ -29,7 +29,7 @@ class Roughness:
     measurement_std: float = 5e-3  # smallest error, in typical loads, of the height that a press measures
 
 
-ROUGHNESS = Roughness()  # default hypotheses on the roughness of a skin's surface
+ROUGHNESS = Roughness()  # default hypotheses on the size and length of a skin's local heights, and their prior
 
 
 @in_one_line
