@@ -32,7 +32,8 @@ from i2t.hardware.reskin.layouts import (
 )
 from i2t.skin import boards
 
-TEMPERATURE_RANGE_C = (-40.0, 85.0)  # degrees C, range of a chip's temperatures; bytes of the stream that decode to others are not a frame
+# degrees C, range of a chip's temperatures; bytes of the stream that decode to others are not a frame
+TEMPERATURE_RANGE_C = (-40.0, 85.0)
 # uT, range of the magnitudes of a chip's non-zero values; bytes of the stream that decode to others are not a frame.
 # Firmware that averages sends less than one step of the chip, and the chip's range ends at 5e4 uT.
 FIELD_RANGE_UT = (1e-5, 50e3)
