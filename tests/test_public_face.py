@@ -240,7 +240,15 @@ CALLS = [
     ("meshes", "i2t.prepare_surfaces([])"),
     ("key", "i2t.fit_predictor(0, None, None)"),
     ("method", "i2t.fit_predictor(key, None, None, method='perfect')"),
+    ("method", "i2t.fit_predictor(key, None, None, method=None)"),
     ("keys", "i2t.run_paper_loop(key, {}, {'star': surface}, pad, reading_std=reading, episodes=2)"),
+    ("episodes_per_pool", "i2t.run_paper_loop(jax.random.split(key, 3), {}, {'star': surface}, pad, "
+     "reading_std=reading, episodes=2, episodes_per_pool=0)"),
+    ("reading_std", "i2t.run_paper_loop(jax.random.split(key, 3), {}, {'star': surface}, pad, "
+     "reading_std=0 * reading, episodes=2)"),
+    ("predictors", "i2t.run_paper_loop(jax.random.split(key, 3), {'proprioception': None}, {'star': surface}, pad, "
+     "reading_std=reading, episodes=2)"),
+    ("rule", "i2t.PaperEpisodes(np.zeros(1), np.zeros(1), np.zeros((1, 1, 2))).hits('vote')"),
     ("surfaces", "i2t.run_paper_loop(jax.random.split(key, 3), {}, {}, pad, reading_std=reading, episodes=2)"),
     ("point", "i2t.contact_pose(mesh, 'top')"),
     ("pixel", "i2t.pose_at_pixel(image, camera, eye, 'middle')"),

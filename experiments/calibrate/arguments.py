@@ -3,7 +3,7 @@
 import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions
@@ -40,6 +40,8 @@ PRESETS: dict[str, Preset] = {
 @dataclass(frozen=True)
 class CalibrateArgs(RunOptions):
     """Compare calibration methods by the number of presses that they need."""
+
+    FORMER_NAMES: ClassVar = {"--load depth": "--load travel", "--targets depth": "--targets travel"}
 
     dataset: Path | None = None  # data set of one tip on one skin
     skin_name: str | None = None  # with --dataset: skin to calibrate, if each touch has readings of several

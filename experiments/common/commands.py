@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any, TypeAlias
 
 from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, folder_of, pictures_in
-from i2t.cli.options import check_options, docstring_of, read_options
+from i2t.cli.options import check_options, docstring_of, read_options, refuse_renamed
 
 # Function from the command line (by default that of the process) to the exit code.
 Main: TypeAlias = Callable[..., int]
@@ -72,7 +72,7 @@ def _words(argv: Sequence[str] | None) -> list[str]:
 
 def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str, about: str = "") -> int:
     """Read and check the options, then import and run the module that does the work, and return the exit code."""
-    renamed = partial(refuse_renamed, getattr(kind, "FORMER_NAMES", {}), words)
+    renamed = partial(refuse_renamed, kind, words)
     if code := exit_code_of_run(renamed):
         return code
     args = read_options(kind, words, program=program, description=docstring_of(module) + about, config=())
@@ -91,22 +91,6 @@ def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str,
         return result
 
     return exit_code_of_run(work, out if hasattr(args, "resume") else None)
-
-
-def refuse_renamed(former_names: Mapping[str, str], words: Sequence[str]) -> None:
-    """Refuse options by their former names.
-
-    Args:
-        former_names: Current names of options by their former names.
-        words: The command line.
-
-    Raises:
-        ValueError: The command line has a former name; the message gives the current one.
-    """
-    for word in words:
-        flag = word.partition("=")[0].replace("_", "-")
-        if flag in former_names:
-            raise ValueError(f"{flag} is called {former_names[flag]} now; pass that option, which --help explains")
 
 
 def print_outcome(out: Path | None, next_command: str) -> None:

@@ -88,6 +88,7 @@ def begin(args: Any, experiment: Any) -> None:
     if path.exists() and not args.overwrite:
         before = json.loads(path.read_text(), object_hook=_with_new_names)
         same = json.loads(json.dumps(config, default=str))
+        before = _with_new_settings(before, same)
         if {"files": {}, **before, "versions": None, "kind": None} != {**same, "versions": None, "kind": None}:
             raise ValueError(f"{out} was begun with other settings or data ({path}); pass those, or --overwrite")
     place = out.resolve()
@@ -101,8 +102,19 @@ def begin(args: Any, experiment: Any) -> None:
 
 def _with_new_names(values: dict[str, Any]) -> dict[str, Any]:
     """Replace names of settings of earlier versions."""
-    former = {"half": "half_edge", "looked_from": "tool_offset_at_capture", "worn_pad": "pad_file"}
+    former = {
+        "half": "half_edge", "judging": "selection", "looked_from": "tool_offset_at_capture", "worn_pad": "pad_file",
+    }  # fmt: skip
     return {former.get(name, name): value for name, value in values.items()}
+
+
+def _with_new_settings(before: Any, now: Any) -> Any:
+    """Add settings that were constants in earlier versions, such as the forces of `experiments.shapes` (N)."""
+    if not isinstance(before, dict) or not isinstance(now, dict):
+        return before
+    constants = {"forces": [1.0, 3.0]}
+    added = {name: value for name, value in constants.items() if name in now}
+    return added | {name: _with_new_settings(value, now.get(name)) for name, value in before.items()}
 
 
 def check_out(args: Any, out: Path) -> None:

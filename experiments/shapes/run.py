@@ -101,7 +101,7 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     )
     pads = range(len(presses.pads))
     makers = {args.out / f"pad-{pad}.json": partial(make_part, presses, pad, cfg, args.seed) for pad in pads}
-    parts = make_parts(makers, args.workers, bar="pads")
+    parts = [_with_new_split_names(part) for part in make_parts(makers, args.workers, bar="pads")]
     result = {
         "source": dataset.source,
         "seed": args.seed,
@@ -115,6 +115,12 @@ def run(args: ShapesArgs) -> dict[str, Any]:
     write_json(args.out / "metrics.json", result)
     report.report(result)
     return result
+
+
+def _with_new_split_names(part: Part) -> Part:
+    """Replace names of splits in the parts of runs that an earlier version began, which called the travel depth."""
+    splits = {"travel" if split == "depth" else split: scores for split, scores in part["splits"].items()}
+    return part | {"splits": splits}
 
 
 def prepare(args: ShapesArgs, cfg: ShapeExperiment) -> ShapePresses:

@@ -55,7 +55,7 @@ def run(args: StudyArgs) -> dict[str, Any]:
     size = StudySize(2 if args.preset == "debug" else args.episodes, args.preset == "debug")
     work = partial(make_part, args.study, cfg, size)
     makers = {out / f"part-{i}.npz": partial(work, run, args.seed + i) for i, run in runs.items()}
-    parts = make_parts(makers, args.workers)
+    parts = [_with_new_labels(part) for part in make_parts(makers, args.workers)]
     pads = [run.pad_name for run in runs.values()]
     report = STUDIES[args.study].report(parts, pads)
     result = {"source": "simulated", "pads": sorted(set(pads)), "runs": len(parts), **report}
@@ -70,3 +70,21 @@ def run(args: StudyArgs) -> dict[str, Any]:
 def make_part(study: StudyName, cfg: Recognition, size: StudySize, run: FinishedRun, seed: int) -> Part:
     """Run a study on one pad and seed."""
     return STUDIES[study].evaluate(prepare_lab(cfg, size, run, seed))
+
+
+def _with_new_labels(part: Part) -> Part:
+    """Replace labels of conditions in the parts of runs that an earlier version began."""
+    former = {
+        "half as far": "half as large",
+        "twice as far": "twice as large",
+        "chip remembers twice as much": "twice the hysteresis",
+        "ambient once, before the episode": "ambient measured only before the episode",
+        "camera biased by 1 mm and degree": "camera biased by 1 mm and 1 degree",
+        "skin remounted by 0.5 mm": "skin remounted 0.5 mm off",
+        "as many as the run": "all",
+    }
+    renamed: Part = {}
+    for name, value in part.items():
+        label = next((name.replace(before, now) for before, now in former.items() if before in name), name)
+        renamed[label] = _with_new_labels(value) if isinstance(value, dict) else value
+    return renamed

@@ -162,19 +162,23 @@ class _PlainLines(logging.Handler):
 
 @contextmanager
 def _shown_log() -> Iterator[None]:
-    """Show what the library logs, from INFO on, while a command runs."""
-    log, level = logging.getLogger("i2t"), logging.getLogger("i2t").level
-    handler = _PlainLines()
-    if any(isinstance(other, _PlainLines) for other in log.handlers):  # a command within a command
+    """Show what the library logs, from INFO on, while a command runs. If the program has configured logging, its
+    handlers and levels apply instead.
+    """
+    log = logging.getLogger("i2t")
+    if log.hasHandlers():  # also those of a command around this one
         yield
         return
+    handler, level, propagates = _PlainLines(), log.level, log.propagate
     log.addHandler(handler)
-    log.setLevel(logging.INFO)
+    log.setLevel(level or logging.INFO)
+    log.propagate = False  # libraries that are imported meanwhile, such as absl, add handlers to the root
     try:
         yield
     finally:
         log.removeHandler(handler)
         log.setLevel(level)
+        log.propagate = propagates
 
 
 def _importing() -> bool:

@@ -10,7 +10,7 @@ import math
 import os
 import sys
 import typing
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from numbers import Real
@@ -93,6 +93,29 @@ def read_options(
     except BrokenPipeError:
         output_is_closed()
         raise SystemExit(ExitCode.OUTPUT_CLOSED) from None
+
+
+def refuse_renamed(kind: Any, words: Sequence[str] | None) -> None:
+    """Refuse options and values by their former names.
+
+    Args:
+        kind: The dataclass of options. Its `FORMER_NAMES`, if it has them, are the current names by the former ones, as
+            a user types them: `--flag`, or `--flag value` for a value of an option.
+        words: The words after the program's name; None takes those of this process.
+
+    Raises:
+        ValueError: The command line has a former name; the message gives the current one.
+    """
+    former_names: Mapping[str, str] = getattr(kind, "FORMER_NAMES", {})
+    flag = ""
+    for word in sys.argv[1:] if words is None else words:
+        value = word
+        if word.startswith("--"):
+            flag, _, value = word.partition("=")
+            flag = flag.replace("_", "-")
+        for name in (flag, f"{flag} {value}"):
+            if name in former_names:
+                raise ValueError(f"{name} is called {former_names[name]} now; pass that option, which --help explains")
 
 
 def check_options(options: Any, given: Sequence[str] = (), *, group: str = "") -> None:

@@ -123,6 +123,8 @@ class LabArgs:
 class CollectArgs:
     """Collect touches of an object with a real or simulated arm, skin and camera."""
 
+    FORMER_NAMES: ClassVar = {"--trust-rig": "--accept-unusual-rig", "--sites.half": "--sites.half-edge"}
+
     # folder in which the touches are written; a collection that was begun there is resumed
     out: Path = Path("runs/collect")
     touches: Count = 36  # number of touches to collect

@@ -14,10 +14,11 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 from i2t.cli.exit_codes import exit_code_of
-from i2t.cli.options import read_options
+from i2t.cli.options import read_options, refuse_renamed
 from i2t.collect.arguments import CollectArgs
 
 
@@ -30,6 +31,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns:
         The exit code of the process, as in `i2t.cli.exit_codes`.
     """
+    if code := exit_code_of(partial(refuse_renamed, CollectArgs, argv)):
+        return code
     args = read_options(CollectArgs, argv, program="python -m i2t.collect", description=__doc__)
 
     def work() -> int:

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from i2t.dataset.sets import Dataset
-from i2t.errors import DataError
+from i2t.errors import DataError, did_you_mean
 
+HOLDOUT_KINDS = ("object", "pad", "session")  # of names that a split can hold out
 SAME_PLACE_M = 0.2e-3  # m, largest distance between presses that count as at the same place of the skin
 
 
@@ -58,11 +59,11 @@ class Split:
             The split, with sessions as groups.
 
         Raises:
-            DataError: The data set lacks a name, or a name is given for both.
+            DataError: There is no such kind, the data set lacks a name, or a name is given for both.
         """
+        validating, testing = (holdout_names(dataset, kind, names) for names in (validation, test))
         if both := [name for name in validation if name in test]:
             raise DataError(f"{kind} {', '.join(both)}: is held out for validation and for test; choose one of them")
-        validating, testing = (holdout_names(dataset, kind, names) for names in (validation, test))
         return cls(~(validating | testing), validating, testing, dataset.touches.session, kind)
 
 
@@ -125,12 +126,16 @@ def holdout_names(dataset: Dataset, kind: str, names: Sequence[str]) -> np.ndarr
         `(n,)` mask of the touches held out.
 
     Raises:
-        DataError: The data set lacks a name.
+        DataError: There is no such kind, the data set lacks a name, or `names` is a single text.
     """
+    if kind not in HOLDOUT_KINDS:
+        raise DataError(f"{kind!r} cannot be held out; {did_you_mean(kind, HOLDOUT_KINDS)}")
+    if isinstance(names, str):
+        raise DataError(f"{names!r} is a text; give a list of names, such as [{names!r}]")
     all_names = getattr(dataset, kind + "s")
     unknown = [name for name in names if name not in all_names]
     if unknown:
-        raise DataError(f"no {kind} is called {', '.join(unknown)}; the data set has {', '.join(all_names)}")
+        raise DataError(f"no {kind} is called {', '.join(map(str, unknown))}; the data set has {', '.join(all_names)}")
     return np.isin(getattr(dataset.touches, kind), [all_names.index(name) for name in names])
 
 

@@ -248,8 +248,9 @@ def fit_predictor(
         The fitted predictor.
 
     Raises:
-        TypeError: `key` is no random key.
-        ValueError: There is no method of this name, or the touches lack an input of the method.
+        TypeError: `key` is no random key, or `method` is neither a method nor a name.
+        ValueError: There is no method of this name, the touches lack an input of the method, or the split is of another
+            data set.
 
     Example:
         split = i2t.Split.hold_out(dataset, "object", validation=["cutter"])
@@ -257,6 +258,12 @@ def fit_predictor(
     """
     random_key("key", key)
     chosen = find_method(method) if isinstance(method, str) else method
+    if not isinstance(chosen, Method):
+        raise TypeError(f"method: is {chosen!r}; give the name of a method, or an instance of a subclass of Method")
+    if len(split.groups) != len(dataset):
+        raise ValueError(
+            f"split: has {len(split.groups)} touches, but the data set {len(dataset)}; split this data set"
+        )
     touches = TrainingTouches(dataset, paper=paper or PaperOptions(), training=training or TrainConfig())
     predictor = chosen.fit(key, touches, split)
     if predictor is None:

@@ -25,6 +25,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from i2t import validation
 from i2t.contact.press import PressLimits
+from i2t.errors import did_you_mean
 from i2t.paper import loop, rules
 from i2t.paper.loop import LoopResult
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
@@ -77,7 +78,12 @@ class PaperEpisodes(NamedTuple):
 
         Returns:
             `(e, t, objects)` beliefs after each touch.
+
+        Raises:
+            ValueError: There is no rule of this name.
         """
+        if rule not in rules.RULES:
+            raise ValueError(f"rule: is {rule!r}; {did_you_mean(rule, rules.RULES)}")
         return loop.beliefs(self.distance, rule)
 
     def hits(self, rule: str = "votes") -> Float[np.ndarray, "e t"]:
@@ -88,6 +94,9 @@ class PaperEpisodes(NamedTuple):
 
         Returns:
             `(e, t)` scores after each touch: 1 if right, 0 if wrong, and 1/n if the true object ties with n - 1 others.
+
+        Raises:
+            ValueError: There is no rule of this name.
         """
         return hits(self.beliefs(rule), self.truth)
 
@@ -343,8 +352,8 @@ def run_paper_loop(
 
     Raises:
         TypeError: A count is not a whole number.
-        ValueError: There are no surfaces, a count is below 1, `keys` are not three keys, or an object has too few safe
-            sites.
+        ValueError: There are no surfaces, a predictor is named proprioception, `reading_std` is not finite or not above
+            0, a count is below 1, `keys` are not three keys, or an object has too few safe sites.
 
     Example:
         predictor = i2t.load_predictor("runs/train")
@@ -358,8 +367,16 @@ def run_paper_loop(
         raise ValueError(f"keys: shape {keys.shape}; give three keys, such as jax.random.split(key, 3)")
     if not surfaces:
         raise ValueError("surfaces: no object; give at least one")
+    if PROPRIOCEPTION in predictors:
+        raise ValueError(f"predictors: {PROPRIOCEPTION} is the name of another method; give the predictor another name")
     validation.count("episodes", episodes)
     validation.count("touches", touches)
+    validation.count("sites_per_object", sites_per_object)
+    if episodes_per_pool is not None:
+        validation.count("episodes_per_pool", episodes_per_pool)
+    std, channels = validation.numbers("reading_std", reading_std, "standard deviations (uT)"), 3 * pad.board.num_chips
+    if std.shape != (channels,) or not (np.isfinite(std) & (std > 0)).all():
+        raise ValueError(f"reading_std: is not {channels} finite numbers above 0; give one (uT) for each channel")
     config = EnvironmentConfig(errors or SimulationErrors(), limits or PressLimits(), touches)
     key_sites, key_episodes, key_choices = keys
     names, shapes = list(surfaces), list(surfaces.values())

@@ -8,12 +8,12 @@ import signal
 import sys
 import time
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import pytest
 
 from i2t.cli.exit_codes import exit_code_of
-from i2t.cli.options import Limits, check_options, read_options
+from i2t.cli.options import Limits, check_options, read_options, refuse_renamed
 from i2t.cli.pipes import ExitCode
 from i2t.errors import CheckpointError, DataError, DeviceError, DeviceTimeoutError, FullDiskError
 
@@ -145,3 +145,14 @@ def test_a_command_may_choose_its_exit_code_and_a_defect_of_the_program_is_not_h
     assert [exit_code_of(lambda code=code: code) for code in (None, 0, 1, "a result")] == [0, 0, 1, 0]
     with pytest.raises(ZeroDivisionError):
         exit_code_of(_raising(ZeroDivisionError()))
+
+
+@pytest.mark.parametrize("words", [["--old", "1"], ["--old=1"], ["--a_b", "new", "former"], ["--a-b=former"]])
+def test_an_option_or_value_by_its_former_name_is_answered_with_the_new_one(words):
+    class Renamed:
+        FORMER_NAMES: ClassVar = {"--old": "--new", "--a-b former": "--a-b new"}
+
+    with pytest.raises(ValueError, match=r"^--\S+( former)? is called --\S+( new)? now"):
+        refuse_renamed(Renamed, words)
+    refuse_renamed(Renamed, ["--new", "former", "--a-b", "new", "--other", "former"])
+    refuse_renamed(Group, words)

@@ -37,10 +37,12 @@ def test_only_commands_print():
     assert {str(path.relative_to(LIBRARY)) for path in LIBRARY.rglob("*.py") if _prints(path)} == COMMANDS
 
 
-def test_a_command_shows_what_the_library_logs_in_plain_lines(capsys):
-    log = logging.getLogger("i2t.some.module")
+def test_a_command_shows_what_the_library_logs_in_plain_lines_once(capsys, monkeypatch):
+    log, root = logging.getLogger("i2t.some.module"), logging.getLogger()
+    monkeypatch.setattr(root, "handlers", [])  # pytest's
 
     def work() -> int:
+        root.addHandler(logging.StreamHandler())  # as absl does when orbax is imported
         log.debug("hidden")
         log.info("shown")
         return exit_code_of(lambda: log.warning("shown once"))
@@ -49,3 +51,18 @@ def test_a_command_shows_what_the_library_logs_in_plain_lines(capsys):
     log.info("hidden too")
     assert capsys.readouterr() == ("", "shown\nshown once\n")
     assert logging.getLogger("i2t").handlers == []
+
+
+def test_a_command_leaves_logging_that_the_program_has_configured_as_it_is(capsys, monkeypatch):
+    """A record is shown once, by the program's handler, from the program's level on."""
+    log = logging.getLogger("i2t")
+    monkeypatch.setattr(logging.getLogger(), "handlers", [logging.StreamHandler()])
+    monkeypatch.setattr(log, "level", logging.WARNING)
+
+    def work() -> None:
+        log.info("hidden")
+        log.warning("shown")
+
+    assert exit_code_of(work) == 0
+    assert capsys.readouterr() == ("", "shown\n")
+    assert (log.handlers, log.level, log.propagate) == ([], logging.WARNING, True)

@@ -189,6 +189,8 @@ def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
         "--pad-name red": "was begun with another pad-name (pad-name: simulated pad 0, now red); use the earlier value",
         "--arm nobody": "--arm nobody is not known",
         "--camera nobody": "--camera nobody is not known",
+        "--trust-rig": "--trust-rig is called --accept-unusual-rig now",
+        "--sites.half .01": "--sites.half is called --sites.half-edge now",
     }
     program = (
         "import sys; from i2t.collect.command import main; "
@@ -197,7 +199,7 @@ def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
     )
     words = [sys.executable, "-c", program, str(tmp_path), *wrong]
     run = subprocess.run(words, capture_output=True, text=True, check=True)
-    assert run.stdout == "False 2 2 2 2 2\n"
+    assert run.stdout == "False 2 2 2 2 2 2 2\n"
     for line, sentence in zip(run.stderr.splitlines(), wrong.values(), strict=True):
         assert sentence in line
 

@@ -318,6 +318,10 @@ def test_splits_are_whole_groups(n, seed, fraction, size):
     assert not split.validation.any()
     with pytest.raises(DataError, match="object star: is held out for validation and for test; choose one of them"):
         Split.hold_out(dataset, "object", validation=["star"], test=["star"])
+    with pytest.raises(DataError, match="'objects' cannot be held out; did you mean object"):
+        Split.hold_out(dataset, "objects", test=["star"])
+    with pytest.raises(DataError, match=r"'star' is a text; give a list of names, such as \['star'\]"):
+        Split.hold_out(dataset, "object", test="star")
     groups = by_group(dataset.touches.session)
     rows = np.concatenate(list(groups.values()))
     assert sorted(rows) == list(range(n))

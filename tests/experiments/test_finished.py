@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from helpers.random_touches import make
 
+from experiments.calibrate import __main__ as calibrate
 from experiments.recognize import __main__ as recognize
 from experiments.studies.arguments import StudyArgs
 from experiments.train.finished import (
@@ -130,6 +131,12 @@ def test_a_run_on_recorded_touches_explains_why_no_episodes_are_simulated(tmp_pa
 def test_an_option_answers_with_its_new_name(words, capsys):
     assert recognize.main(words) == 2
     assert "is called --pad-model now" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [["--load", "depth"], ["--targets", "position", "depth"]])
+def test_a_value_of_an_option_answers_with_its_new_name(words, capsys):
+    assert calibrate.main(words) == 2
+    assert f"{words[0]} depth is called {words[0]} travel now" in capsys.readouterr().err
 
 
 def test_a_misspelt_step_gets_a_suggestion(capsys):

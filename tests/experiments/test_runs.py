@@ -1,13 +1,14 @@
 """Folders of runs."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
 import pytest
 
 from experiments.common.runs import begin, exit_code_of_run, settle_begun
+from experiments.train.configs import Simulation
 from i2t.simulation.site_limits import SiteLimits
 
 
@@ -30,6 +31,12 @@ class _TableArgs:
 @dataclass(frozen=True)
 class _OtherArgs(_Args):
     """Options of another experiment."""
+
+
+@dataclass(frozen=True)
+class _Presses:
+    forces: tuple[float, float] = (1.0, 3.0)
+    simulation: Simulation = field(default_factory=Simulation)
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,19 @@ def test_a_run_with_a_former_name_of_a_setting_is_continued(tmp_path):
     begin(_TableArgs(tmp_path / "run", (), resume=True), SiteLimits())
     with pytest.raises(ValueError, match="other settings or data"):
         begin(_TableArgs(tmp_path / "run", (), resume=True), SiteLimits(half_edge=5e-3))
+
+
+def test_a_run_from_before_a_setting_existed_is_continued(tmp_path):
+    begin(_TableArgs(tmp_path / "run", ()), _Presses())
+    path = tmp_path / "run" / "config.json"
+    about = json.loads(path.read_text())
+    del about["experiment"]["forces"]
+    about["experiment"]["simulation"]["judging"] = about["experiment"]["simulation"].pop("selection")
+    path.write_text(json.dumps(about))
+    begin(_TableArgs(tmp_path / "run", (), resume=True), _Presses())
+    path.write_text(json.dumps(about))
+    with pytest.raises(ValueError, match="other settings or data"):
+        begin(_TableArgs(tmp_path / "run", (), resume=True), _Presses(forces=(2.0, 3.0)))
 
 
 def test_a_run_that_is_refused_leaves_nothing_and_brings_back_what_it_was_to_replace(tmp_path):

@@ -12,7 +12,7 @@ import pytest
 from experiments.shapes import __main__ as command
 from experiments.shapes import methods, pad, world
 from experiments.shapes.methods import FOLDS, StampClassificationBenchmark, presses_on, split_folds
-from experiments.shapes.run import PRESETS
+from experiments.shapes.run import PRESETS, _with_new_split_names
 from experiments.tsne import __main__ as tsne
 from i2t import dataset as data
 from i2t.errors import DataError
@@ -187,3 +187,8 @@ def test_a_classifier_without_finite_probabilities_is_refused(monkeypatch):
     x, y = np.random.default_rng(0).normal(size=(6, 3)), np.arange(6) % 2
     with pytest.raises(ValueError, match="no finite probabilities"):
         methods.classify(methods.Classifier(), x, y, x, classes=2, seed=0)
+
+
+def test_splits_of_an_earlier_version_have_the_names_of_today():
+    part = {"splits": {"random": {"a": 1}, "depth": {"a": 2}}, "new": {}}
+    assert _with_new_split_names(part) == {"splits": {"random": {"a": 1}, "travel": {"a": 2}}, "new": {}}

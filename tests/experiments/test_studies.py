@@ -10,7 +10,7 @@ import pytest
 from experiments.recognize.config import PRESETS
 from experiments.studies import mismatch, open_set, physics, priors, report, stopping
 from experiments.studies.lab import StudySize
-from experiments.studies.run import STUDIES
+from experiments.studies.run import STUDIES, _with_new_labels
 from experiments.studies.tables import study_table
 from i2t.intervals import Estimate
 from i2t.skin_models.pressure_gp import GPHyperparameters
@@ -172,3 +172,9 @@ def test_tables_of_studies_are_written_from_one_form():
     assert lines[0] == "| a | b | c | d |"
     assert lines[2] == "| x | 0.12 | +0.5 [+0.2, +0.8] | 50 % [25, 75] |"
     assert lines[3] == "| 0.500 [0.250, 0.750] | - | - | 50 % [0, 100] |"
+
+
+def test_parts_of_an_earlier_version_have_the_labels_of_today():
+    part = {"truth": 0, "test": {"matched; as many as the run; 1; fused": 1}, "fused, half as far": 2}
+    expected = {"truth": 0, "test": {"matched; all; 1; fused": 1}, "fused, half as large": 2}
+    assert _with_new_labels(part) == expected
