@@ -45,7 +45,7 @@ ORACLE = "oracle"
 def worlds(lab: StudyLab) -> dict[str, StudyWorld]:
     """Worlds by physics; the first matches the pad model's layer."""
     pad, errors = lab.run.pad, lab.cfg.errors
-    chips = jnp.asarray(pad.board.chips) + jnp.array([0.3e-3, 0.4e-3, 0.0], jnp.float32)
+    chips = jnp.asarray(pad.board.chips) + jnp.array([[0.3e-3, 0.4e-3, 0.0]], jnp.float32)
     worn = pad._replace(young=0.7 * pad.young, magnetization=0.9 * pad.magnetization)
     physics = {
         MATCHED: StudyWorld(),

@@ -38,7 +38,7 @@ def test_registered_views_are_at_the_true_tool_pose_and_the_placement_is_more_ce
     with pytest.raises(ValueError, match="needs meshes"):
         register_known_objects(Dataset.simulated(touches, ("gadget",), i2t.nominal_pad()), KnownObjects({}, before))
     wrong = {"hammer": MESHES[0]}
-    with pytest.raises(ValueError, match="agree with its mesh"):
+    with pytest.raises(ValueError, match="agree with the mesh"):
         register_known_objects(dataset, KnownObjects(wrong, before))
 
 
@@ -64,5 +64,5 @@ def test_sessions_on_known_objects_correct_views_of_unknown_ones_and_reveal_a_mo
         correct_by_camera(found, np.ones(5, int))
     own = found.estimates[0]
     moved = own._replace(T_t_camera=own.T_t_camera @ np.asarray(from_twist(jnp.float32([1e-3, 0, 0, 0, 0, 0]))))
-    with pytest.raises(ValueError, match="it was not mounted alike"):
+    with pytest.raises(ValueError, match="the camera was not mounted alike"):
         correct_by_camera(found._replace(estimates={0: own, 1: moved}), np.arange(2))

@@ -44,7 +44,7 @@ def test_a_notebook_runs_and_every_figure_can_be_shown(name, tmp_path, monkeypat
     assert all(picture.startswith(b"\x89PNG") for picture in pictures)
     said = capsys.readouterr().out
     assert "simulated" in said.lower()
-    assert ("There is no mug.stl here" in said) == (name == "first_touches")
+    assert ("mug.stl does not exist" in said) == (name == "first_touches")
     assert ("SIMULATED" in said) or name != "real_press"  # recordings are missing
 
 
