@@ -134,7 +134,7 @@ class SegmentationRules(NamedTuple):
 
     @property
     def unit(self) -> Float[np.ndarray, " c"]:
-        """`(c,)` standard deviation of a block's noise, in uT."""
+        """`(c,)` standard deviation (uT) of the noise of a block's mean, a unit of deviations from rest."""
         return self.noise_std / np.sqrt(max(self.width * self.fresh, 1.0))
 
 

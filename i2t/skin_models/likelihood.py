@@ -36,7 +36,8 @@ class TouchErrors:
     position_stds: tuple[float, ...] = (0.05e-3, 0.1e-3, 0.2e-3, 0.4e-3, 0.8e-3, 1.6e-3)
 
 
-TOUCH_ERRORS = TouchErrors()  # default errors of the indentation and the position at which a press ends
+# default errors of the indentation and position of a press's end, as the likelihood assumes them
+TOUCH_ERRORS = TouchErrors()
 
 
 class ScaleMixture(NamedTuple):
