@@ -82,8 +82,8 @@ class PaperEpisodes(NamedTuple):
         Raises:
             ValueError: There is no rule of this name.
         """
-        if rule not in rules.RULES:
-            raise ValueError(f"rule: is {rule!r}; {did_you_mean(rule, rules.RULES)}")
+        if rule not in rules.BELIEF_RULES:
+            raise ValueError(f"rule: is {rule!r}; {did_you_mean(rule, rules.BELIEF_RULES)}")
         return loop.beliefs(self.distance, rule)
 
     def hits(self, rule: str = "votes") -> Float[np.ndarray, "e t"]:

@@ -170,7 +170,7 @@ def test_the_map_of_touches_is_made_by_one_command(tmp_path, capsys):
     assert tsne.main(arguments) == 2
     data.save_dataset(path, pressed().select(np.arange(12)))
     assert tsne.main([*arguments, "--overwrite"]) == 2
-    assert "at least are needed" in capsys.readouterr().err
+    assert "at least 40 are needed" in capsys.readouterr().err
 
 
 @pytest.mark.full
