@@ -240,8 +240,8 @@ def check(batch: Batch, cfg: PaperConfig, name: str) -> None:
         wrong = ~np.isfinite(np.asarray(values)).all(axis=axes)
         if wrong.any():
             raise ValueError(
-                f"{wrong.sum()} of {touches} touches of the {name} set have a {label} that is not finite (first at "
-                f"index {np.argmax(wrong)}); leave these touches out, or train without that input."
+                f"{wrong.sum()} of {touches} touches of the {name} set have a non-finite {label} (first at index "
+                f"{np.argmax(wrong)}); leave these touches out, or train without that input."
             )
 
 

@@ -113,7 +113,10 @@ def field_columns(
             "board with --board"
         )
     if twice := next((name for name in header if header.count(name) > 1 and is_used_column(name)), ""):
-        raise DataError(f"{path}: column name {twice} appears twice in the first line; rename one")
+        raise DataError(
+            f"{path}: {twice} appears twice in the first line, under this name or another for the same quantity; "
+            "rename one column"
+        )
     return values
 
 
