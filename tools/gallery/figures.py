@@ -40,7 +40,7 @@ def overview(story: Story) -> Figure:
     _outline(parts[1], np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
     parts[1].set_title("2  the patch that the camera sees", fontsize=10)
     _draw_both(parts[2], story, int(row))
-    parts[2].set_title("3  the reading, predicted and measured", fontsize=10)
+    parts[2].set_title("3  the reading", fontsize=10)
     _draw_beliefs(parts[3], record)
     parts[3].set_title("4  which object is it?", fontsize=10)
     return figure
