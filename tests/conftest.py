@@ -31,7 +31,7 @@ COMPILATION = (
     "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1 --xla_backend_optimization_level=1"
 )
 # These fit pad models, whose registrations are eight times slower without optimisation.
-COMPUTING = ("test_recognize.py", "test_constants.py")
+COMPUTING = ("test_recognize.py", "test_constants.py", "test_magnetization.py", "test_calibrate.py")
 # Longest first, so that no worker is left with one of them at the end. The second needs no trained run, which the first
 # makes meanwhile.
 SLOW = ("test_recognize.py", "test_batching.py", "test_examples.py", "test_train.py")

@@ -140,10 +140,10 @@ def test_an_episode_of_an_environment_is_played():
 
 @pytest.mark.full
 def test_the_paper_in_one_page(capsys):
-    right = _load(0).main(touches=72, epochs=2, episodes=6, count=2)
+    right = _load(0).main(touches=36, epochs=2, episodes=3, count=2)
     assert set(right) == {"Imagine2touch", "proprioception"}
     assert all(0 <= share <= 1 for share in right.values())
-    assert "of 6 after 2 touches (chance 33%; simulated)" in capsys.readouterr().out
+    assert "of 3 after 2 touches (chance 33%; simulated)" in capsys.readouterr().out
 
 
 def test_a_user_defined_predictor_is_trained_compared_saved_and_loaded(tmp_path, capsys):

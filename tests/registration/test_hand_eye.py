@@ -117,10 +117,10 @@ def test_cropped_views_stay_cropped_and_empty_views_stay_unchanged():
 def test_a_simulated_lab_may_have_one_camera_for_all_sessions():
     key, errors, pad = jax.random.key(0), SimulationErrors(), i2t.nominal_pad()
     own = sample_session_errors(jax.random.split(jax.random.fold_in(key, 0), 4)[0], errors).T_t_camera
-    drawn = i2t.simulate_touches(key, [SURFACES["hexagon"]], pad, errors, 8, touches_per_session=4)
+    drawn = i2t.simulate_touches(key, [SURFACES["hexagon"]], pad, errors, 4, touches_per_session=2)
     same = i2t.simulate_touches(
-        jax.random.clone(key), [SURFACES["hexagon"]], pad, errors, 8, touches_per_session=4, T_t_camera=own
+        jax.random.clone(key), [SURFACES["hexagon"]], pad, errors, 4, touches_per_session=2, T_t_camera=own
     )
-    np.testing.assert_allclose(same.view[:4], drawn.view[:4], atol=2e-4)  # the first session's is its own
-    assert np.abs(same.view[4:] - drawn.view[4:]).mean() > 0.05e-3
+    np.testing.assert_allclose(same.view[:2], drawn.view[:2], atol=2e-4)  # the first session's is its own
+    assert np.abs(same.view[2:] - drawn.view[2:]).mean() > 0.05e-3
     np.testing.assert_array_equal(same.reading, drawn.reading)  # the skin does not see it
