@@ -301,7 +301,7 @@ class SimulatedCamera(CameraBase):
         self._open = False
 
     def capture(self, timeout: float = 2.0) -> View:
-        """Wait for one frame, then render a view from the tool's present pose; `timeout` has no effect."""
+        """Wait for one frame and render a view, as in `DepthCamera.capture`; `timeout` has no effect."""
         if not self._open:
             raise self._not_connected()
         self._clock.sleep(1 / self.features.rate)

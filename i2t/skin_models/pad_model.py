@@ -68,7 +68,7 @@ class KnownPad(NamedTuple):
 
     @property
     def leave_one_out(self) -> Float[np.ndarray, "n c"]:
-        """Errors (uT) on the touches of the fit: measured minus predicted from all other touches."""
+        """Measured minus predicted readings (uT) of the touches of the fit, each predicted from all others."""
         return np.asarray(self.model.held_out_errors)
 
     def predict(self, contact: ContactPressure) -> tuple[Float[Array, "m c"], Float[Array, "m c"]]:
