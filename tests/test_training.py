@@ -210,10 +210,10 @@ def inputs(**changed) -> Batch:
     [
         (
             inputs(image=RAW.inputs.image.at[7, 2, 3].set(jnp.nan)),
-            "1 of 20 touches of the training set have a image that is not finite .first at index 7",
+            "1 of 20 touches of the training set have a non-finite image .first at index 7",
         ),
-        (inputs(conditions=RAW.inputs.conditions.at[7, 0].set(jnp.inf)), "'force' that is not finite"),
-        (RAW._replace(target=RAW.target.at[7, 1].set(jnp.nan)), "reading that is not finite"),
+        (inputs(conditions=RAW.inputs.conditions.at[7, 0].set(jnp.inf)), "non-finite condition 'force'"),
+        (RAW._replace(target=RAW.target.at[7, 1].set(jnp.nan)), "non-finite reading"),
         (inputs(image=RAW.inputs.image[:, :7, :7]), "20 touches of model.pixels = 8"),
         (jax.tree.map(lambda leaf: leaf[:0], RAW), "holds no touches"),
     ],
