@@ -106,7 +106,8 @@ def test_the_papers_own_loop_runs_alone_and_resumes(trained_run, tmp_path, monke
 def test_recorded_touches_are_trained_on_and_recognised(trained_run, tmp_path, capsys):
     """As with a lab's own data set, the belief must find the object more often than guessing."""
     data, run, out = trained_run / "data.h5", tmp_path / "run", tmp_path / "recognized"
-    assert train.main(["--preset", "debug", "--epochs", "2", "--dataset", str(data), "--out", str(run)]) == 0
+    words = ["--preset", "debug", "--methods", "paper-depth", "gp", "--epochs", "2", "--dataset", str(data)]
+    assert train.main([*words, "--out", str(run)]) == 0
     assert "pad model of" in capsys.readouterr().out
     words = ["--preset", "debug", "--pad-model", str(run), "--dataset", str(data), "--out", str(out)]
     assert recognize.main(words) == 0

@@ -80,9 +80,9 @@ def test_object_and_camera_are_located_by_embree_views_and_contacts(name):
 
 @pytest.mark.full
 def test_intervals_of_session_twists_cover_the_truth():
-    """Four sessions with all errors of a lab, 48 components of twists; the truth is what the simulator drew."""
+    """Eight sessions with all errors of a lab, 96 components of twists; the truth is what the simulator drew."""
     errors, pad = SimulationErrors(), i2t.sample_pad(jax.random.key(0))
-    touches = i2t.simulate_touches(jax.random.key(0), list(SURFACES.values()), pad, errors, 2 * 36)
+    touches = i2t.simulate_touches(jax.random.key(0), list(SURFACES.values()), pad, errors, 4 * 36)
     dataset = Dataset.simulated(touches, NAMES, pad)
     standard = []
     few = SessionRegistrationConfig(num_starts=2)
@@ -94,7 +94,7 @@ def test_intervals_of_session_twists_cover_the_truth():
         # Sideways, a millimetre before the session is some hundredths after it.
         assert np.abs(np.concatenate(error)[[0, 1, 6, 7]]).max() < 0.15e-3
     inside = np.abs(standard) < 1.96
-    assert inside.shape == (4, 12)
+    assert inside.shape == (8, 12)
     assert inside.mean() > stats.binom.ppf(0.001, inside.size, 0.95) / inside.size
 
 
