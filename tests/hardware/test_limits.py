@@ -27,15 +27,7 @@ from i2t.hardware.ur.rtde_link import ControllerState, RtdeConnection
 
 ROOT = Path(__file__).parents[2]
 STIFFNESS = 10e3  # N/m, of the plane
-WORKER_LIMITS = rtde_worker.WorkerLimits(
-    watchdog_rate=SAFETY.watchdog_rate_hz,
-    state_timeout=SAFETY.state_timeout_s,
-    braking=SAFETY.braking_m_s2,
-    standing_speed=SAFETY.standing_speed,
-    brake_settling=SAFETY.brake_settling_s,
-    start_timeout=SAFETY.start_timeout_s,
-    exit_timeout=SAFETY.worker_exit_timeout_s,
-)
+WORKER_LIMITS = RtdeConnection("192.0.2.1", SAFETY.state_timeout_s, SAFETY.watchdog_rate_hz).worker_limits
 
 
 def test_each_limit_is_positive_and_has_a_unit_a_purpose_and_a_test():
@@ -151,7 +143,7 @@ def test_an_arm_that_does_not_begin_a_motion_is_reported_after_the_start_timeout
     driver_method, home = arm.begin_line, arm.state().T_b_t
 
     def duration(distance, done):
-        """Time in s after which a motion has ended of which the arm makes only a share."""
+        """Measure how long (s) a motion lasts if the arm makes only the share `done` of it."""
         arm.begin_line = lambda *line: driver_method(translated_along_z(home, done * distance), *line[1:])
         arm.lab.robot.position = home[:3, 3].copy()
         start = arm.clock.now()

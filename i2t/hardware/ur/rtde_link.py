@@ -76,6 +76,19 @@ class RtdeConnection:
         """Fraction (0 to 1) of the requested speed that the pendant's slider leaves; NaN before the first state."""
         return np.nan if self._state is None else self._state.speed_share
 
+    @property
+    def worker_limits(self) -> WorkerLimits:
+        """Safety limits of the worker process, from this connection's settings and `i2t.hardware.limits`."""
+        return WorkerLimits(
+            watchdog_rate=self.watchdog_rate,
+            state_timeout=self.state_timeout,
+            braking=SAFETY.braking_m_s2,
+            standing_speed=SAFETY.standing_speed,
+            brake_settling=SAFETY.brake_settling_s,
+            start_timeout=SAFETY.start_timeout_s,
+            exit_timeout=SAFETY.worker_exit_timeout_s,
+        )
+
     def open(self, tool: Array | None, payload: tuple[float, tuple[float, float, float]] | None) -> None:
         """Connect to the controller, set tool, payload and watchdog, and wait for the first state.
 
@@ -91,15 +104,7 @@ class RtdeConnection:
             "host": self.host,
             "tool": None if tool is None else pose_to_vector(tool),
             "payload": None if payload is None else [payload[0], list(payload[1])],
-            "limits": WorkerLimits(
-                watchdog_rate=self.watchdog_rate,
-                state_timeout=self.state_timeout,
-                braking=SAFETY.braking_m_s2,
-                standing_speed=SAFETY.standing_speed,
-                brake_settling=SAFETY.brake_settling_s,
-                start_timeout=SAFETY.start_timeout_s,
-                exit_timeout=SAFETY.worker_exit_timeout_s,
-            )._asdict(),
+            "limits": self.worker_limits._asdict(),
         }
         self._channel = self._start_worker(request)
         reply = self._first_message(self._channel)
