@@ -40,7 +40,7 @@ def from_depth(story: Story) -> Figure:
     figure.colorbar(patch, ax=parts[1:3], label="mm behind the nearest point", shrink=0.8)
     difference = viz.draw_map(parts[3], error, PATCH_WINDOW, cmap="PuOr", low=-1.0, high=1.0)
     figure.colorbar(difference, ax=parts[3], label="mm too far from the camera", shrink=0.8, extend="both")
-    parts[3].set_title("difference, where both show the surface", fontsize=10)
+    parts[3].set_title("difference", fontsize=10)
     for axes in parts[1:]:
         axes.set(xlabel="x (mm)", ylabel="y (mm)")
     return figure
