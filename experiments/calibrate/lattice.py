@@ -102,8 +102,8 @@ def _magnet_motion(lattice: _Lattice, at: Array, travel: Array, half_edge: float
     )
     offset = lattice.rest - at[None]
     near = grown * jnp.exp(-jnp.sum(offset**2, axis=1) / (2 * lattice.length**2))
-    aside = lattice.away * near[:, None] * offset / lattice.length
+    lateral = lattice.away * near[:, None] * offset / lattice.length
     sinking = -lattice.above * jnp.tanh(lattice.down * near / lattice.above)
     axis = jnp.stack([offset[:, 1], -offset[:, 0], jnp.zeros(4)], axis=1)
     rotation = lattice.tilt * near[:, None] / lattice.length * axis
-    return jnp.concatenate([aside, sinking[:, None]], axis=1), rotation
+    return jnp.concatenate([lateral, sinking[:, None]], axis=1), rotation

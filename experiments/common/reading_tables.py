@@ -213,10 +213,10 @@ def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touc
         for line, cells in sound
     ]
     log.lines += notes
-    heard = log.select_answered(_silent(columns, reading))
+    answered = log.select_answered(_silent(columns, reading))
     log.require_answers(path)
-    labels, groups, touches = zip(*(row for row, keep in zip(texts, heard, strict=True) if keep), strict=True)
-    return _Part(list(labels), list(groups), list(touches), columns, reading[heard], log.sentences())
+    labels, groups, touches = zip(*(row for row, keep in zip(texts, answered, strict=True) if keep), strict=True)
+    return _Part(list(labels), list(groups), list(touches), columns, reading[answered], log.sentences())
 
 
 def _silent(columns: Sequence[str], reading: np.ndarray) -> np.ndarray:

@@ -217,13 +217,13 @@ def _group_walls(
     others = np.bincount(edge[:, single].ravel(), minlength=int(edge.max()) + 1)
     edge = edge[:, repeated]
     walls, wall = _connected(np.where(others[edge] == 0, edge, -1))
-    beside, copies = others[edge], np.bincount(edge.ravel(), minlength=len(others))[edge]
+    neighbours, copies = others[edge], np.bincount(edge.ravel(), minlength=len(others))[edge]
 
     def has(condition: NDArray) -> NDArray:
         return np.bincount(wall, condition.any(0), walls) > 0
 
-    closed = has(beside > 0) & ~has(beside % 2 == 1)
-    in_air = has((beside == 0) & (copies == 1))
+    closed = has(neighbours > 0) & ~has(neighbours % 2 == 1)
+    in_air = has((neighbours == 0) & (copies == 1))
     small = np.bincount(wall, areas[repeated], walls) <= max_fin_fraction * areas.sum()
     return wall, closed & ~in_air, closed & in_air & small
 

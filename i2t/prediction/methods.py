@@ -59,7 +59,7 @@ class TrainingTouches:
     """Touches and options to which every method of predicting readings is fitted.
 
     Attributes:
-        dataset: All touches, including those for validation and test; `Split` tells them apart.
+        dataset: All touches, including those for validation and test; `Split` separates them.
         measured: Names of the measurements (force, nearest, travel) that every touch has.
         pressure_model: Configuration of the predicted contact pressure; None if neither force nor travel is recorded.
         pressure: Contact pressures of all touches; None without a pressure model.
