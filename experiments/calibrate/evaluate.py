@@ -44,7 +44,7 @@ def learning_curves(
     names = list(dict.fromkeys(name for split in splits for name in split.tests))
     scores = Scores({name: {} for name in names}, {name: {} for name in names}, {name: {} for name in names})
     counts = [n for n in counts if n <= max(len(split.pool) for split in splits)]
-    desc, unit = ("draws", "draw") if len(splits) == 1 else ("left out", "part")
+    desc, unit = ("draws", "draws") if len(splits) == 1 else ("left out", "parts")
     steps = [(draw, split) for draw in range(draws) for split in splits]
     tested: dict[tuple[str, int, int], list[_TestResult]] = {}
     for draw, split in progress(steps, desc=desc, unit=unit):

@@ -142,7 +142,7 @@ def errors_of(kernels: SkinKernels, tasks: list[tuple[PressedSkinOfKind, bool]],
     """Compute the relative squared error of the test presses, (tasks, counts, kernels)."""
     errors = np.empty((len(tasks), len(SEARCH_PRESS_COUNTS), len(kernels.load_power)))
     uses_chips = kernels.far_amplitude < UNIFORM_FAR_AMPLITUDE
-    for t, (skin, by_force) in enumerate(progress(tasks, desc="skins", unit="skin")):
+    for t, (skin, by_force) in enumerate(progress(tasks, desc="fitting", unit="skins")):
         load = skin.force if by_force else skin.travel
         test = slice(len(load) - cfg.test_presses, None)
         for i, n in enumerate(SEARCH_PRESS_COUNTS):

@@ -63,7 +63,7 @@ def run(args: CalibrateArgs) -> dict[str, Any]:
     started, cfg = time.perf_counter(), choose_preset(PRESETS, args.preset)
     begin(args, cfg)
     cases = [(number, load) for load in LOADS for number in range(cfg.pads)]
-    fits = [_fit(number, load, cfg) for number, load in progress(cases, desc="pads", unit="fit")]
+    fits = [_fit(number, load, cfg) for number, load in progress(cases, desc="pads", unit="fits")]
     metrics = {
         "source": "simulated",
         "seed": PADS_SEED,

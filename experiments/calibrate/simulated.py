@@ -74,7 +74,7 @@ def _score(case: Case, cfg: SimulatedPreset) -> dict[str, Any]:
     coverage: Curves = {}
     most = max(cfg.counts)
     skins = simulate_skins(case.kind, SKINS_SEED, cfg.skins, most + cfg.test_presses)
-    for skin in progress(skins, desc=case.name, unit="skin"):
+    for skin in progress(skins, desc=case.name, unit="skins"):
         recording, test = _recording(skin, case.load), np.arange(most, most + cfg.test_presses)
         truth = recording.readings[test]
         for count in cfg.counts:

@@ -46,7 +46,7 @@ def run_tasks(tasks: Sequence[Task], workers: int = 1, *, bar: str | None = None
     """
     missing = [task for task in tasks if not task.finished.exists()]
     if workers == 1 or len(missing) < 2:
-        for task in progress(missing, desc=bar or "", disable=bar is None):
+        for task in progress(missing, desc=bar or "", unit="parts", disable=bar is None):
             task.work()
     else:
         _run_in_workers(missing, min(workers, len(missing)))

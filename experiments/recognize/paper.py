@@ -180,7 +180,7 @@ def play_set(
     """Simulate the episodes of every method with one set of objects, with the same placements, errors and pools."""
     named, count = dict(zip(objects, surfaces, strict=True)), cfg.paper_episodes * len(objects)
     total = (len(predictors) + 1) * count * cfg.touches  # proprioception is one more method
-    with progress(total=total, desc=f"{name}: the paper's loop", unit="touch") as bar:
+    with progress(total=total, desc=f"{name}: the paper's loop", unit="touches") as bar:
         results = run_paper_loop(
             jax.random.split(key, 3), predictors, named, pad,
             reading_std=reading_std, episodes=count, touches=cfg.touches, errors=cfg.errors, limits=cfg.limits,

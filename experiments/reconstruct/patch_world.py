@@ -111,7 +111,7 @@ def press_parts(
     library.
     """
     trials: dict[str, list[Trial]] = {"validation": [], "test": []}
-    for number in progress(range(sizes.pads), desc="pads"):
+    for number in progress(range(sizes.pads), desc="pressing", unit="pads"):
         pad = pad_from_seed(number)
         key_fit = jax.random.fold_in(jax.random.fold_in(key, 1_000_000), number)
         fitted_pad = fit_pad(key_fit, pad, errors, sizes.fit_presses)

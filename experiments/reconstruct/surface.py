@@ -218,7 +218,8 @@ def require_one(numbers: Iterator[int], part: str) -> int:
 
 def choose_band(explorer: Explorer, numbers: Sequence[int]) -> Band:
     """Choose the band that contains 90 % of validation objects' surfaces, after few touches as after many."""
-    episodes = [explorer.explore(number, ExplorationCondition()) for number in progress(numbers, desc="validation")]
+    shown = progress(numbers, desc="validation", unit="episodes")
+    episodes = [explorer.explore(number, ExplorationCondition()) for number in shown]
     counts = sorted({count for errors_after in episodes for count in errors_after.errors if count > START})
     parts = (
         [errors_after.errors[count] for errors_after in episodes if count in errors_after.errors] for count in counts
@@ -248,7 +249,8 @@ def choose_band(explorer: Explorer, numbers: Sequence[int]) -> Band:
 def explore_all(explorer: Explorer, conditions: dict[str, ExplorationCondition], numbers: Sequence[int]) -> Episodes:
     """Explore every object under every condition."""
     episodes: Episodes = {name: {} for name in conditions}
-    for name, number in progress([(name, number) for name in conditions for number in numbers], desc="episodes"):
+    pairs = [(name, number) for name in conditions for number in numbers]
+    for name, number in progress(pairs, desc="exploring", unit="episodes"):
         episodes[name][number] = explorer.explore(number, conditions[name])
         episodes[name][number].estimates.clear()  # megabytes each, and only the first episode is drawn
     return episodes

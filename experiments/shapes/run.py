@@ -142,7 +142,7 @@ def simulated(cfg: ShapeExperiment, seed: int, path: Path) -> Dataset:
     """Load the simulated presses in `path`, or simulate them if the file does not exist."""
     if path.exists():
         return data.load_dataset(path)
-    with progress(total=cfg.presses * len(cfg.pads), desc="pressing stamps", unit="press") as bar:
+    with progress(total=cfg.presses * len(cfg.pads), desc="pressing stamps", unit="presses") as bar:
         pads = [pad_from_seed(number) for number in cfg.pads]
         presses = press_stamps(jax.random.key(seed), pads, cfg.presses, cfg.pressing, bar.update)
     data.save_dataset(path, presses)

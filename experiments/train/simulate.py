@@ -43,7 +43,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name:
     if cfg.same_camera:
         key_camera = jax.random.fold_in(key, 1_000_000 + camera)  # above the numbers of all sessions
         T_t_camera = simulation.sample_session_errors(key_camera, cfg.errors).T_t_camera
-    with progress(total=sum(cfg.counts()), desc="simulating touches", unit="touch") as bar:
+    with progress(total=sum(cfg.counts()), desc="simulating touches", unit="touches") as bar:
         touches = simulation.simulate_touches(
             jax.random.clone(key), surfaces, pad, cfg.errors, cfg.counts(), limits=cfg.limits,
             touches_per_session=cfg.touches_per_session, T_t_camera=T_t_camera, progress=bar.update,

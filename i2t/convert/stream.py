@@ -384,7 +384,7 @@ def _rows(
     first, end = len(timed), len(timed) + len(columns.values)
     which = [table.header.index(name) for name in columns.names]
     number_of: dict[tuple[str, ...], int] = {} if which else {(): 0}
-    with progress(desc=source.name, unit="row", unit_scale=True) as bar:
+    with progress(desc=source.name, unit="rows", unit_scale=True) as bar:
         while some := list(islice(table.rows, log_rows.ROWS_READ_AT_ONCE)):
             bar.update(len(some))
             rows, numbers = valid_rows(source, table.header, some, wanted, partial(_needed, timed=first), notes)

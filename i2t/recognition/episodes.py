@@ -249,7 +249,7 @@ def believe(
     largest = max(len(where) for where, _ in touched)
     parts: list[dict[str, np.ndarray]] = []
     total = len(surfaces) * len(twist) * largest * len(chunks)
-    with progress(total=total, desc=f"{label}: predicting", unit="touch", unit_scale=True) as bar:
+    with progress(total=total, desc=f"{label}: predicting", unit="touches", unit_scale=True) as bar:
         for rows, (where, of_touch) in zip(chunks, touched, strict=True):
             some: Episodes = select_rows(episodes, rows)
             tables = predict_outcomes(

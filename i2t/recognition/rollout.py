@@ -223,7 +223,7 @@ def run_episodes(
     """
     environment, params = TouchEnvironment(config), environment_params(surfaces, [pad], sites, config)
     episodes = begin_episodes(key, environment, params, truth)
-    with progress(total=chosen.size, desc=f"{label}: touching", unit="touch") as bar:
+    with progress(total=chosen.size, desc=f"{label}: touching", unit="touches") as bar:
         episodes = advance(episodes, chosen, bar=bar)
     return episodes_of(episodes)
 

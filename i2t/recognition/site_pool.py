@@ -230,7 +230,7 @@ def predict_outcomes(
     largest = max(len(numbers) for numbers in by_layer.values())
     predicted: dict[int, PredictedTouch] = {}
     total = len(by_layer) * len(surfaces) * len(T_w_site) * len(twist)
-    new_bar = partial(progress, total=total, desc=f"{label}: predicting", unit="touch", unit_scale=True)
+    new_bar = partial(progress, total=total, desc=f"{label}: predicting", unit="touches", unit_scale=True)
     with new_bar() if bar is None else nullcontext(bar) as shown:
         for numbers in by_layer.values():
             # Groups are filled up to one size, so that one compilation serves all layers.

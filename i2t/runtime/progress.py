@@ -1,26 +1,29 @@
-"""Progress of long work: a bar on a terminal, and otherwise a line every half a minute, so that logs stay short.
+"""Progress of long work: a bar on a terminal, otherwise a line from time to time, so that logs stay short.
 
+The first batch of a program includes its compilation, so the remaining time is estimated from the second batch on.
 `TQDM_DISABLE=1` in the environment disables both.
 """
 
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, TypeAlias
 
 from tqdm import tqdm
 
-LOG_INTERVAL_S = 30.0  # s between progress lines where stderr is not a terminal; shorter work writes no line
+FIRST_LINE_S = 5.0  # s until the first progress line where stderr is not a terminal; shorter work writes no line
+LOG_INTERVAL_S = 30.0  # s between the lines after the first
 Progress: TypeAlias = tqdm  # result of `progress`: an iterable, or a counter with `update`
 
 
-def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = "step", **options: Any) -> Progress:
-    """Show progress on stderr: a bar on a terminal, otherwise a line every half a minute.
+def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = "steps", **options: Any) -> Progress:
+    """Show progress on stderr: a bar on a terminal, otherwise a line once the remaining time is known, and then every
+    half a minute.
 
     Args:
         items: Items to iterate over; without them, `update` counts.
         desc: Name of the work.
-        unit: Unit of the count.
+        unit: Unit of the count, in the plural.
         **options: Options of tqdm, such as `total`.
 
     Returns:
@@ -34,30 +37,72 @@ class _Bar(tqdm):
     """Progress as a bar, which can be closed even if Ctrl-C interrupted its construction."""
 
     disable: bool = True
+    _first_batch: tuple[float, float] | None = None  # count and time (s) at the end of the first batch
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        if not self.disable and self.bar_format is None:
+            counted = "{n_fmt}/{total_fmt} {unit} [{elapsed}<{remaining}]"
+            self.bar_format = f"{{l_bar}}{{bar}}| {counted}" if self.total else "{desc}: {n_fmt} {unit} [{elapsed}]"
+
+    def __iter__(self) -> Iterator[Any]:
+        """Iterate over the items, each of which is a batch."""
+        if self.disable:
+            yield from self.iterable
+            return
+        try:
+            for item in self.iterable:
+                yield item
+                self.update(1)
+        finally:
+            self.close()
+
+    def update(self, n: float | None = 1) -> bool | None:
+        """Count a finished batch.
+
+        Args:
+            n: Number of items in the batch.
+
+        Returns:
+            Whether the progress was shown anew.
+        """
+        if self._first_batch is None and n and not self.disable:
+            self._first_batch = self.n + n, self._time()
+        return super().update(n)
+
+    @property
+    def format_dict(self) -> dict[str, Any]:
+        """State of the progress, with the rate since the first batch, or a rate of 0 as long as it is unknown."""
+        state, rate = super().format_dict, 0.0
+        if self._first_batch is not None:
+            begin, since = self._first_batch
+            rate = (self.n - begin) / max(self._time() - since, 1e-9)
+        return {**state, "rate": rate}
 
 
 class _Lines(_Bar):
     """Progress that is printed as lines instead of a bar."""
 
     def __init__(self, *args: Any, **options: Any) -> None:
-        self._last_line_at = time.monotonic()
-        super().__init__(*args, **{"mininterval": LOG_INTERVAL_S, "miniters": 1, "leave": False, **options})
+        self._next_line_at = time.monotonic() + FIRST_LINE_S
+        super().__init__(*args, **{"mininterval": min(1.0, FIRST_LINE_S), "miniters": 1, "leave": False, **options})
 
     def display(self, *_: Any, **__: Any) -> None:
-        """Write a line, unless the last one is recent."""
-        if time.monotonic() - self._last_line_at >= LOG_INTERVAL_S:
-            self._last_line_at = time.monotonic()
-            self.fp.write(f"{self.line()}\n")
+        """Write a line if it is time for one."""
+        if time.monotonic() >= self._next_line_at and (line := self.line()):
+            self._next_line_at = time.monotonic() + LOG_INTERVAL_S
+            self.fp.write(f"{line}\n")
             self.fp.flush()
 
     def line(self) -> str:
-        """Describe the progress in a sentence."""
+        """Describe the progress in a sentence; empty in the first half minute if the remaining time is unknown."""
         state = self.format_dict
         total = f" of {state['total']:.6g}" if state["total"] else ""
         remaining = ""
-        if state["total"] and self.n > state["initial"]:
-            seconds = state["elapsed"] * (state["total"] - self.n) / (self.n - state["initial"])
-            remaining = f", {self.format_interval(seconds)} to go"
+        if total and state["rate"]:
+            remaining = f", {self.format_interval((state['total'] - self.n) / state['rate'])} to go"
+        elif total and state["elapsed"] < LOG_INTERVAL_S:
+            return ""
         elapsed = self.format_interval(state["elapsed"])
         return f"{state['prefix'] or 'progress'}: {self.n:.6g}{total} {state['unit']} in {elapsed}{remaining}"
 

@@ -35,7 +35,7 @@ def run(args: SecondWorldArgs) -> dict[str, Any]:
     """R2 of every method on each skin, and the lead of the Gaussian process over the best baseline."""
     begin(args, args)
     methods = methods_compared()
-    skins = progress(range(args.skins), desc="skins", unit="skin")
+    skins = progress(range(args.skins), desc="pressing", unit="skins")
     r2 = [r2_of_skin(methods, args.seed + skin, args.touches) for skin in skins]
     metrics = summarise(methods, r2) | {"touches": args.touches, "objects": len(world.make_objects())}
     write_json(args.out / METRICS, metrics)
