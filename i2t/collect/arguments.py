@@ -29,10 +29,10 @@ class ArmArgs:
     kind: Annotated[str, tyro.conf.arg(name="arm")] = "simulated"
     host: str | None = None  # address of the arm's controller; required for a UR arm
     # time (s) without a state update after which the connection to a UR arm, real or emulated, counts as lost; by
-    # default, 0.1
+    # default, 0.1, and 0.5 for an emulated arm on this computer
     state_timeout: Annotated[float, Limits(*SAFETY.state_timeout_range)] | None = None
     # minimum rate (Hz) of this program's heartbeats, below which a UR controller, real or emulated, ends its program;
-    # by default, 10
+    # by default, 10, and 2 for an emulated arm on this computer
     watchdog_rate: Annotated[float, Limits(*SAFETY.watchdog_rate_range)] | None = None
 
     def check(self) -> None:

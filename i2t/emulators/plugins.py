@@ -16,12 +16,17 @@ from i2t.emulators.world import make_scene, read_pad
 from i2t.hardware.clock import Clock
 from i2t.hardware.drivers import make_reskin, make_ur, reskin, ur
 from i2t.hardware.plugins import DevicePlugin, DeviceSetup
+from i2t.hardware.ur.access import is_on_this_machine
 from i2t.skin.boards import DEFAULT_BOARD
 
 if TYPE_CHECKING:
     from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedSkin
     from i2t.hardware.reskin.driver import ReSkin
     from i2t.hardware.ur.driver import UrArm
+
+# Timeouts of an emulated arm by default, in s and Hz. Nothing can be hit, and on a busy computer the emulated
+# controller waits for the processor longer than the limits of a real arm (`i2t.hardware.limits`) allow.
+EMULATED_WATCH = {"state_timeout": 0.5, "watchdog_rate": 2.0}
 
 
 def virtual_clock(begin: float) -> Clock:
@@ -106,11 +111,15 @@ def make_emulated_arm(setup: DeviceSetup) -> "UrArm":
             skins.
 
     Returns:
-        The arm, not connected.
+        The arm, not connected. On this machine, its timeouts are by default those of `EMULATED_WATCH`; a controller at
+        any other address may move a real arm, which keeps its safety limits.
 
     Raises:
         ValueError: If the pad is on another board than the skin.
     """
+    if setup.address and not is_on_this_machine(setup.address):
+        return make_ur(setup)
+    setup = replace(setup, watch={**EMULATED_WATCH, **setup.watch})
     if setup.address:
         return make_ur(setup)
     from i2t.emulators import lab, ur_controller

@@ -29,6 +29,9 @@ from i2t.types import Array
 T = TypeVar("T")
 # Signals at which the arm is braked before the program ends. Windows has no SIGHUP.
 BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+# Advice in errors about late states: if the arm may have caused them, and if only this computer can have.
+CHECK_CONNECTION = "check its connection"
+BUSY = "this computer is too busy: close other programs"
 
 
 class MotionWatch:
@@ -36,7 +39,8 @@ class MotionWatch:
 
     Args:
         arm: The arm that moves. If it has a `state_timeout` (s), its states may be that old. If it has
-            `can_be_paused`, a person may pause it, and its pose may stand still while it reports a motion.
+            `can_be_paused`, a person may pause it, and its pose may stand still while it reports a motion. If it has a
+            `late_remedy`, errors about late states end with this advice.
         limits: Limits of the rig.
         start: State of the arm in which the motion begins.
         distance: Length of the motion in m.
@@ -60,6 +64,7 @@ class MotionWatch:
     ) -> None:
         self._name, self._limits, self._clock = arm.features.name, limits, clock
         self._max_age = max(SAFETY.max_state_age_s, getattr(arm, "state_timeout", 0.0))
+        self._late_remedy = getattr(arm, "late_remedy", CHECK_CONNECTION)
         self._stall_timeout = np.inf if getattr(arm, "can_be_paused", False) else SAFETY.stall_timeout_s
         self._start, self._distance, self._speed = start.T_b_t[:3, 3], distance, speed
         self._force, self._torque = force, torque
@@ -83,7 +88,7 @@ class MotionWatch:
         if invalid := non_finite(state):
             raise DeviceError(f"{self._name} reports that its {invalid}, which is not finite; it was stopped")
         if not state.time - before.time >= 0 or not abs(now - state.time) <= self._max_age:
-            raise DeviceTimeoutError(f"{self._name} sends no new states; it was stopped, check its connection")
+            raise DeviceTimeoutError(f"{self._name} sends no new states and was stopped; {self._late_remedy}")
         if not state.safe:
             raise DeviceError(f"{self._name} made a protective or emergency stop; clear its cause, and release it")
         if not self._limits.contains(position, SAFETY.box_margin_m):
@@ -223,6 +228,11 @@ class PolledArm(DeviceBase):
         """Return the fraction (0 to 1) of the requested speed that a person allows now; here the lowest, if unknown."""
         return SAFETY.min_speed_share
 
+    @property
+    def late_remedy(self) -> str:
+        """Advice if states are late, which ends the error; without hardware only this computer can delay them."""
+        return CHECK_CONNECTION if self.source == "real" else BUSY
+
     # Methods of a guarded arm
 
     @property
@@ -288,7 +298,8 @@ class PolledArm(DeviceBase):
             self._stops += 1
             self._call(self.brake)
             if not fresh:
-                raise DeviceTimeoutError(f"{self.name} sent its last state {age:.2g} s ago; it was stopped")
+                late = f"{self.name} sent its last state {age:.2g} s ago and was stopped"
+                raise DeviceTimeoutError(f"{late}; {self.late_remedy}")
             raise DeviceError(f"{self.name} reports that its {invalid}, which is not finite; it was stopped")
         return state
 
@@ -431,7 +442,10 @@ class PolledArm(DeviceBase):
                 before, newest, answer = newest, self.state(), None
                 above = watch(newest)
                 if unwatched.is_set():
-                    raise DeviceError(f"{self.name} was not watched for {max_age:g} s: it was stopped.")
+                    raise DeviceError(
+                        f"{self.name} was not watched for {max_age:g} s and was stopped: {BUSY}, or correct the stop "
+                        "condition if it takes that long"
+                    )
                 if self._stops != stops:
                     raise MotionStoppedError(f"{self.name} was stopped by request.")
                 last, now = now, self.clock.now()

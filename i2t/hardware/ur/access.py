@@ -22,6 +22,18 @@ from i2t.types import Array
 LIBRARY_REMEDY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
 
 
+def is_on_this_machine(host: str) -> bool:
+    """Test whether an address is one of this machine, where only an emulated controller is expected.
+
+    Args:
+        host: Address of a controller.
+
+    Returns:
+        Whether the address is localhost or begins with 127.
+    """
+    return host == "localhost" or host.startswith("127.")
+
+
 def ask_dashboard(host: str, line: str) -> str:
     """Send one line to the dashboard server of a UR controller, and return its answer.
 

@@ -41,7 +41,14 @@ from i2t.hardware.guarded import BRAKING_SIGNALS, PolledArm
 from i2t.hardware.limits import SAFETY, range_of
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState
-from i2t.hardware.ur.access import LIBRARY_REMEDY, check_controller, controller_serial, take_lock, tool_pose
+from i2t.hardware.ur.access import (
+    LIBRARY_REMEDY,
+    check_controller,
+    controller_serial,
+    is_on_this_machine,
+    take_lock,
+    tool_pose,
+)
 from i2t.hardware.ur.rtde_link import RtdeConnection
 from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
@@ -87,9 +94,11 @@ class UrArm(PolledArm):
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
             raise DeviceError(LIBRARY_REMEDY)
         super().__init__(limits)
-        self.connection, self.state_timeout = RtdeConnection(host, state_timeout, watchdog_rate), state_timeout
         self.name, self.host, self.tool, self.payload = f"UR at {host}", host, tool, payload
-        self.source = source or ("emulated" if host == "localhost" or host.startswith("127.") else "real")
+        self.source = source or ("emulated" if is_on_this_machine(host) else "real")
+        remedy = "" if self.source == "real" else self.late_remedy
+        self.connection = RtdeConnection(host, state_timeout, watchdog_rate, late_remedy=remedy)
+        self.state_timeout = state_timeout
         self.serial_number = ""  # of the controller, once it is connected
         self._closing = threading.Lock()
         self._lock: IO[str] | None = None
@@ -182,6 +191,12 @@ class UrArm(PolledArm):
             DeviceError: The controller does not answer.
         """
         return tool_pose(self.host)
+
+    @property
+    def late_remedy(self) -> str:
+        """Advice if states are late, as in `PolledArm.late_remedy`; for an emulated arm with the options that help."""
+        options = "" if self.source == "real" else ", or allow more time with --state-timeout 2 --watchdog-rate 0.5"
+        return super().late_remedy + options
 
     @property
     def stall_s(self) -> float:

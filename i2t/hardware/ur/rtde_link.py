@@ -48,12 +48,14 @@ class RtdeConnection:
         host: Address of the controller.
         state_timeout: Time in s without a new state in a motion, after which the connection counts as lost.
         watchdog_rate: Minimum rate in Hz of the heartbeats, below which the controller ends its program.
+        late_remedy: Advice that ends the errors about late states and heartbeats; empty for none.
     """
 
     exit_timeout = 1.0  # s, in which the process must have ended by itself
 
-    def __init__(self, host: str, state_timeout: float, watchdog_rate: float) -> None:
+    def __init__(self, host: str, state_timeout: float, watchdog_rate: float, *, late_remedy: str = "") -> None:
         self.host, self.state_timeout, self.watchdog_rate = host, state_timeout, watchdog_rate
+        self._late_remedy = late_remedy
         self._channel: Channel | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._thread: threading.Thread | None = None
@@ -153,7 +155,7 @@ class RtdeConnection:
             raise NotConnectedError(f"The arm at {self.host} is not connected.")
         age = np.inf if state is None else time.monotonic() - state.arm.time
         if state is None or not age <= timeout:
-            raise self.give_up(f"No state arrived from {self.host} for {age:.2f} s: a stop was sent to the arm.")
+            raise self.give_up(self._silence(age))
         return state
 
     def running(self, timeout: float) -> ArmState:
@@ -173,7 +175,7 @@ class RtdeConnection:
         if not state.program and state.arm.safe:
             raise DeviceError(
                 f"The program on the controller at {self.host} has ended, by the pendant, another client or the "
-                "watchdog: connect() starts it again."
+                f"watchdog: connect() starts it again{self._remedy('if the watchdog ended it, ')}."
             )
         return state.arm if trip is None else trip._replace(time=state.arm.time, safe=state.arm.safe)
 
@@ -256,6 +258,14 @@ class RtdeConnection:
         self._ending = thread
         return lost
 
+    def _silence(self, age: float) -> str:
+        """Describe that no state has arrived for `age` seconds."""
+        return f"No state arrived from {self.host} for {age:.2f} s: a stop was sent to the arm{self._remedy()}."
+
+    def _remedy(self, condition: str = "") -> str:
+        """Return the end of an error's sentence with the advice about late states, if there is any."""
+        return self._late_remedy and f"; {condition}{self._late_remedy}"
+
     def _send(self, command: str, arguments: Message | None = None) -> Future[None]:
         channel = self._channel
         if channel is None:
@@ -291,7 +301,8 @@ class RtdeConnection:
         except (EOFError, BrokenPipeError, ConnectionResetError):  # whichever comes first when the process has ended
             self.give_up(f"The connection to the controller at {self.host} broke: {self._exit_reason()}.")
         except Exception as error:
-            self.give_up(f"The connection to the controller at {self.host} broke: {error}.")
+            remedy = self._remedy() if isinstance(error, TimeoutError) else ""
+            self.give_up(f"The connection to the controller at {self.host} broke: {error}{remedy}.")
 
     def _take(self, message: Message) -> None:
         if "state" in message:
@@ -304,7 +315,7 @@ class RtdeConnection:
                 sentence = f"The controller at {self.host} refused the command: {message['error']}."
                 answer.set_exception(DeviceError(sentence))
         else:
-            raise OSError(message["error"])
+            raise (TimeoutError if message["late"] else OSError)(message["error"])
 
     def _take_state(self, raw: Message, tripped: bool) -> None:
         T_b_t = pose_from_vector(raw["pose"])
@@ -321,11 +332,11 @@ class RtdeConnection:
         if state is not None and state.arm.moving:
             age = now - state.arm.time
             if not age <= self.state_timeout:
-                self.give_up(f"No state arrived from {self.host} for {age:.2f} s: a stop was sent to the arm.")
+                self.give_up(self._silence(age))
                 return
         if self._stop_requested and self._brake is None:
             if state is not None and not now - state.arm.time <= self.state_timeout:  # it would not answer a command
-                self.give_up(f"The controller at {self.host} stopped sending: a stop was sent to it.")
+                self.give_up(self._silence(now - state.arm.time))
                 return
             with self._command_lock:
                 self._brake = self._send("brake")

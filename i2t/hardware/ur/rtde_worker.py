@@ -17,8 +17,9 @@ only).
 
 Messages are lines of JSON over a socket, which is standard input. The driver sends `{"heartbeat": true}` and
 `{"command": name, "id": n, "arguments": {...}}`. It receives `{"ready": true}`, `{"state": {...}}`, `{"answer": n,
-"error": null}` and, before the process ends, `{"error": sentence}`. The process imports only the standard library and
-ur_rtde, so that it starts quickly and from any folder; the safety limits come with the driver's request.
+"error": null}` and, before the process ends, `{"error": sentence, "late": bool}`, where late means that a stream fell
+silent. The process imports only the standard library and ur_rtde, so that it starts quickly and from any folder; the
+safety limits come with the driver's request.
 """
 
 import contextlib
@@ -169,13 +170,15 @@ class Worker:
         self.braked_clock = -math.inf  # s, the controller's clock at the last brake
 
     def serve(self) -> None:
-        """Serve the driver until it ends (EOFError) or a connection breaks or sends bad states (ConnectionError)."""
+        """Serve the driver until it ends (EOFError), a connection breaks or sends bad states (ConnectionError), or one
+        falls silent (TimeoutError).
+        """
         while True:
             if not self.control.isConnected() or not self.receive.isConnected():
                 raise ConnectionError("the controller closed it")
             silence = self.streams.silent_time()
             if not silence <= self.limits.state_timeout:
-                raise ConnectionError(f"one of its streams has been silent for {silence:.2f} s")
+                raise TimeoutError(f"one of its streams has been silent for {silence:.2f} s")
             self.send_new_state()
             self.process(self.channel.receive(POLL_S))
 
@@ -388,7 +391,7 @@ def main(request: Message) -> None:
                 worker.end_program()
     except Exception as error:
         with contextlib.suppress(OSError):
-            channel.send({"error": str(error)})
+            channel.send({"error": str(error), "late": isinstance(error, TimeoutError)})
     finally:
         os._exit(0)  # run neither the library's destructors nor its threads
 
