@@ -282,7 +282,7 @@ def test_an_approach_whose_stop_condition_hangs_is_braked_meanwhile():
             time.sleep(4 * SAFETY.max_state_age_s)
             stood.append(not arm.read_state().moving)
 
-        with pytest.raises(DeviceError, match="was not watched .*: this computer is too busy: close other") as error:
+        with pytest.raises(DeviceError, match=r"was not watched .*: this computer is too busy: close other") as error:
             arm.approach(0.05, 0.02, hang)
         assert not isinstance(error.value, MotionStoppedError)  # which would take a person for the cause
         assert stood == [True]
