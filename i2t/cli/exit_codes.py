@@ -155,7 +155,10 @@ class _PlainLines(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Print the message of a record."""
         try:
-            print(self.format(record), file=sys.stderr, flush=True)
+            if "tqdm" in sys.modules:  # a bar is drawn again below the line
+                sys.modules["tqdm"].tqdm.write(self.format(record), file=sys.stderr)
+            else:
+                print(self.format(record), file=sys.stderr, flush=True)
         except (OSError, ValueError):  # stderr is closed
             self.handleError(record)
 

@@ -28,7 +28,7 @@ from i2t.contact import smoothing
 from i2t.contact.approach import facing_surface
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.runtime.batching import size_classes
-from i2t.runtime.compiling import traced_floats
+from i2t.runtime.compiling import compiles_slowly, traced_floats
 from i2t.skin.contact import CELL_GRID, Grid, solve, solve_force
 from i2t.skin.pad import nominal_pad
 from i2t.types import Array as AnyArray
@@ -259,5 +259,6 @@ _nominal_pad = cache(nominal_pad)  # making it takes a fifth of the time of a pr
 
 
 @jax.jit
+@compiles_slowly("the prediction of contact pressure", seconds=5)
 def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, travel: Array) -> ContactPressure:
     return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, travel)

@@ -123,7 +123,7 @@ class NetworkMethod(Method):
 
         state, epoch = _start(key, learner, options, n), training.compiled(learner, options)
         history: list[list[float]] = []
-        with progress(total=options.epochs, desc=f"training {self.title}", unit="epochs") as bar:
+        with progress(total=options.epochs, desc=f"training {self.title}", unit="epochs", at_most=True) as bar:
             while not training.finished(state, options):
                 state, info = epoch(state, train, validation)
                 history.append([float(np.asarray(losses.squared).mean()) for losses in info])

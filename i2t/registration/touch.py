@@ -39,7 +39,7 @@ from i2t.registration.contacts import normal_equations as contact_normal_equatio
 from i2t.registration.estimate import PoseEstimate
 from i2t.registration.levenberg_marquardt import LeastSquares, levenberg_marquardt
 from i2t.runtime.batching import map_batches
-from i2t.runtime.compiling import jit_quickly, traced_floats
+from i2t.runtime.compiling import compiles_slowly, jit_quickly, traced_floats
 from i2t.types import Surface
 
 
@@ -118,6 +118,7 @@ def register_by_touch(
     return register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
 
 
+@compiles_slowly("registration by touch", seconds=10)
 @full_precision
 def _register(
     key: Key[Array, ""],

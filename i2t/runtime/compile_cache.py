@@ -4,8 +4,11 @@ Commands call `use_compile_cache` before they begin (`i2t.cli.exit_codes.exit_co
 The environment variable `I2T_COMPILE_CACHE` changes the default: `off` disables the cache, and a path names another
 folder. If JAX's own `JAX_COMPILATION_CACHE_DIR` is set, it is respected. The size of the folder is bounded, and the
 least recently used programs are deleted first. Its name includes the processor, because home folders are shared between
-machines and compiled code is not. A folder that cannot be written to, or a full disk, only costs compilation time. This
-module does not import JAX.
+machines and compiled code is not. A folder that cannot be written to, or a full disk, only costs compilation time.
+
+XLA reports compilations of more than two minutes, which a busy computer needs, as errors in its log, with the advice to
+file a bug. `use_compile_cache` therefore hides this log unless `TF_CPP_MIN_LOG_LEVEL` is set. XLA's failures are raised
+as exceptions all the same. This module does not import JAX.
 """
 
 import hashlib
@@ -23,6 +26,8 @@ log = logging.getLogger(__name__)
 # environment variable with the folder of i2t's compile cache; off disables the cache
 CACHE_VARIABLE = "I2T_COMPILE_CACHE"
 JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"  # environment variable with JAX's own choice of the folder
+# environment variable with the lowest level that the log of XLA shows (2: errors, 3: fatal errors), read once by jaxlib
+XLA_LOG_VARIABLE = "TF_CPP_MIN_LOG_LEVEL"
 # bytes, size of one processor's cache folder beyond which JAX deletes the least recently used programs; small, because
 # JAX scans the folder whenever it stores a program
 MAX_CACHE_BYTES = 2**28
@@ -31,6 +36,8 @@ MAX_CACHE_BYTES = 2**28
 def use_compile_cache() -> Path | None:
     """Let JAX cache compiled programs from now on, in this process and in those that it starts.
 
+    If JAX is not imported yet, it also hides XLA's alarm about long compilations.
+
     Returns:
         The cache's folder. None if nothing is cached because the cache is off, its folder cannot be written to or the
         package filelock is missing, or if JAX's own cache is set.
@@ -38,6 +45,8 @@ def use_compile_cache() -> Path | None:
     Example:
         i2t.use_compile_cache()
     """
+    if "jax" not in sys.modules:  # afterwards the level is JAX's and fixed
+        os.environ.setdefault(XLA_LOG_VARIABLE, "3")
     requested = os.environ.get(CACHE_VARIABLE, "")
     if requested.lower() in ("off", "0", "no", "false") or os.environ.get(JAX_CACHE_VARIABLE):
         return None

@@ -8,8 +8,13 @@ Without these emitters and at LLVM's second level, a session of simulated touche
 a tenth longer (`python -m experiments.benchmark.programs` lists the times of programs). Other programs lose more:
 contact pressures predicted from views and decisions where to touch take twice as long, registrations by touch three
 times. The options are therefore chosen for each program, and for some by the amount of work.
+
+A program that compiles slowly all the same is announced (`compiles_slowly`), unless it comes from the cache of compiled
+programs. Commands show the announcement, which is logged.
 """
 
+import logging
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import fields
 from functools import cache, wraps
@@ -18,12 +23,22 @@ from typing import Any, TypeVar, get_type_hints
 import jax
 import numpy as np
 
+log = logging.getLogger(__name__)
+
 Config = TypeVar("Config")
+Function = TypeVar("Function", bound=Callable[..., Any])
 _traced: set[type] = {float}  # types of traced fields, including configurations
 
 # XLA's options for programs that must compile quickly on a CPU: no fusion emitters, and LLVM's second level of
 # optimisation
 QUICK_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 2}
+
+ANNOUNCE_AFTER_S = 1.0  # s of compilation after which it is announced; reading a program from the cache takes less
+# Events of `jax.monitoring`. JAX records a scalar when it begins to compile a program and a duration at the end, and
+# another event in between if the program comes from the cache.
+COMPILE_EVENT, CACHE_HIT_EVENT = "/jax/core/compile/backend_compile_duration", "/jax/compilation_cache/cache_hits"
+_slow_programs: dict[str, tuple[str, float]] = {}  # purpose and duration (s) of slow compilations, by function name
+_announcements: dict[int, threading.Timer] = {}  # of the compilations under way, by thread
 
 
 def traced_floats(kind: type[Config]) -> type[Config]:
@@ -107,6 +122,51 @@ def jit_by_amount(
     quick = jit_quickly(function, static_argnames=static_argnames)
     usual = jax.jit(function, static_argnames=static_argnames)
     return lambda amount: quick if amount <= few else usual
+
+
+def compiles_slowly(purpose: str, *, seconds: float) -> Callable[[Function], Function]:
+    """Announce that a function is being compiled and how long that takes, unless it comes from the cache; a decorator.
+
+    Args:
+        purpose: What the function is for, such as "the simulation of touches".
+        seconds: Measured duration of the compilation in s, on a CPU with two cores.
+
+    Returns:
+        A decorator that returns the function unchanged.
+    """
+
+    def register(function: Function) -> Function:
+        _slow_programs[function.__name__] = purpose, seconds
+        return function
+
+    return register
+
+
+def _announce(purpose: str, seconds: float) -> None:
+    duration = f", about {seconds:g} s on two cores" if jax.default_backend() == "cpu" else ""
+    once = ", only the first time" if jax.config.jax_compilation_cache_dir else ""
+    log.info("compiling %s%s%s", purpose, duration, once)
+
+
+def _on_begin(event: str, _: float, **about: Any) -> None:
+    name = str(about.get("fun_name")).removeprefix("jit(").removesuffix(")")
+    if event == COMPILE_EVENT and name in _slow_programs:
+        timer = threading.Timer(ANNOUNCE_AFTER_S, _announce, _slow_programs[name])
+        timer.daemon = True
+        _announcements[threading.get_ident()] = timer
+        timer.start()
+
+
+def _on_end(event: str, *_: float, **__: Any) -> None:
+    if event in (COMPILE_EVENT, CACHE_HIT_EVENT):
+        timer = _announcements.pop(threading.get_ident(), None)
+        if timer is not None:
+            timer.cancel()
+
+
+jax.monitoring.register_scalar_listener(_on_begin)
+jax.monitoring.register_event_listener(_on_end)
+jax.monitoring.register_event_duration_secs_listener(_on_end)
 
 
 @cache

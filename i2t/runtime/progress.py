@@ -16,7 +16,9 @@ LOG_INTERVAL_S = 30.0  # s between the lines after the first
 Progress: TypeAlias = tqdm  # result of `progress`: an iterable, or a counter with `update`
 
 
-def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = "steps", **options: Any) -> Progress:
+def progress(
+    items: Iterable[Any] | None = None, *, desc: str = "", unit: str = "steps", at_most: bool = False, **options: Any
+) -> Progress:
     """Show progress on stderr: a bar on a terminal, otherwise a line once the remaining time is known, and then every
     half a minute.
 
@@ -24,13 +26,14 @@ def progress(items: Iterable[Any] | None = None, *, desc: str = "", unit: str = 
         items: Items to iterate over; without them, `update` counts.
         desc: Name of the work.
         unit: Unit of the count, in the plural.
+        at_most: Whether the work may end before `total` is reached.
         **options: Options of tqdm, such as `total`.
 
     Returns:
         An iterable over the items, or a counter.
     """
     terminal = sys.stderr is not None and sys.stderr.isatty()
-    return (_Bar if terminal else _Lines)(items, desc=desc, unit=unit, **options)
+    return (_Bar if terminal else _Lines)(items, desc=desc, unit=unit, at_most=at_most, **options)
 
 
 class _Bar(tqdm):
@@ -39,10 +42,12 @@ class _Bar(tqdm):
     disable: bool = True
     _first_batch: tuple[float, float] | None = None  # count and time (s) at the end of the first batch
 
-    def __init__(self, *args: Any, **options: Any) -> None:
+    def __init__(self, *args: Any, at_most: bool = False, **options: Any) -> None:
+        self._bound = "at most " if at_most else ""
+        words = "{unit} at most" if at_most else "{unit}"
         super().__init__(*args, **options)
         if not self.disable and self.bar_format is None:
-            counted = "{n_fmt}/{total_fmt} {unit} [{elapsed}<{remaining}]"
+            counted = f"{{n_fmt}}/{{total_fmt}} {words} [{{elapsed}}<{{remaining}}]"
             self.bar_format = f"{{l_bar}}{{bar}}| {counted}" if self.total else "{desc}: {n_fmt} {unit} [{elapsed}]"
 
     def __iter__(self) -> Iterator[Any]:
@@ -87,6 +92,9 @@ class _Lines(_Bar):
         self._next_line_at = time.monotonic() + FIRST_LINE_S
         super().__init__(*args, **{"mininterval": min(1.0, FIRST_LINE_S), "miniters": 1, "leave": False, **options})
 
+    def clear(self, *_: Any, **__: Any) -> None:
+        """Do nothing, because a line that was printed stays."""
+
     def display(self, *_: Any, **__: Any) -> None:
         """Write a line if it is time for one."""
         if time.monotonic() >= self._next_line_at and (line := self.line()):
@@ -97,10 +105,10 @@ class _Lines(_Bar):
     def line(self) -> str:
         """Describe the progress in a sentence; empty in the first half minute if the remaining time is unknown."""
         state = self.format_dict
-        total = f" of {state['total']:.6g}" if state["total"] else ""
+        total = f" of {self._bound}{state['total']:.6g}" if state["total"] else ""
         remaining = ""
         if total and state["rate"]:
-            remaining = f", {self.format_interval((state['total'] - self.n) / state['rate'])} to go"
+            remaining = f", {self._bound}{self.format_interval((state['total'] - self.n) / state['rate'])} to go"
         elif total and state["elapsed"] < LOG_INTERVAL_S:
             return ""
         elapsed = self.format_interval(state["elapsed"])

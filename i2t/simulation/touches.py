@@ -36,7 +36,7 @@ from i2t.patches.dimensions import REACH, VIEW_PIXELS, VIEW_WINDOW
 from i2t.patches.views import PatchView, centre, pixels_on_skin, view_of_noisy_heights
 from i2t.rendering.render import render_heights, stack_surfaces
 from i2t.runtime.batching import map_on_devices, select_rows
-from i2t.runtime.compiling import jit_by_amount, jit_quickly, traced_floats
+from i2t.runtime.compiling import compiles_slowly, jit_by_amount, jit_quickly, traced_floats
 from i2t.simulation import sites as touch_sites
 from i2t.skin import faults
 from i2t.skin.contact import CELL_GRID, GRID, Grid
@@ -354,6 +354,7 @@ def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
     return jnp.eye(4).at[2, 3].set(distance)
 
 
+@compiles_slowly("the simulation of touches", seconds=20)
 @geometry.full_precision
 def _simulate_session(
     key: Key[Array, ""],

@@ -1,6 +1,8 @@
 """Quickly compiled programs give the usual results everywhere, and floats of configurations are traced."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -9,7 +11,7 @@ import pytest
 from helpers.compilations import compilations
 
 from i2t.runtime import compiling
-from i2t.runtime.compiling import jit_quickly, traced_floats
+from i2t.runtime.compiling import compiles_slowly, jit_quickly, traced_floats
 
 
 def curve(x: jax.Array, power: int) -> jax.Array:
@@ -36,6 +38,56 @@ def test_a_compiler_without_the_options_compiles_as_usual(monkeypatch: pytest.Mo
     assert compiling._options() is None
     np.testing.assert_allclose(jit_quickly(curve, static_argnames="power")(X, power=3), curve(X, 3), rtol=1e-6)
     compiling._options.cache_clear()
+
+
+@compiles_slowly("a sum", seconds=20)
+def slow_sum(x: jax.Array) -> jax.Array:
+    return x.sum()
+
+
+class Timer:
+    """Replacement of `threading.Timer` that the test rings."""
+
+    def __init__(self, _: float, function: Callable[..., None], args: tuple[str, float]) -> None:
+        self.ring, self.cancelled = partial(function, *args), False
+        TIMERS.append(self)
+
+    def start(self) -> None:
+        """Begin to wait."""
+
+    def cancel(self) -> None:
+        """Note the request."""
+        self.cancelled = True
+
+
+TIMERS: list[Timer] = []
+
+
+@pytest.fixture
+def timers(monkeypatch: pytest.MonkeyPatch) -> list[Timer]:
+    """The timers that are started in the test."""
+    TIMERS.clear()
+    monkeypatch.setattr(compiling.threading, "Timer", Timer)
+    return TIMERS
+
+
+def test_a_slow_compilation_is_announced_once_it_has_lasted_a_while(timers, caplog) -> None:
+    caplog.set_level("INFO", compiling.log.name)
+    jax.jit(slow_sum)(X)
+    (timer,) = timers  # of no other program
+    assert timer.cancelled  # at the end
+    timer.ring()
+    assert caplog.messages == ["compiling a sum, about 20 s on two cores, only the first time"]
+    jax.jit(slow_sum)(X)  # is compiled already
+    assert len(timers) == 1
+
+
+def test_a_program_from_the_cache_is_not_announced(timers) -> None:
+    jax.monitoring.record_scalar(compiling.COMPILE_EVENT, 0.0, fun_name="jit(slow_sum)")
+    (timer,) = timers
+    assert not timer.cancelled
+    jax.monitoring.record_event(compiling.CACHE_HIT_EVENT)
+    assert timer.cancelled
 
 
 @traced_floats
