@@ -7,14 +7,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.patches import Circle, Ellipse, Rectangle
+from matplotlib.patheffects import withStroke
 
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_map
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
-ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale
+ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale; less on boards of closer chips
+MARGIN_MM = 2.5  # mm, margin of the axes around the skin
+KEY_SHARE = 1.1  # width of the key, relative to the axes of a skin
 
 
 def common_scale(readings: Shaped[Array, "..."]) -> float:
@@ -34,12 +37,27 @@ def common_scale(readings: Shaped[Array, "..."]) -> float:
     return float(np.ceil(top / digit) * digit)
 
 
+def arrow_mm(board: Board) -> float:
+    """Compute the length of the arrow of a field as large as the figure's scale.
+
+    Args:
+        board: The board whose chips are drawn.
+
+    Returns:
+        `ARROW_MM`, or the distance (mm) of the two nearest chips if that is less.
+    """
+    chips = np.asarray(board.chips)[:, :2] * MM_PER_M
+    apart = np.linalg.norm(chips[:, None] - chips[None], axis=-1)
+    return float(min([ARROW_MM, *apart[apart > 1e-3]]))
+
+
 def draw_reading(
     axes: Axes,
     board: Board,
     reading: Shaped[Array, " c"],
     scale: float,
     *,
+    std: Shaped[Array, " c"] | None = None,
     colour: str = Colour.BLUE,
     label: str | None = None,
     width: float = 0.012,
@@ -51,31 +69,99 @@ def draw_reading(
         axes: Axes to draw into.
         board: Board with n chips.
         reading: `(3 n,)` reading (uT).
-        scale: Field (uT) that is drawn `ARROW_MM` long. All panels of a figure should share it.
+        scale: Field (uT) that is drawn `arrow_mm(board)` long. All panels of a figure should share it.
+        std: `(3 n,)` standard deviations (uT): a shaded ellipse at the tip of each arrow has them as its half axes, and
+            a dashed ring around each disc is wider than the disc by one standard deviation.
         colour: Colour of arrows and discs.
         label: Entry in the legend.
         width: Width of the arrows, relative to the axes.
     """
     chips = np.asarray(board.chips)[:, :2] * MM_PER_M
-    field = np.asarray(board.to_tool(np.asarray(reading))) * ARROW_MM / scale
+    mm_per_ut = arrow_mm(board) / scale
+    field = np.asarray(board.to_tool(np.asarray(reading))) * mm_per_ut
     x, y, normal = field.T
     arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "color": colour, "width": width}
     axes.quiver(*chips.T, x, y, label=label, **arrows)
     for centre, z in zip(chips, normal, strict=True):
         face, alpha = (colour, 0.45) if z > 0 else ("none", 0.9)
         axes.add_artist(Circle(centre, abs(z) / 2, facecolor=face, edgecolor=colour, alpha=alpha, lw=1.2))
+    if std is None:
+        return
+    # The values of a reading have independent errors in the axes of the chips, so that these turn as a covariance.
+    variances = (np.asarray(std, np.float64) * mm_per_ut).reshape(-1, 1, 3) ** 2
+    rotations = np.asarray(board.rotations, np.float64)
+    for chip, vector, covariance in zip(chips, field, rotations * variances @ rotations.swapaxes(1, 2), strict=True):
+        _draw_std(axes, chip, vector, covariance, colour)
 
 
-def draw_skin(axes: Axes, margin_mm: float = 3.0) -> None:
+def _draw_std(axes: Axes, chip: np.ndarray, vector: np.ndarray, covariance: np.ndarray, colour: str) -> None:
+    """Draw the standard deviations (mm) of a field in the skin's plane and normal to it."""
+    squares, directions = np.linalg.eigh(covariance[:2, :2])
+    angle = float(np.degrees(np.arctan2(directions[1, 0], directions[0, 0])))
+    disc = float(abs(vector[2]) + np.sqrt(covariance[2, 2]))
+    tip = {"facecolor": colour, "edgecolor": "none", "alpha": 0.25, "zorder": 0.5}
+    axes.add_artist(Ellipse(chip + vector[:2], *(2 * np.sqrt(squares)), angle=angle, **tip))
+    axes.add_artist(Circle(chip, disc / 2, fill=False, edgecolor=colour, lw=0.9, linestyle=(0, (3, 2))))
+
+
+def draw_chip_numbers(axes: Axes, board: Board) -> None:
+    """Draw the number of each chip, counted from 0 in the order of a reading, below and left of the chip.
+
+    Args:
+        axes: Axes to draw into.
+        board: Board with n chips.
+    """
+    many = board.num_chips > 9
+    for number, chip in enumerate(np.asarray(board.chips)[:, :2] * MM_PER_M):
+        axes.annotate(
+            str(number), chip, xytext=(-4, -4), textcoords="offset points", ha="right", va="top",
+            fontsize=6 if many else 9, color="black",
+            path_effects=[withStroke(linewidth=2, foreground="white")], zorder=5,
+        )  # fmt: skip
+
+
+def draw_key(axes: Axes, board: Board, scale: float, *, std: bool) -> None:
+    """Draw what arrows, discs, shades and rings of `draw_reading` mean, as large as next to it.
+
+    The axes need the height of the skin's, on the same scale.
+
+    Args:
+        axes: Axes to draw into.
+        board: The board whose chips are drawn.
+        scale: Field (uT) that is drawn `arrow_mm(board)` long.
+        std: Whether standard deviations are drawn.
+    """
+    power = 10.0 ** np.floor(np.log10(scale))
+    value = max(step for step in (power, 2 * power, 5 * power) if step <= scale)
+    alone = scale * ARROW_MM / arrow_mm(board)  # scale of a board of one chip that is drawn as large
+    entries = [
+        ((value, 0, 0), 0.0, f"{value:g} µT along the skin"),
+        ((0, 0, value), 0.0, f"{value:g} µT out of it"),
+        ((0, 0, -value), 0.0, f"{value:g} µT into it"),
+        *([((value, 0, -0.8 * value), 0.4 * value, "± 1 standard deviation")] if std else []),
+    ]
+    size, middle = value * arrow_mm(board) / scale, PAD_WINDOW * MM_PER_M / 2
+    heights = np.linspace(middle - 1, 1 - middle, len(entries) + 1)
+    for y, (field, error, label) in zip(heights, entries, strict=False):
+        chip = Board(np.array([[-size / 2 if field[0] else 0, y, 0]]) / MM_PER_M, np.eye(3)[None])
+        draw_reading(axes, chip, np.array(field), alone, std=np.full(3, error) if error else None, colour=Colour.GREY)
+        axes.text(size + 1, y, label, va="center", fontsize=9)
+    axes.text(0, heights[-1], board.num_chips - 1, ha="center", va="center", fontsize=9)
+    axes.text(size + 1, heights[-1], "chip number", va="center", fontsize=9)
+    high, low = middle + MARGIN_MM, -size - 1
+    axes.set(xlim=(low, low + KEY_SHARE * 2 * high), ylim=(-high, high), aspect="equal", anchor="W")
+    axes.set_axis_off()
+
+
+def draw_skin(axes: Axes) -> None:
     """Draw the skin's outline.
 
     Args:
         axes: Axes to draw into.
-        margin_mm: Margin (mm) of the axes around the skin.
     """
     half = PAD_WINDOW * MM_PER_M / 2
     axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=Colour.GREY, lw=0.8))
-    limits = (-half - margin_mm, half + margin_mm)
+    limits = (-half - MARGIN_MM, half + MARGIN_MM)
     axes.set(xlim=limits, ylim=limits, aspect="equal")
 
 
