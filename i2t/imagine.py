@@ -77,9 +77,9 @@ def _imagine(args: ImagineArgs) -> None:
         print(f"touch {number} ({kind}) at ({x:.0f}, {y:.0f}, {z:.0f}) mm: {_strongest(board, mean, std)}")
     simulated = args.model in READY_MODELS or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
     figure = viz.plot_predicted_touches(
-        seen.patch, {"predicted reading": readings.mean}, kinds, board,
-        f"{target.name}: touches with {args.force:g} N and their predicted readings", simulated,
-        std={"predicted reading": readings.std}, mesh=target.mesh, T_o_t=T_o_t,
+        seen.patch, {"predicted": readings.mean}, kinds, board,
+        f"{target.name}: predicted touches, {args.force:g} N", simulated,
+        std={"predicted": readings.std}, mesh=target.mesh, T_o_t=T_o_t,
         window=predictor.window, reach=predictor.reach,
     )  # fmt: skip
     print(f"wrote {viz.save_figure(figure, args.out)}")
@@ -184,7 +184,8 @@ def _kind(patch: np.ndarray, window: float, reach: float) -> str:
     at = pitch * (np.argwhere(near) - (len(patch) - 1) / 2)  # m, from the middle of the patch
     centre, spread = at.mean(0), (at - at.mean(0)).T @ (at - at.mean(0)) / len(at)
     width, length = np.sqrt(12 * np.linalg.eigvalsh(spread))  # of a rectangle of the same spread
-    jumps = sum(int((np.abs(np.diff(patch, axis=axis)) > reach / 4).sum()) for axis in (0, 1))
+    inner = patch[len(patch) // 8 : -(len(patch) // 8), len(patch) // 8 : -(len(patch) // 8)]
+    jumps = sum(int((np.abs(np.diff(inner, axis=axis)) > reach / 4).sum()) for axis in (0, 1))
     if near.mean() > 0.9:
         return "flat"
     if length < window / 2:

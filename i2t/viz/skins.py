@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Ellipse, Rectangle
+from matplotlib.offsetbox import AnchoredOffsetbox, AuxTransformBox, HPacker, TextArea, VPacker
+from matplotlib.patches import Circle, Ellipse, FancyArrow, Patch, Rectangle
 from matplotlib.patheffects import withStroke
 
 from i2t.patches.dimensions import PAD_WINDOW
@@ -17,7 +18,6 @@ from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
 ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale; less on boards of closer chips
 MARGIN_MM = 2.5  # mm, margin of the axes around the skin
-KEY_SHARE = 1.1  # width of the key, relative to the axes of a skin
 
 
 def common_scale(readings: Shaped[Array, "..."]) -> float:
@@ -120,37 +120,58 @@ def draw_chip_numbers(axes: Axes, board: Board) -> None:
         )  # fmt: skip
 
 
-def draw_key(axes: Axes, board: Board, scale: float, *, std: bool) -> None:
-    """Draw what arrows, discs, shades and rings of `draw_reading` mean, as large as next to it.
-
-    The axes need the height of the skin's, on the same scale.
+def draw_key(
+    axes: Axes,
+    skin: Axes,
+    board: Board,
+    scale: float,
+    *,
+    sets: Sequence[str] = (),
+    std: bool = False,
+    columns: int = 5,
+) -> None:
+    """Draw what the symbols of `draw_reading` mean, as large as they are in the axes of a skin.
 
     Args:
-        axes: Axes to draw into.
+        axes: Axes to draw into, which are hidden.
+        skin: Axes of a skin with readings.
         board: The board whose chips are drawn.
         scale: Field (uT) that is drawn `arrow_mm(board)` long.
+        sets: Names of the sets of readings in the order of their colours, if there are several.
         std: Whether standard deviations are drawn.
+        columns: Number of entries in a row.
     """
-    power = 10.0 ** np.floor(np.log10(scale))
-    value = max(step for step in (power, 2 * power, 5 * power) if step <= scale)
-    alone = scale * ARROW_MM / arrow_mm(board)  # scale of a board of one chip that is drawn as large
-    entries = [
-        ((value, 0, 0), 0.0, f"{value:g} µT along the skin"),
-        ((0, 0, value), 0.0, f"{value:g} µT out of it"),
-        ((0, 0, -value), 0.0, f"{value:g} µT into it"),
-        *([((value, 0, -0.8 * value), 0.4 * value, "± 1 standard deviation")] if std else []),
+    power = 10.0 ** np.floor(np.log10(0.75 * scale))
+    value = max(step for step in (power, 2 * power, 5 * power) if step <= 0.75 * scale)
+    size = value * arrow_mm(board) / scale
+    grey, tip = {"color": Colour.GREY}, {"color": Colour.GREY, "alpha": 0.3, "lw": 0}
+    disc = {"edgecolor": Colour.GREY, "lw": 1.2}
+    arrow = {"width": size / 12, "head_width": size / 3, "length_includes_head": True, **grey}
+    entries: list[tuple[list[Patch], str]] = [
+        ([FancyArrow(0, 0, size, 0, **arrow)], f"{value:g} µT along the skin"),
+        ([Circle((0, 0), size / 2, facecolor="#c0c0c0", **disc)], f"{value:g} µT out of it"),
+        ([Circle((0, 0), size / 2, fill=False, **disc)], f"{value:g} µT into it"),
     ]
-    size, middle = value * arrow_mm(board) / scale, PAD_WINDOW * MM_PER_M / 2
-    heights = np.linspace(middle - 1, 1 - middle, len(entries) + 1)
-    for y, (field, error, label) in zip(heights, entries, strict=False):
-        chip = Board(np.array([[-size / 2 if field[0] else 0, y, 0]]) / MM_PER_M, np.eye(3)[None])
-        draw_reading(axes, chip, np.array(field), alone, std=np.full(3, error) if error else None, colour=Colour.GREY)
-        axes.text(size + 1, y, label, va="center", fontsize=9)
-    axes.text(0, heights[-1], board.num_chips - 1, ha="center", va="center", fontsize=9)
-    axes.text(size + 1, heights[-1], "chip number", va="center", fontsize=9)
-    high, low = middle + MARGIN_MM, -size - 1
-    axes.set(xlim=(low, low + KEY_SHARE * 2 * high), ylim=(-high, high), aspect="equal", anchor="W")
+    if std:
+        ring = Circle((0, 0), 0.7 * size, fill=False, edgecolor=Colour.GREY, lw=0.9, linestyle=(0, (3, 2)))
+        shaded = Circle((2.2 * size, 0), 0.4 * size, **tip)
+        shown = [Circle((0, 0), size / 2, fill=False, **disc), ring, FancyArrow(1.2 * size, 0, size, 0, **arrow), shaded]
+        entries.append((shown, "± 1 standard deviation"))
+    packed = [_entry(skin, patches, label) for patches, label in entries]
+    packed.append(TextArea(f"0{f' to {board.num_chips - 1}' if board.num_chips > 1 else ''}: chip"))
+    for name, colour in zip(sets if len(sets) > 1 else (), cycle(CURVE_COLOURS), strict=False):
+        packed.insert(0, TextArea(name, textprops={"color": colour, "fontweight": "bold"}))
+    rows = [HPacker(children=packed[i : i + columns], sep=12, pad=0, align="center") for i in range(0, len(packed), columns)]
+    axes.add_artist(AnchoredOffsetbox("center", child=VPacker(children=rows, sep=6), frameon=False, pad=0, borderpad=0))
     axes.set_axis_off()
+
+
+def _entry(skin: Axes, patches: Sequence[Patch], label: str) -> HPacker:
+    """An entry of a key, whose patches are in the millimetres of a skin."""
+    symbol = AuxTransformBox(skin.transData)
+    for patch in patches:
+        symbol.add_artist(patch)
+    return HPacker(children=[symbol, TextArea(label)], sep=4, pad=0, align="center")
 
 
 def draw_skin(axes: Axes) -> None:

@@ -6,15 +6,16 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
+from matplotlib.axes import Axes
 
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.objects.solids import Mesh
-from i2t.patches.dimensions import PATCH_WINDOW, REACH
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_length, draw_patch
 from i2t.viz.scene import draw_object, number_style, touch_colours
-from i2t.viz.skins import KEY_SHARE, common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin
-from i2t.viz.style import CURVE_COLOURS, Colour, Picture, titled
+from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin
+from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
 MAX_COLUMNS = 6  # touches side by side
 
@@ -57,39 +58,45 @@ def plot_predicted_touches(
     columns = min(n, MAX_COLUMNS)
     rows = -(-n // columns)
     scale = common_scale(next(iter(sets.values())))
-    left = 1.7 if mesh is not None else 0.0
-    figure = Picture(figsize=(1.75 * (columns + left + KEY_SHARE), 3.6 * rows + 0.4), layout="constrained")
-    figure.suptitle(titled(title, simulated), fontsize=12)
-    widths = [left] * (mesh is not None) + [1.0] * columns + [KEY_SHARE]
-    grid = figure.add_gridspec(2 * rows, len(widths), width_ratios=widths)
+    edge = 1.27 if columns > 3 else 1.6  # inches, of a patch
+    scene = 0.0 if mesh is None else 1.75 * edge
+    width, row_height = scene + 0.55 + columns * (edge + 0.1) + 0.7, 2 * edge + 0.65
+    per_row = max(1, round(width / 1.75))  # entries of the key
+    entries = 4 + bool(std) + (len(sets) if len(sets) > 1 else 0)
+    bottom = 0.3 * -(-entries // per_row)
+    height = bottom + rows * row_height + 0.35
+    figure = Picture(figsize=(width, height))
+
+    def place(x: float, y: float, w: float, h: float) -> Axes:
+        return figure.add_axes((x / width, y / height, w / width, h / height))
+
+    figure.text(0.5, 1 - 0.1 / height, titled(title, simulated), ha="center", va="top", fontsize=11)
     if mesh is not None:
-        draw_object(figure.add_subplot(grid[:, 0]), mesh.vertices, mesh.faces, T_o_t, aspect=left / 2 / rows)
+        room = rows * row_height - 0.2
+        draw_object(place(0, bottom + 0.2, scene, room), mesh.vertices, mesh.faces, T_o_t, aspect=scene / room)
     for i in range(n):
-        row, column = 2 * (i // columns), i % columns + (mesh is not None)
-        above, below = (figure.add_subplot(grid[row + k, column]) for k in range(2))
+        x, y = scene + 0.55 + i % columns * (edge + 0.1), height - 0.35 - (i // columns + 1) * row_height
+        above, below = place(x, y + edge + 0.35, edge, edge), place(x, y + 0.28, edge, edge)
         image = draw_patch(above, patches[i], window, reach)
+        above.set(xticks=[], yticks=[])
         above.set_title(labels[i], fontsize=10)
         if mesh is not None:
-            style = number_style(touch_colours(n)[i])
-            above.text(0.06, 1.08, str(i + 1), transform=above.transAxes, ha="center", va="center", **style)
+            badge = number_style(touch_colours(n)[i])
+            above.text(0.08, 1.1, str(i + 1), transform=above.transAxes, ha="center", va="center", **badge)
         draw_skin(below)
+        below.set(xticks=[], yticks=[], frame_on=False)
         draw_chip_numbers(below, board)
         for (name, readings), colour in zip(sets.items(), cycle(CURVE_COLOURS), strict=False):
             spread = std[name][i] if name in std else None
-            draw_reading(below, board, readings[i], scale, std=spread, colour=colour, label=name)
-        above.set(xticks=[], yticks=[])
-        below.set(xticks=[], yticks=[], frame_on=False)
+            draw_reading(below, board, readings[i], scale, std=spread, colour=colour)
         if i % columns == 0:
             above.set_ylabel("depth patch", fontsize=10)
-            below.set_ylabel(" and ".join(sets), fontsize=10)
+            below.set_ylabel("reading" if len(sets) > 1 else f"{name}\nreading", fontsize=10)
+            below.set_xlabel(f"skin, {PAD_WINDOW * MM_PER_M:g} mm", fontsize=10, labelpad=1)
             draw_length(above)
-            draw_length(below)
-    bar, key = (figure.add_subplot(grid[k, -1]) for k in range(2))
-    bar.set_axis_off()
-    figure.colorbar(image, cax=bar.inset_axes((0.02, 0.0, 0.1, 1.0)), label="depth behind nearest\npoint (mm)")
-    draw_key(key, board, scale, std=bool(std))
-    if len(sets) > 1:
-        figure.legend(*below.get_legend_handles_labels(), fontsize=10, loc="outside lower center", ncols=len(sets))
+            bar = figure.colorbar(image, cax=place(width - 0.65, y + edge + 0.35, 0.12, edge))
+            bar.set_label("depth behind\nnearest (mm)", fontsize=10)
+    draw_key(place(0, 0, width, bottom), below, board, scale, sets=tuple(sets), std=bool(std), columns=per_row)
     return figure
 
 
