@@ -138,9 +138,7 @@ def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: 
     from i2t.simulation.sites import collect_sites
 
     T_o_t, patches, refused = [], [], None
-    drawn = collect_sites(
-        jax.random.key(args.seed), surface, max(POOL, args.sites), name=name, enough=args.sites
-    )
+    drawn = collect_sites(jax.random.key(args.seed), surface, max(POOL, args.sites), name=name, enough=args.sites)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the predictor warns about the chosen sites when they are rendered again
         for T in drawn:

@@ -266,7 +266,8 @@ def collect_sites(
     if enough is not None and count >= enough:
         return np.concatenate(safe)
     raise ValueError(
-        f"{name} has too few safe sites: {count} of {enough or n} found; lower min_cos or the flange's size, or raise max_rise"
+        f"{name} has too few safe sites: {count} of {enough or n} found; lower min_cos or the flange's size, or raise "
+        "max_rise"
     )
 
 

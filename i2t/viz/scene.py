@@ -25,7 +25,7 @@ from i2t.viz.style import Colour, Picture, titled
 PIXELS = 640  # pixels along the edge of a picture
 FROM = (-0.6, -1.0, 1.0)  # direction from the object to the observer; its rotations about z are tried
 COARSE = 5  # step of the pixels at which the visible area of a square is counted
-LIFT_M = 5e-4  # m, distance of the drawn squares from the surface
+LIFT_M = 1e-3  # m, distance of the drawn squares from the skin, which is in the object at the end of a press
 PIN = 0.1  # length of a pin and least distance of numbers, relative to the picture
 CREASE = np.cos(np.radians(25.0))  # cosine of the angle between normals above which no line is drawn
 
@@ -124,10 +124,13 @@ def draw_object(
         picture[hit] *= np.asarray(colours)[KDTree(vertices).query(view.points(z)[hit])[1]]
     touched = touch_colours(len(T_o_t))
     for T, colour in zip(T_o_t, touched, strict=True):
-        inside, edge = _square(view, z, T)
+        visible, edge = _square(view, z, T)
         if colours is None:
-            picture[inside] += 0.6 * (colour - picture[inside])
-        picture[edge] = colour if colours is None else to_rgb(Colour.GREEN)
+            picture[visible] += 0.6 * (colour - picture[visible])
+        else:
+            colour = np.array(to_rgb(Colour.GREEN))
+        picture[edge & visible] = colour
+        picture[edge & ~visible] += 0.3 * (colour - picture[edge & ~visible])
     rows, columns = np.nonzero((picture < 1).any(-1))
     axes.imshow(picture, interpolation="antialiased")
     if numbers and len(T_o_t):
@@ -199,7 +202,7 @@ class _View(NamedTuple):
 
 
 def _square(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of the visible part of a touch's square, and those of its edge."""
+    """Pixels of the visible part of a touch's square, and those of its edge, which may be hidden."""
     at = (np.arange(0, PIXELS, PIXELS // len(heights)) + 0.5) / PIXELS - 0.5
     x, y, normal = (view.rotation @ T_o_t[:3, :3]).T
     u, v = (at[None, :] - view.shift[0]) / view.scale, (at[:, None] - view.shift[1]) / view.scale
@@ -210,8 +213,9 @@ def _square(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> tuple[np.nda
     u, v = u - middle[0], v - middle[1]
     w = -(normal[0] * u + normal[1] * v) / normal[2]
     off = PAD_WINDOW / 2 - np.maximum(*(np.abs(axis[0] * u + axis[1] * v + axis[2] * w) for axis in (x, y)))
-    visible = (off >= 0) & ((w + middle[2]) * view.scale + view.shift[2] <= heights)
-    return visible, visible & (off < max(0.7e-3, 2.5 * view.pixel_m))
+    inside = off >= 0
+    visible = inside & ((w + middle[2]) * view.scale + view.shift[2] <= heights)
+    return visible, inside & (off < max(0.7e-3, 2.5 * view.pixel_m))
 
 
 def _seen_shares(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> np.ndarray:

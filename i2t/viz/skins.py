@@ -148,21 +148,29 @@ def draw_key(
     disc = {"edgecolor": Colour.GREY, "lw": 1.2}
     arrow = {"width": size / 12, "head_width": size / 3, "length_includes_head": True, **grey}
     entries: list[tuple[list[Patch], str]] = [
-        ([FancyArrow(0, 0, size, 0, **arrow)], f"{value:g} µT along the skin"),
-        ([Circle((0, 0), size / 2, facecolor="#c0c0c0", **disc)], f"{value:g} µT out of it"),
-        ([Circle((0, 0), size / 2, fill=False, **disc)], f"{value:g} µT into it"),
+        ([FancyArrow(0, 0, size, 0, **arrow)], f"{value:g} µT along skin"),
+        ([Circle((0, 0), size / 2, facecolor="#c0c0c0", **disc)], f"{value:g} µT out of skin"),
+        ([Circle((0, 0), size / 2, fill=False, **disc)], f"{value:g} µT into skin"),
     ]
     if std:
         ring = Circle((0, 0), 0.7 * size, fill=False, edgecolor=Colour.GREY, lw=0.9, linestyle=(0, (3, 2)))
         shaded = Circle((2.2 * size, 0), 0.4 * size, **tip)
-        shown = [Circle((0, 0), size / 2, fill=False, **disc), ring, FancyArrow(1.2 * size, 0, size, 0, **arrow), shaded]
+        shown = [
+            Circle((0, 0), size / 2, fill=False, **disc),
+            ring,
+            FancyArrow(1.2 * size, 0, size, 0, **arrow),
+            shaded,
+        ]
         entries.append((shown, "± 1 standard deviation"))
-    packed = [_entry(skin, patches, label) for patches, label in entries]
-    packed.append(TextArea(f"0{f' to {board.num_chips - 1}' if board.num_chips > 1 else ''}: chip"))
-    for name, colour in zip(sets if len(sets) > 1 else (), cycle(CURVE_COLOURS), strict=False):
-        packed.insert(0, TextArea(name, textprops={"color": colour, "fontweight": "bold"}))
-    rows = [HPacker(children=packed[i : i + columns], sep=12, pad=0, align="center") for i in range(0, len(packed), columns)]
-    axes.add_artist(AnchoredOffsetbox("center", child=VPacker(children=rows, sep=6), frameon=False, pad=0, borderpad=0))
+    names = zip(sets if len(sets) > 1 else (), cycle(CURVE_COLOURS), strict=False)
+    packed = [
+        *(TextArea(name, textprops={"color": colour, "fontweight": "bold"}) for name, colour in names),
+        *(_entry(skin, patches, label) for patches, label in entries),
+        TextArea(f"0 to {board.num_chips - 1}: chips" if board.num_chips > 1 else "0: chip"),
+    ]
+    parts = [packed[i : i + columns] for i in range(0, len(packed), columns)]
+    rows = VPacker(children=[HPacker(children=part, sep=12, pad=0, align="center") for part in parts], sep=6)
+    axes.add_artist(AnchoredOffsetbox("center", child=rows, frameon=False, pad=0, borderpad=0))
     axes.set_axis_off()
 
 
