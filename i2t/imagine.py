@@ -10,10 +10,12 @@ computes readings and their standard deviations from patch and force. The ready 
 """
 
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+import numpy as np
 import tyro
 
 from i2t.cli.exit_codes import command
@@ -26,7 +28,10 @@ from i2t.patches.dimensions import MAX_SKIN_FORCE_N
 if TYPE_CHECKING:
     from i2t.objects import Object
     from i2t.prediction.predictor import Predictor
-    from i2t.types import Board
+    from i2t.types import Board, Surface
+
+POOL = 64  # safe sites among which the touches are chosen
+PLACE_WEIGHT = 0.05  # weight of a distance as long as the object, relative to the largest depth of a patch
 
 
 @dataclass(frozen=True)
@@ -59,22 +64,23 @@ def _imagine(args: ImagineArgs) -> None:
     from i2t.dataset import holds_simulated
     from i2t.prediction.predictor import load_predictor
     from i2t.rendering.render import prepare_surface
-    from i2t.simulation.sites import sample_touch_sites
 
     predictor = load_predictor(args.model)
     board = _board(args, predictor)
     surface = prepare_surface(target.mesh)
-    sites = sample_touch_sites(surface, args.sites, seed=args.seed, name=target.name)
-    seen = predictor.render_touches(surface, sites.T_o_t)
+    T_o_t = _sites(args, predictor, surface, target.name)
+    seen = predictor.render_touches(surface, T_o_t)
     readings = predictor.predict(seen, force=args.force)
-    for number, (mean, std) in enumerate(zip(readings.mean, readings.std, strict=True), 1):
-        chip, axis = divmod(int(abs(mean).argmax()), 3)
-        strongest = f"{mean[3 * chip + axis]:.1f} +- {std[3 * chip + axis]:.1f} uT"
-        print(f"touch {number}: chip {chip} {'xyz'[axis]} changes most, by {strongest}")
+    kinds = [_kind(patch, predictor.window, predictor.reach) for patch in seen.patch]
+    for number, (kind, T, mean, std) in enumerate(zip(kinds, T_o_t, *readings, strict=True), 1):
+        x, y, z = 1e3 * T[:3, 3]
+        print(f"touch {number} ({kind}) at ({x:.0f}, {y:.0f}, {z:.0f}) mm: {_strongest(board, mean, std)}")
     simulated = args.model in READY_MODELS or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
     figure = viz.plot_predicted_touches(
-        seen.patch, {"imagined": readings.mean}, [f"touch {i + 1}" for i in range(args.sites)], board,
-        title=f"{target.name}, pressed with {args.force:g} N", simulated=simulated,
+        seen.patch, {"predicted": readings.mean}, kinds, board,
+        f"{target.name}: predicted touches, {args.force:g} N", simulated,
+        std={"predicted": readings.std}, mesh=target.mesh, T_o_t=T_o_t,
+        window=predictor.window, reach=predictor.reach,
     )  # fmt: skip
     print(f"wrote {viz.save_figure(figure, args.out)}")
 
@@ -123,6 +129,81 @@ def _board(args: ImagineArgs, predictor: "Predictor") -> "Board":
             "train on touches of this board"
         )
     return board
+
+
+def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: str) -> np.ndarray:
+    """Choose the sites whose patches differ most among random safe ones, as (n, 4, 4) tool poses on the object."""
+    import jax
+
+    from i2t.simulation.sites import collect_sites
+
+    T_o_t, patches, refused = [], [], None
+    drawn = collect_sites(jax.random.key(args.seed), surface, max(POOL, args.sites), name=name, enough=args.sites)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the predictor warns about the chosen sites when they are rendered again
+        for T in drawn:
+            try:
+                patches.append(predictor.render_touches(surface, T).patch[0])
+            except ValueError as error:
+                refused = error
+            else:
+                T_o_t.append(T)
+    if refused is not None and len(T_o_t) < args.sites:
+        raise refused
+    T_o_t = np.stack(T_o_t)
+    kinds = [_kind(patch, predictor.window, predictor.reach) for patch in patches]
+    return T_o_t[_most_different(np.stack(patches), kinds, T_o_t[:, :3, 3], args.sites)]
+
+
+def _most_different(patches: np.ndarray, kinds: list[str], points: np.ndarray, n: int) -> list[int]:
+    """Choose n of the (m, rows, columns) patches (m) of m kinds at (m, 3) points (m): first the flattest, and then one
+    by one the patch that differs most from all chosen ones, of another kind if there is one.
+
+    Patches are compared by their sorted depths, which do not change when the skin turns about its normal. Distances on
+    the object count a little, so that equal patches are spread out.
+    """
+    depths, deepest = np.sort(patches.reshape(len(patches), -1), axis=1), float(patches.max())
+    is_kind = np.equal.outer(kinds, sorted(set(kinds)))
+    spread = PLACE_WEIGHT / max(float(np.ptp(points, axis=0).max()), 1e-9)
+    features = np.hstack([depths / np.sqrt(depths.shape[1]), deepest * is_kind, deepest * spread * points])
+    chosen = [int(depths.mean(1).argmin())]
+    while len(chosen) < n:
+        distances = np.linalg.norm(features[:, None] - features[chosen], axis=-1).min(1)
+        distances[chosen] = -1
+        chosen.append(int(distances.argmax()))
+    return chosen
+
+
+def _kind(patch: np.ndarray, window: float, reach: float) -> str:
+    """Describe the surface in a patch (m) by the region that is within an eighth of the reach (0.5 mm) of its nearest
+    point, and by its jumps.
+    """
+    near, pitch = patch <= patch.min() + reach / 8, window / len(patch)
+    at = pitch * (np.argwhere(near) - (len(patch) - 1) / 2)  # m, from the middle of the patch
+    centre, spread = at.mean(0), (at - at.mean(0)).T @ (at - at.mean(0)) / len(at)
+    width, length = np.sqrt(12 * np.linalg.eigvalsh(spread))  # of a rectangle of the same spread
+    inner = patch[len(patch) // 8 : -(len(patch) // 8), len(patch) // 8 : -(len(patch) // 8)]
+    jumps = sum(int((np.abs(np.diff(inner, axis=axis)) > reach / 4).sum()) for axis in (0, 1))
+    if near.mean() > 0.9:
+        return "flat"
+    if length < window / 2:
+        return "tip"
+    if width < window / 4 and np.linalg.norm(centre) < window / 8:
+        return "ridge"
+    return "edge" if jumps > len(patch) / 2 else "curved"
+
+
+def _strongest(board: "Board", mean: np.ndarray, std: np.ndarray) -> str:
+    """Describe the largest change of a predicted reading, in the axes that the picture shows."""
+    field = board.to_tool(mean)
+    chip, axis = divmod(int(abs(field).argmax()), 3)
+    spread = np.sqrt(board.rotations[chip] ** 2 @ std.reshape(-1, 3)[chip] ** 2)[axis]
+    value = field[chip, axis]
+    if axis == 2:
+        value, along = abs(value), "out of the skin" if value > 0 else "into the skin"
+    else:
+        along = f"along {'xy'[axis]}"
+    return f"chip {chip} changes most, by {value:.1f} +- {spread:.1f} uT {along}"
 
 
 def _object(args: ImagineArgs) -> "Object":

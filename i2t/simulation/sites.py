@@ -235,7 +235,8 @@ def collect_sites(
     name: str = "the object",
     rounds: int = 8,
     obstacles: Surface | None = None,
-) -> Float[np.ndarray, "{n} 4 4"]:
+    enough: int | None = None,
+) -> Float[np.ndarray, "sites 4 4"]:
     """Draw safe sites in several rounds. This function runs on the host and calls a compiled one in each round.
 
     Args:
@@ -246,9 +247,10 @@ def collect_sites(
         name: Name of the object in messages.
         rounds: Number of rounds after which too few sites are an error.
         obstacles: Surfaces of other objects in the world, which must not be touched.
+        enough: Number of sites that suffices if the object has fewer than n; by default n.
 
     Returns:
-        `(n, 4, 4)` poses T_w_t of the tool at the sites.
+        `(n, 4, 4)` poses T_w_t of the tool at the sites, or fewer if fewer suffice.
 
     Raises:
         ValueError: The object has too few safe sites.
@@ -261,8 +263,11 @@ def collect_sites(
         count += len(safe[-1])
         if count >= n:
             return np.concatenate(safe)[:n]
+    if enough is not None and count >= enough:
+        return np.concatenate(safe)
     raise ValueError(
-        f"{name} has too few safe sites: {count} of {n} found; lower min_cos or the flange's size, or raise max_rise"
+        f"{name} has too few safe sites: {count} of {enough or n} found; lower min_cos or the flange's size, or raise "
+        "max_rise"
     )
 
 

@@ -4,17 +4,14 @@ there, and the belief after each touch.
     record = EpisodeRecord(meshes, names, T_w_t, readings, board, p, truth, simulated=True)
     paths = write_episode_report(record, Path("runs/episode"))
 
-writes `story.png`, a page with a row for each touch. If the machine can draw in three dimensions off screen, which
-needs pyvista (`pip install "imagine2touch[notebooks]"`), the page also shows the object with its touches.
+writes `story.png`, a page with the object and its touches, and a row for each touch.
 """
 
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
 
@@ -24,11 +21,9 @@ from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
-from i2t.viz.scene import explain_no_scene, object_image
+from i2t.viz.scene import draw_object, touch_colours
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
-
-log = logging.getLogger(__name__)
 
 
 class EpisodeRecord(NamedTuple):
@@ -61,7 +56,7 @@ class EpisodeRecord(NamedTuple):
 
 
 def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
-    """Write the report of an episode. If no scene can be drawn, the page omits it and the reason is logged.
+    """Write the report of an episode.
 
     Args:
         record: The episode.
@@ -73,12 +68,7 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
     Raises:
         ValueError: Poses, readings, beliefs, meshes and names do not fit together.
     """
-    record = _checked(record)
-    mesh = record.meshes[record.shown_candidate]
-    picture = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
-    if picture is None:
-        log.warning("%s", explain_no_scene())
-    return [save_figure(plot_episode(record, picture), out / "story.png")]
+    return [save_figure(plot_episode(_checked(record), scene=True), out / "story.png")]
 
 
 def _checked(record: EpisodeRecord) -> EpisodeRecord:
@@ -94,7 +84,7 @@ def _checked(record: EpisodeRecord) -> EpisodeRecord:
 
 
 def plot_episode(
-    record: EpisodeRecord, scene: Array | None = None, *, max_touches: int = 6, max_candidates: int = 5
+    record: EpisodeRecord, *, scene: bool = False, max_touches: int = 6, max_candidates: int = 5
 ) -> Picture:
     """Plot a row for each touch: the reading, the patches that the candidates have there, and the belief after it.
 
@@ -103,7 +93,7 @@ def plot_episode(
 
     Args:
         record: The episode.
-        scene: `(rows, columns, 3)` picture of the object with its touches, drawn on the left.
+        scene: Whether to draw the object with its touches on the left.
         max_touches: Maximum number of touches shown.
         max_candidates: Maximum number of candidates shown.
 
@@ -114,15 +104,14 @@ def plot_episode(
     candidates = _shown_candidates(record.p, record.truth, max_candidates)
     depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
     scale = common_scale(record.readings)
-    colours = _touch_colours(len(record.p))
+    colours = touch_colours(len(record.p))
 
-    widths = [2.2] * (scene is not None) + [1.15] + [1.0] * len(candidates) + [1.0, 0.75]
+    widths = [2.2] * scene + [1.15] + [1.0] * len(candidates) + [1.0, 0.75]
     figure = Picture(figsize=(1.55 * sum(widths) + 0.6, 1.55 * len(touches) + 1.3), layout="constrained")
     grid = figure.add_gridspec(len(touches), len(widths), width_ratios=widths)
-    if scene is not None:
-        left = figure.add_subplot(grid[:, 0])
-        left.imshow(scene)
-        left.set_axis_off()
+    if scene:
+        mesh = record.meshes[record.shown_candidate]
+        draw_object(figure.add_subplot(grid[:, 0]), mesh.vertices, mesh.faces, record.T_w_t)
     first = len(widths) - len(candidates) - 3
     panels: list[Axes] = []
     for row, touch in enumerate(touches):
@@ -211,8 +200,3 @@ def _draw_belief(axes: Axes, p: np.ndarray, names: Sequence[str], shown: Sequenc
     axes.invert_yaxis()
     axes.set(xlim=(0, 1), xticks=[0, 0.5, 1])
     axes.tick_params(axis="x", labelsize=7.5)
-
-
-def _touch_colours(touches: int) -> np.ndarray:
-    """Choose a colour (touches, 3) for each touch, from dark to light."""
-    return colormaps["viridis"](np.linspace(0.0, 0.9, touches))[:, :3]

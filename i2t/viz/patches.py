@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
+from matplotlib.patheffects import withStroke
 
 from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
 from i2t.types import Array
@@ -56,6 +57,21 @@ def draw_patch(
         The drawn image, from which a colour bar can be made.
     """
     return draw_map(axes, np.asarray(patch) * MM_PER_M, window, cmap="cividis_r", low=0, high=reach * MM_PER_M)
+
+
+def draw_length(axes: Axes, length_mm: float = 5.0) -> None:
+    """Draw a bar of known length in the lower left corner of axes in millimetres.
+
+    Args:
+        axes: Axes with their limits set.
+        length_mm: Length (mm) of the bar.
+    """
+    start, low = axes.get_xlim()[0] + 0.8, axes.get_ylim()[0] + 0.8
+    halo = [withStroke(linewidth=4, foreground="white")]
+    axes.plot([start, start + length_mm], [low, low], color="black", lw=2, solid_capstyle="butt", path_effects=halo)
+    axes.annotate(
+        f"{length_mm:g} mm", (start, low), xytext=(0, 3), textcoords="offset points", fontsize=9, path_effects=halo
+    )
 
 
 def plot_patches(

@@ -1,89 +1,58 @@
-"""Three-dimensional scenes: objects with their touches.
+"""Pictures of objects with their touches, in three dimensions.
 
-Scenes need pyvista (`pip install "imagine2touch[notebooks]"`) and a machine that can draw off screen. Drawing is first
-tried in a separate process, because VTK ends with a segmentation fault without EGL or OSMesa.
+The object is seen from above at an angle, without perspective, by the renderer of the depth patches. The pictures need
+neither a display nor a graphics library.
 """
 
-import subprocess
-import sys
-from functools import cache
-from importlib.util import find_spec
-from typing import Any
+from functools import partial
+from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from scipy.spatial import KDTree
 
+from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import PAD_WINDOW
-from i2t.types import Array
-from i2t.viz.style import MM_PER_M, Picture, titled
+from i2t.rendering.render import prepare_surface, render_heights
+from i2t.runtime.compiling import jit_quickly
+from i2t.types import Array, Surface
+from i2t.viz.style import Colour, Picture, titled
 
-# Python program that fails if this machine cannot draw off screen.
-PROBE = "import pyvista as pv; p = pv.Plotter(off_screen=True, window_size=(64, 64)); p.add_mesh(pv.Cube()); p.show()"
-# Note if this machine cannot draw off screen.
-NO_GL = (
-    "There is no 3-D picture, because this machine cannot draw off screen: install the system package libegl1 "
-    "(apt-get install libegl1) or libosmesa6."
-)
-
-
-@cache
-def explain_no_scene() -> str:
-    """Explain in one sentence why 3D scenes cannot be drawn in this environment; an empty string if they can."""
-    if find_spec("pyvista") is None:
-        return 'There is no 3-D picture, because pyvista is missing: pip install "imagine2touch[notebooks]".'
-    try:
-        attempt = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=120)
-    except subprocess.TimeoutExpired:
-        return NO_GL
-    return "" if attempt.returncode == 0 else NO_GL
+PIXELS = 640  # pixels along the edge of a picture
+FROM = (-0.6, -1.0, 1.0)  # direction from the object to the observer; its rotations about z are tried
+COARSE = 5  # step of the pixels at which the visible area of a square is counted
+LIFT_M = 1e-3  # m, distance of the drawn squares from the skin, which is in the object at the end of a press
+PIN = 0.1  # length of a pin and least distance of numbers, relative to the picture
+CREASE = np.cos(np.radians(25.0))  # cosine of the angle between normals above which no line is drawn
 
 
-def object_plotter(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], T_o_t: Float[Array, "n 4 4"], numbers: bool = True
-) -> Any:
-    """Make a pyvista plotter with an object and the skin's square at each touch, ready to `show()`.
+def touch_colours(touches: int) -> Float[np.ndarray, "touches 3"]:
+    """Choose a colour for each touch, from dark to light.
 
     Args:
-        vertices: Vertices (m) of the object.
-        faces: Vertex numbers of each face.
-        T_o_t: Tool poses of the touches in the object's frame.
-        numbers: Whether to number the touches.
+        touches: Number of touches.
 
     Returns:
-        The pyvista plotter, which renders off screen.
-
-    Raises:
-        RuntimeError: No scene can be drawn here.
+        `(touches, 3)` RGB values between 0 and 1.
     """
-    pv = _pyvista()
-    T_o_t = np.asarray(T_o_t, np.float64)
-    body = body_of(pv, vertices, faces)
-    with pv.vtk_verbosity("error"):  # VTK warns about a missing display, which it does not need
-        plotter: Any = pv.Plotter(off_screen=True, window_size=[900, 700], lighting="three lights")
-        plotter.add_mesh(body, color="#d9d9d9", split_sharp_edges=True, smooth_shading=True)
-        edges = body.extract_feature_edges(30, boundary_edges=True, manifold_edges=False, non_manifold_edges=False)
-        if edges.n_points:
-            plotter.add_mesh(edges, color="#555555", line_width=1.5)
-        colours = colormaps["viridis"](np.linspace(0.0, 0.9, len(T_o_t)))[:, :3]
-        for i, (T, colour) in enumerate(zip(T_o_t, colours, strict=True)):
-            _add_touch(pv, plotter, T, colour, str(i + 1) if numbers else "")
-        set_view(plotter)
-    return plotter
+    return colormaps["viridis"](np.linspace(0.0, 0.9, touches))[:, :3]
 
 
-def _add_touch(pv: Any, plotter: Any, T_o_t: np.ndarray, colour: np.ndarray, number: str) -> None:
-    """Draw the skin's square of one touch, and a pin with the touch's number."""
-    square = skin_square(pv, T_o_t, lift_mm=0.5)
-    plotter.add_mesh(square, color=colour, opacity=0.55, lighting=False)
-    plotter.add_mesh(square.extract_feature_edges(), color=colour, line_width=3)
-    if number:
-        end = T_o_t[:3, 3] * MM_PER_M - 9.0 * T_o_t[:3, 2]
-        plotter.add_mesh(pv.Line(T_o_t[:3, 3] * MM_PER_M, end), color="black", line_width=2)
-        plotter.add_point_labels(
-            [end], [number], font_size=20, bold=True, shape_color="white", shape_opacity=0.8, always_visible=True,
-            show_points=False,
-        )  # fmt: skip
+def number_style(colour: Float[Array, "3"]) -> dict[str, object]:
+    """Style the number of a touch: bold in a box of the touch's colour.
+
+    Args:
+        colour: RGB values of the touch.
+
+    Returns:
+        Arguments of matplotlib's texts.
+    """
+    box = {"boxstyle": "circle,pad=0.25", "facecolor": tuple(colour), "edgecolor": "white", "linewidth": 0.8}
+    return {"color": "white" if np.mean(colour) < 0.5 else "black", "fontweight": "bold", "bbox": box}
 
 
 def plot_object(
@@ -93,7 +62,7 @@ def plot_object(
     title: str,
     simulated: bool,
 ) -> Picture:
-    """Plot a still picture of an object with its touches. If none can be drawn, the figure states why.
+    """Plot a still picture of an object with its touches.
 
     Args:
         vertices: Vertices (m) of the object.
@@ -106,95 +75,191 @@ def plot_object(
         The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(6.5, 5.4), layout="constrained")
-    axes = figure.subplots()
-    axes.set_axis_off()
-    picture = object_image(vertices, faces, T_o_t, numbers=True)
-    if picture is None:
-        axes.text(0.5, 0.5, explain_no_scene(), ha="center", va="center", wrap=True, transform=axes.transAxes)
-    else:
-        axes.imshow(picture)
-    figure.suptitle(f"{titled(title, simulated)}\nsquares: the skin, 20 mm wide, where it touched", fontsize=11)
+    draw_object(figure.subplots(), vertices, faces, T_o_t)
+    figure.suptitle(f"{titled(title, simulated)}\nsquares: the skin, 20 mm wide, at each touch", fontsize=11)
     return figure
 
 
-def object_image(
-    vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], T_o_t: Float[Array, "n 4 4"], *, numbers: bool = False
-) -> Array | None:
-    """Render the picture of `plot_object` without margins.
+def draw_object(
+    axes: Axes,
+    vertices: Float[Array, "v 3"],
+    faces: Int[Array, "f 3"],
+    T_o_t: Float[Array, "n 4 4"],
+    *,
+    numbers: bool = True,
+    colours: Float[Array, "v 3"] | None = None,
+    directions: int = 8,
+    aspect: float = 1.0,
+) -> None:
+    """Draw an object, the skin's square at each touch and the number of each touch, counted from 1.
+
+    Of several directions, the one that best shows the squares, and the object large, is drawn.
 
     Args:
+        axes: Axes to draw into.
         vertices: Vertices (m) of the object.
         faces: Vertex numbers of each face.
         T_o_t: Tool poses of the touches in the object's frame; there may be none.
         numbers: Whether to number the touches.
-
-    Returns:
-        `(rows, columns, 3)` 8-bit colours, or None if no scene can be drawn.
+        colours: RGB values of the vertices, grey by default. The squares are then outlines.
+        directions: Number of directions that are tried, evenly spaced around z.
+        aspect: Width of the room for the picture, relative to its height.
     """
-    return None if explain_no_scene() else image_of(object_plotter(vertices, faces, T_o_t, numbers))
+    T_o_t, vertices = np.asarray(T_o_t, np.float64), np.asarray(vertices, np.float64)
+    axes.set_axis_off()
+    if not len(vertices):
+        return  # a surface may be empty before the first touch
+    turns = 2 * np.pi * np.arange(directions if len(T_o_t) else 1) / directions
+    views = [_View.around(vertices, T_o_t, turn) for turn in turns]
+    surface = prepare_surface(Mesh(vertices, faces))
+    heights = [view.heights(surface) for view in views]
+    shares = [_seen_shares(view, z, T_o_t) for view, z in zip(views, heights, strict=True)]
+    sizes = np.array([view.size(vertices, aspect) for view in views])
+    seen = np.array([share.min(initial=1) + share.sum() / max(len(share), 1) for share in shares])
+    best = int(np.argmax(seen + sizes / sizes.max()))
+    view, z = views[best], heights[best]
+    picture = _shade(z)
+    if colours is not None:
+        hit = np.isfinite(z)
+        picture[hit] *= np.asarray(colours)[KDTree(vertices).query(view.points(z)[hit])[1]]
+    touched = touch_colours(len(T_o_t))
+    for T, colour in zip(T_o_t, touched, strict=True):
+        visible, edge = _square(view, z, T)
+        if colours is None:
+            picture[visible] += 0.6 * (colour - picture[visible])
+        else:
+            colour = np.array(to_rgb(Colour.GREEN))
+        picture[edge & visible] = colour
+        picture[edge & ~visible] += 0.3 * (colour - picture[edge & ~visible])
+    rows, columns = np.nonzero((picture < 1).any(-1))
+    axes.imshow(picture, interpolation="antialiased")
+    if numbers and len(T_o_t):
+        points = view.to_pixels(T_o_t[:, :3, 3])
+        places = _apart(view.to_pixels(T_o_t[:, :3, 3] - PIN * PIXELS * view.pixel_m * T_o_t[:, :3, 2]))
+        for i, (point, place, colour) in enumerate(zip(points, places, touched, strict=True)):
+            axes.plot(*np.stack([point, place]).T, color="black", lw=1)
+            axes.text(*place, str(i + 1), ha="center", va="center", fontsize=10, **number_style(colour))
+        columns, rows = np.append(columns, places[:, 0]), np.append(rows, places[:, 1])
+    margin = PIN * PIXELS / 2
+    axes.set(xlim=(columns.min() - margin, columns.max() + margin), ylim=(rows.max() + margin, rows.min() - margin))
 
 
-def image_of(plotter: Any) -> Array:
-    """Render a plotter's picture without its white margins, and close the plotter.
-
-    Args:
-        plotter: The pyvista plotter.
-
-    Returns:
-        `(rows, columns, 3)` 8-bit colours. An empty scene keeps its margins.
-    """
-    picture = np.asarray(plotter.screenshot(return_img=True))
-    plotter.close()
-    rows, columns = np.nonzero((picture < 250).any(-1))
-    return picture[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1] if len(rows) else picture
+# --- pieces ---
 
 
-def body_of(pv: Any, vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"]) -> Any:
-    """Convert a mesh to pyvista's format, in millimetres.
-
-    Args:
-        pv: The module pyvista.
-        vertices: Vertices (m) of the mesh.
-        faces: Vertex numbers of each face.
-
-    Returns:
-        The mesh as a pyvista PolyData.
-    """
-    corners = np.column_stack([np.full(len(faces), 3), faces]).ravel()
-    return pv.PolyData(np.asarray(vertices, np.float64) * MM_PER_M, corners)
+_render = jit_quickly(partial(render_heights, window=1.0, pixels=PIXELS))  # of an object scaled to the unit square
 
 
-def skin_square(pv: Any, T_o_t: Float[Array, "4 4"], lift_mm: float = 0.0) -> Any:
-    """Build the square of the skin's face at a touch, for drawing.
+class _View(NamedTuple):
+    """Map from the object's frame (m) to the picture: x to the right, y down, z away from the observer."""
 
-    Args:
-        pv: The module pyvista.
-        T_o_t: Tool pose of the touch in the object's frame.
-        lift_mm: Distance (mm) by which the square is drawn off the surface.
+    rotation: Float[np.ndarray, "3 3"]
+    scale: float  # picture widths for each metre
+    shift: Float[np.ndarray, "3"]
 
-    Returns:
-        The square in millimetres, as a pyvista PolyData.
-    """
-    half = PAD_WINDOW * MM_PER_M / 2
-    corners = np.array([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]])
-    corners[:, 2] = -lift_mm
-    return pv.PolyData(corners @ T_o_t[:3, :3].T + T_o_t[:3, 3] * MM_PER_M, [4, 3, 2, 1, 0])
+    @classmethod
+    def around(cls, vertices: np.ndarray, T_o_t: np.ndarray, turn: float) -> "_View":
+        """Look at the object and its squares, turned about z."""
+        forward = -np.asarray(FROM) / np.linalg.norm(FROM)
+        cos, sin = np.cos(turn), np.sin(turn)
+        forward = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ forward
+        right = np.cross(forward, [0.0, 0.0, 1.0])
+        right /= np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        corners = PAD_WINDOW / 2 * np.array([[x, y, 0.0] for x in (-1, 1) for y in (-1, 1)])
+        squares = [corners @ T[:3, :3].T + T[:3, 3] for T in T_o_t]
+        shown = np.concatenate([vertices, *squares]) @ rotation.T
+        low, high = shown.min(0), shown.max(0)
+        scale = 0.96 / max(float(np.max(high - low)), 1e-9)
+        return cls(rotation, scale, np.array([0, 0, 1.0]) - scale * (low + high) / 2)
+
+    @property
+    def pixel_m(self) -> float:
+        """Edge (m) of a pixel."""
+        return 1 / (PIXELS * self.scale)
+
+    def heights(self, surface: Surface) -> np.ndarray:
+        """Depth of the object in picture widths, infinite next to it."""
+        A = np.eye(4)
+        A[:3, :3], A[:3, 3] = self.scale * self.rotation, self.shift
+        return np.asarray(_render(surface, jnp.asarray(A, jnp.float32)), np.float64)
+
+    def size(self, vertices: np.ndarray, aspect: float) -> float:
+        """Largest scale at which the vertices (m) fit into a room of unit height."""
+        width, height = np.ptp(vertices @ self.rotation.T, axis=0)[:2]
+        return float(min(aspect / max(width, 1e-9), 1 / max(height, 1e-9)))
+
+    def points(self, heights: np.ndarray) -> np.ndarray:
+        """Points (m) in the object's frame that the pixels show."""
+        at = (np.arange(PIXELS) + 0.5) / PIXELS - 0.5
+        seen = np.stack([*np.meshgrid(at, at), heights], axis=-1)
+        return (seen - self.shift) / self.scale @ self.rotation
+
+    def to_pixels(self, points: np.ndarray) -> np.ndarray:
+        """Column and row of points (m)."""
+        seen = self.scale * points @ self.rotation.T + self.shift
+        return (seen[:, :2] + 0.5) * PIXELS - 0.5
 
 
-def set_view(plotter: Any) -> None:
-    """Look at a scene from above and the side, without perspective.
+def _square(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of the visible part of a touch's square, and those of its edge, which may be hidden."""
+    at = (np.arange(0, PIXELS, PIXELS // len(heights)) + 0.5) / PIXELS - 0.5
+    x, y, normal = (view.rotation @ T_o_t[:3, :3]).T
+    u, v = (at[None, :] - view.shift[0]) / view.scale, (at[:, None] - view.shift[1]) / view.scale
+    if abs(normal[2]) < 0.03:  # edge on
+        nothing = np.zeros(heights.shape, bool)
+        return nothing, nothing
+    middle = view.rotation @ T_o_t[:3, 3] - LIFT_M * normal
+    u, v = u - middle[0], v - middle[1]
+    w = -(normal[0] * u + normal[1] * v) / normal[2]
+    off = PAD_WINDOW / 2 - np.maximum(*(np.abs(axis[0] * u + axis[1] * v + axis[2] * w) for axis in (x, y)))
+    inside = off >= 0
+    visible = inside & ((w + middle[2]) * view.scale + view.shift[2] <= heights)
+    return visible, inside & (off < max(0.7e-3, 2.5 * view.pixel_m))
 
-    Args:
-        plotter: The pyvista plotter.
-    """
-    plotter.enable_parallel_projection()
-    plotter.view_vector((-0.6, -1.0, 1.0), viewup=(0, 0, 1))
+
+def _seen_shares(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> np.ndarray:
+    """Visible area of each square, relative to its area."""
+    areas = [_square(view, heights[::COARSE, ::COARSE], T)[0].sum() * (COARSE * view.pixel_m) ** 2 for T in T_o_t]
+    return np.array(areas) / PAD_WINDOW**2
 
 
-def _pyvista() -> Any:
-    """Import pyvista, or raise RuntimeError if no scene can be drawn here."""
-    if explain_no_scene():
-        raise RuntimeError(explain_no_scene())
-    import pyvista
+def _shade(heights: np.ndarray) -> np.ndarray:
+    """Grey picture of a surface: shaded by its normals, with lines at its creases and outlines."""
+    hit = np.isfinite(heights)
+    z = np.where(hit, heights, 10.0) * PIXELS  # pixels
+    slopes, jumps = zip(*(_slope(z, axis) for axis in (0, 1)), strict=True)
+    normal = np.stack([slopes[1], slopes[0], -np.ones_like(z)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    lights = ((-0.5, -0.7, -0.6), (0.6, -0.2, -0.7))
+    bright = sum(np.clip(normal @ np.array(light) / np.linalg.norm(light), 0, 1) for light in lights)
+    grey = np.where(hit, 0.42 + 0.36 * bright, 1.0)
+    line = jumps[0] | jumps[1]
+    for axis in (0, 1):
+        crease = (normal * np.roll(normal, 1, axis)).sum(-1) < CREASE
+        line |= crease & hit & np.roll(hit, 1, axis)
+    grey = np.where(line & _grown(hit), np.minimum(grey, 0.35), grey)
+    return np.repeat(grey[..., None], 3, axis=-1)
 
-    return pyvista
+
+def _slope(z: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
+    """Slope along an axis, on the smoother side of each pixel, and whether the surface jumps on one side."""
+    ahead = np.roll(z, -1, axis) - z
+    behind = z - np.roll(z, 1, axis)
+    smooth = np.where(np.abs(ahead) < np.abs(behind), ahead, behind)
+    return smooth, np.abs(behind) > np.abs(smooth) + 6.0
+
+
+def _grown(mask: np.ndarray) -> np.ndarray:
+    return mask | np.roll(mask, 1, 0) | np.roll(mask, 1, 1)
+
+
+def _apart(places: np.ndarray) -> np.ndarray:
+    """Move the places (pixels) of numbers apart until they no longer overlap."""
+    places, least = places + 1e-3 * np.arange(len(places))[:, None], PIN * PIXELS
+    for _ in range(60):
+        between = places[:, None] - places[None]
+        distance = np.linalg.norm(between, axis=-1) + np.eye(len(places)) * least
+        push = np.clip(least - distance, 0, None) / np.maximum(distance, 1e-6) / 2
+        places = places + (push[..., None] * between).sum(1)
+    return places

@@ -7,14 +7,17 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle, Rectangle
+from matplotlib.offsetbox import AnchoredOffsetbox, AuxTransformBox, HPacker, TextArea, VPacker
+from matplotlib.patches import Circle, Ellipse, FancyArrow, Patch, Rectangle
+from matplotlib.patheffects import withStroke
 
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_map
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
-ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale
+ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale; less on boards of closer chips
+MARGIN_MM = 2.5  # mm, margin of the axes around the skin
 
 
 def common_scale(readings: Shaped[Array, "..."]) -> float:
@@ -34,12 +37,27 @@ def common_scale(readings: Shaped[Array, "..."]) -> float:
     return float(np.ceil(top / digit) * digit)
 
 
+def arrow_mm(board: Board) -> float:
+    """Compute the length of the arrow of a field as large as the figure's scale.
+
+    Args:
+        board: The board whose chips are drawn.
+
+    Returns:
+        `ARROW_MM`, or the distance (mm) of the two nearest chips if that is less.
+    """
+    chips = np.asarray(board.chips)[:, :2] * MM_PER_M
+    apart = np.linalg.norm(chips[:, None] - chips[None], axis=-1)
+    return float(min([ARROW_MM, *apart[apart > 1e-3]]))
+
+
 def draw_reading(
     axes: Axes,
     board: Board,
     reading: Shaped[Array, " c"],
     scale: float,
     *,
+    std: Shaped[Array, " c"] | None = None,
     colour: str = Colour.BLUE,
     label: str | None = None,
     width: float = 0.012,
@@ -51,31 +69,128 @@ def draw_reading(
         axes: Axes to draw into.
         board: Board with n chips.
         reading: `(3 n,)` reading (uT).
-        scale: Field (uT) that is drawn `ARROW_MM` long. All panels of a figure should share it.
+        scale: Field (uT) that is drawn `arrow_mm(board)` long. All panels of a figure should share it.
+        std: `(3 n,)` standard deviations (uT): a shaded ellipse at the tip of each arrow has them as its half axes, and
+            a dashed ring around each disc is wider than the disc by one standard deviation.
         colour: Colour of arrows and discs.
         label: Entry in the legend.
         width: Width of the arrows, relative to the axes.
     """
     chips = np.asarray(board.chips)[:, :2] * MM_PER_M
-    field = np.asarray(board.to_tool(np.asarray(reading))) * ARROW_MM / scale
+    mm_per_ut = arrow_mm(board) / scale
+    field = np.asarray(board.to_tool(np.asarray(reading))) * mm_per_ut
     x, y, normal = field.T
     arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "color": colour, "width": width}
     axes.quiver(*chips.T, x, y, label=label, **arrows)
     for centre, z in zip(chips, normal, strict=True):
         face, alpha = (colour, 0.45) if z > 0 else ("none", 0.9)
         axes.add_artist(Circle(centre, abs(z) / 2, facecolor=face, edgecolor=colour, alpha=alpha, lw=1.2))
+    if std is None:
+        return
+    # The values of a reading have independent errors in the axes of the chips, so that these turn as a covariance.
+    variances = (np.asarray(std, np.float64) * mm_per_ut).reshape(-1, 1, 3) ** 2
+    rotations = np.asarray(board.rotations, np.float64)
+    for chip, vector, covariance in zip(chips, field, rotations * variances @ rotations.swapaxes(1, 2), strict=True):
+        _draw_std(axes, chip, vector, covariance, colour)
 
 
-def draw_skin(axes: Axes, margin_mm: float = 3.0) -> None:
+def _draw_std(axes: Axes, chip: np.ndarray, vector: np.ndarray, covariance: np.ndarray, colour: str) -> None:
+    """Draw the standard deviations (mm) of a field in the skin's plane and normal to it."""
+    squares, directions = np.linalg.eigh(covariance[:2, :2])
+    angle = float(np.degrees(np.arctan2(directions[1, 0], directions[0, 0])))
+    disc = float(abs(vector[2]) + np.sqrt(covariance[2, 2]))
+    tip = {"facecolor": colour, "edgecolor": "none", "alpha": 0.25, "zorder": 0.5}
+    axes.add_artist(Ellipse(chip + vector[:2], *(2 * np.sqrt(squares)), angle=angle, **tip))
+    axes.add_artist(Circle(chip, disc / 2, fill=False, edgecolor=colour, lw=0.9, linestyle=(0, (3, 2))))
+
+
+def draw_chip_numbers(axes: Axes, board: Board) -> None:
+    """Draw the number of each chip, counted from 0 in the order of a reading, below and left of the chip.
+
+    Args:
+        axes: Axes to draw into.
+        board: Board with n chips.
+    """
+    many = board.num_chips > 9
+    for number, chip in enumerate(np.asarray(board.chips)[:, :2] * MM_PER_M):
+        axes.annotate(
+            str(number), chip, xytext=(-4, -4), textcoords="offset points", ha="right", va="top",
+            fontsize=6 if many else 9, color="black",
+            path_effects=[withStroke(linewidth=2, foreground="white")], zorder=5,
+        )  # fmt: skip
+
+
+def draw_key(
+    axes: Axes,
+    skin: Axes,
+    board: Board,
+    scale: float,
+    *,
+    sets: Sequence[str] = (),
+    std: bool = False,
+    columns: int = 5,
+) -> None:
+    """Draw what the symbols of `draw_reading` mean, as large as they are in the axes of a skin.
+
+    Args:
+        axes: Axes to draw into, which are hidden.
+        skin: Axes of a skin with readings.
+        board: The board whose chips are drawn.
+        scale: Field (uT) that is drawn `arrow_mm(board)` long.
+        sets: Names of the sets of readings in the order of their colours, if there are several.
+        std: Whether standard deviations are drawn.
+        columns: Number of entries in a row.
+    """
+    power = 10.0 ** np.floor(np.log10(0.75 * scale))
+    value = max(step for step in (power, 2 * power, 5 * power) if step <= 0.75 * scale)
+    size = value * arrow_mm(board) / scale
+    grey, tip = {"color": Colour.GREY}, {"color": Colour.GREY, "alpha": 0.3, "lw": 0}
+    disc = {"edgecolor": Colour.GREY, "lw": 1.2}
+    arrow = {"width": size / 12, "head_width": size / 3, "length_includes_head": True, **grey}
+    entries: list[tuple[list[Patch], str]] = [
+        ([FancyArrow(0, 0, size, 0, **arrow)], f"{value:g} µT along skin"),
+        ([Circle((0, 0), size / 2, facecolor="#c0c0c0", **disc)], f"{value:g} µT out of skin"),
+        ([Circle((0, 0), size / 2, fill=False, **disc)], f"{value:g} µT into skin"),
+    ]
+    if std:
+        ring = Circle((0, 0), 0.7 * size, fill=False, edgecolor=Colour.GREY, lw=0.9, linestyle=(0, (3, 2)))
+        shaded = Circle((2.2 * size, 0), 0.4 * size, **tip)
+        shown = [
+            Circle((0, 0), size / 2, fill=False, **disc),
+            ring,
+            FancyArrow(1.2 * size, 0, size, 0, **arrow),
+            shaded,
+        ]
+        entries.append((shown, "± 1 standard deviation"))
+    names = zip(sets if len(sets) > 1 else (), cycle(CURVE_COLOURS), strict=False)
+    packed = [
+        *(TextArea(name, textprops={"color": colour, "fontweight": "bold"}) for name, colour in names),
+        *(_entry(skin, patches, label) for patches, label in entries),
+        TextArea(f"0 to {board.num_chips - 1}: chips" if board.num_chips > 1 else "0: chip"),
+    ]
+    parts = [packed[i : i + columns] for i in range(0, len(packed), columns)]
+    rows = VPacker(children=[HPacker(children=part, sep=12, pad=0, align="center") for part in parts], sep=6)
+    axes.add_artist(AnchoredOffsetbox("center", child=rows, frameon=False, pad=0, borderpad=0))
+    axes.set_axis_off()
+
+
+def _entry(skin: Axes, patches: Sequence[Patch], label: str) -> HPacker:
+    """An entry of a key, whose patches are in the millimetres of a skin."""
+    symbol = AuxTransformBox(skin.transData)
+    for patch in patches:
+        symbol.add_artist(patch)
+    return HPacker(children=[symbol, TextArea(label)], sep=4, pad=0, align="center")
+
+
+def draw_skin(axes: Axes) -> None:
     """Draw the skin's outline.
 
     Args:
         axes: Axes to draw into.
-        margin_mm: Margin (mm) of the axes around the skin.
     """
     half = PAD_WINDOW * MM_PER_M / 2
     axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=Colour.GREY, lw=0.8))
-    limits = (-half - margin_mm, half + margin_mm)
+    limits = (-half - MARGIN_MM, half + MARGIN_MM)
     axes.set(xlim=limits, ylim=limits, aspect="equal")
 
 

@@ -6,13 +6,18 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
+from matplotlib.axes import Axes
 
 from i2t.leave_one_out import STDS_WITHIN_90
-from i2t.patches.dimensions import PATCH_WINDOW, REACH
+from i2t.objects.solids import Mesh
+from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array, Board
-from i2t.viz.patches import draw_patch
-from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
-from i2t.viz.style import CURVE_COLOURS, Colour, Picture, titled
+from i2t.viz.patches import draw_length, draw_patch
+from i2t.viz.scene import draw_object, number_style, touch_colours
+from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin
+from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
+
+MAX_COLUMNS = 6  # touches side by side
 
 
 def plot_predicted_touches(
@@ -23,10 +28,15 @@ def plot_predicted_touches(
     title: str,
     simulated: bool,
     *,
+    std: Mapping[str, Float[Array, "n c"]] | None = None,
+    mesh: Mesh | None = None,
+    T_o_t: Float[Array, "n 4 4"] | None = None,
     window: float = PATCH_WINDOW,
     reach: float = REACH,
 ) -> Picture:
     """Plot a column for each touch: its depth patch, and below it the field vectors of its readings.
+
+    With a mesh, the object is drawn on the left with the skin's square at each touch.
 
     Args:
         patches: Depth (m) behind the nearest surface point.
@@ -35,28 +45,58 @@ def plot_predicted_touches(
         board: Board with c / 3 chips.
         title: Title of the figure.
         simulated: Whether any of the data are simulated.
+        std: `(n, c)` standard deviations (uT) of the sets that have some, by name.
+        mesh: The touched object.
+        T_o_t: Tool poses of the touches in the object's frame; required with a mesh.
         window: Edge (m) of a patch.
         reach: Largest depth (m) of a patch.
 
     Returns:
         The figure, which `save_figure` can write.
     """
-    n = len(patches)
-    figure = Picture(figsize=(2.5 * n + 0.9, 5.6), layout="constrained")
-    axes = figure.subplots(2, n, squeeze=False)
+    n, std = len(patches), std or {}
+    columns = min(n, MAX_COLUMNS)
+    rows = -(-n // columns)
     scale = common_scale(next(iter(sets.values())))
+    edge = 1.27 if columns > 3 else 1.6  # inches, of a patch
+    scene = 0.0 if mesh is None else 1.75 * edge
+    width, row_height = scene + 0.55 + columns * (edge + 0.1) + 0.7, 2 * edge + 0.65
+    per_row = max(1, round(width / 1.75))  # entries of the key
+    entries = 4 + bool(std) + (len(sets) if len(sets) > 1 else 0)
+    bottom = 0.3 * -(-entries // per_row)
+    height = bottom + rows * row_height + 0.35
+    figure = Picture(figsize=(width, height))
+
+    def place(x: float, y: float, w: float, h: float) -> Axes:
+        return figure.add_axes((x / width, y / height, w / width, h / height))
+
+    figure.text(0.5, 1 - 0.1 / height, titled(title, simulated), ha="center", va="top", fontsize=11)
+    if mesh is not None:
+        room = rows * row_height - 0.2
+        draw_object(place(0, bottom + 0.2, scene, room), mesh.vertices, mesh.faces, T_o_t, aspect=scene / room)
     for i in range(n):
-        image = draw_patch(axes[0, i], patches[i], window, reach)
-        axes[0, i].set_title(labels[i], fontsize=9)
-        draw_skin(axes[1, i])
+        x, y = scene + 0.55 + i % columns * (edge + 0.1), height - 0.35 - (i // columns + 1) * row_height
+        above, below = place(x, y + edge + 0.35, edge, edge), place(x, y + 0.28, edge, edge)
+        image = draw_patch(above, patches[i], window, reach)
+        above.set(xticks=[], yticks=[])
+        above.set_title(labels[i], fontsize=10)
+        if mesh is not None:
+            badge = number_style(touch_colours(n)[i])
+            above.text(0.08, 1.1, str(i + 1), transform=above.transAxes, ha="center", va="center", **badge)
+        draw_skin(below)
+        below.set(xticks=[], yticks=[], frame_on=False)
+        draw_chip_numbers(below, board)
         for (name, readings), colour in zip(sets.items(), cycle(CURVE_COLOURS), strict=False):
-            draw_reading(axes[1, i], board, readings[i], scale, colour=colour, label=name)
-        axes[1, i].set_xlabel("tool x (mm)")
-    axes[0, 0].set_ylabel("tool y (mm)")
-    axes[1, 0].set_ylabel("tool y (mm)")
-    figure.colorbar(image, ax=axes[0, -1], label="depth behind nearest (mm)")
-    figure.legend(*axes[1, -1].get_legend_handles_labels(), fontsize=8, loc="upper right", ncols=len(sets))
-    figure.suptitle(f"{titled(title, simulated)}\n{scale_legend(board, scale)}", fontsize=10)
+            spread = std[name][i] if name in std else None
+            draw_reading(below, board, readings[i], scale, std=spread, colour=colour)
+        if i % columns == 0:
+            above.set_ylabel("depth patch", fontsize=10)
+            below.set_ylabel("reading" if len(sets) > 1 else f"{name}\nreading", fontsize=10)
+            below.set_xlabel(f"skin, {PAD_WINDOW * MM_PER_M:g} mm", fontsize=10, labelpad=1)
+            draw_length(above)
+            bar = figure.colorbar(image, cax=place(width - 0.65, y + edge + 0.35, 0.12, edge))
+            bar.set_label("depth behind\nnearest (mm)", fontsize=10)
+    draw_key(place(0, 0, width, bottom), below, board, scale, sets=tuple(sets), std=bool(std), columns=per_row)
     return figure
 
 

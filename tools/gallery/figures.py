@@ -1,6 +1,7 @@
 """Figures of the documents, one function each, here and in the imported modules; simulated data are labelled."""
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -10,11 +11,11 @@ from matplotlib.figure import Figure
 
 import i2t
 from i2t import viz
-from i2t.geometry import inverse
 from i2t.patches.dimensions import PATCH_WINDOW
 from i2t.rendering.render import contact_mask
 from i2t.skin.elasticity import GRID, interior, load
 from i2t.viz.episode_report import EpisodeRecord
+from i2t.viz.skins import common_scale
 from i2t.viz.style import MM_PER_M, Colour, titled
 from tools.gallery.arguments import FigureName
 from tools.gallery.lab_figures import monitor, registration, rig
@@ -27,22 +28,33 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 def overview(story: Story) -> Figure:
     """From an object to a belief: patch, predicted and measured reading, and the belief after each touch."""
-    record, touches = story.episode, story.unseen
-    row = story.ranked[len(story.ranked) // 2]  # the touch of median error
-    figure = Figure(figsize=(11.5, 3.5), layout="constrained")
-    figure.suptitle(titled("i2t: imagine a touch before making it", True), fontsize=13)
-    parts = figure.subplots(1, 4, width_ratios=(1.15, 1, 1, 1.1))
+    record, touches, row = story.episode, story.unseen, story.typical
+    width, height, low, edge = 9.4, 3.1, 0.75, 1.5  # inches; the panels are squares
+    figure = Figure(figsize=(width, height))
+    figure.text(0.5, 0.97, titled("i2t: imagine a touch before making it", True), ha="center", va="top", fontsize=12)
+    left, patch, bar, *readings, belief = (
+        figure.add_axes((x / width, low / height, w / width, edge / height))
+        for x, w in ((0.0, 1.75), (1.95, edge), (3.52, 0.1), (4.15, edge), (5.75, edge), (7.85, 0.75))
+    )
     mesh = record.meshes[record.truth]
-    _draw_scene(parts[0], mesh, inverse(touches.T_w_o[row]) @ touches.T_w_t[row])
-    parts[0].set_title(f"1  an object never touched before: {HIDDEN_OBJECT}", fontsize=10)
-    image = viz.draw_patch(parts[1], touches.patch[row])
-    figure.colorbar(image, ax=parts[1], label="mm behind the nearest point", shrink=0.8)
-    _outline(parts[1], np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
-    parts[1].set_title("2  the patch that the camera sees", fontsize=10)
-    _draw_both(parts[2], story, int(row))
-    parts[2].set_title("3  the reading", fontsize=10)
-    _draw_beliefs(parts[3], record)
-    parts[3].set_title("4  which object is it?", fontsize=10)
+    viz.draw_object(
+        left, mesh.vertices, mesh.faces, (inverse(touches.T_w_o[row]) @ touches.T_w_t[row])[None], numbers=False
+    )
+    image = viz.draw_patch(patch, touches.patch[row])
+    figure.colorbar(image, cax=bar).set_label("depth (mm)", fontsize=10)
+    _outline(patch, np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
+    patch.set(xticks=[], yticks=[])
+    viz.draw_length(patch)
+    _draw_readings(readings, figure.add_axes((0, 0.02, 0.9, 0.1)), story)
+    _draw_beliefs(belief, record)
+    titles = (
+        f"1  {HIDDEN_OBJECT}, not\nin the training set", "2  depth patch\nunder the skin", "3  predicted\nreading",
+        "4  measured\nreading", "5  which\nobject?",
+    )  # fmt: skip
+    for axes, title in zip((left, patch, *readings, belief), titles, strict=True):
+        axes.set_title(title, fontsize=10)
+    chosen = f"touch {row + 1} of {len(story.cosines)}, the median by cosine similarity ({story.cosines[row]:.2f})"
+    figure.text(5.7 / width, 0.5 / height, chosen, ha="center", fontsize=9)
     return figure
 
 
@@ -123,31 +135,23 @@ def predictors(story: Story) -> Figure:
 # --- pieces ---
 
 
-def _draw_scene(axes: Axes, mesh: i2t.Mesh, T_o_t: np.ndarray) -> None:
-    """Draw an object in three dimensions with the touching skin, or the reason that it cannot be drawn."""
-    axes.set_axis_off()
-    picture = viz.object_image(mesh.vertices, mesh.faces, T_o_t[None])
-    if picture is None:
-        axes.text(0.5, 0.5, viz.explain_no_scene(), ha="center", va="center", wrap=True, fontsize=8)
-    else:
-        axes.imshow(picture)
-
-
 def _outline(axes: Axes, mask: np.ndarray) -> None:
     half = MM_PER_M * PATCH_WINDOW / 2
     at = np.linspace(-half, half, len(mask))
     axes.contour(at, at, mask, levels=[0.5], colors="white", linewidths=1.2)
 
 
-def _draw_both(axes: Axes, story: Story, row: int) -> None:
-    """Draw the predicted and the measured reading of a touch, as the change of the field at each chip."""
-    board, measured, predicted = story.run.dataset.board, story.unseen.reading[row], story.predicted.mean[row]
-    scale = float(np.abs(np.stack([measured, predicted])).max())
-    viz.draw_skin(axes)
-    viz.draw_reading(axes, board, measured, scale, colour=Colour.BLUE, label="measured")
-    viz.draw_reading(axes, board, predicted, scale, colour=Colour.ORANGE, label="predicted", width=0.006)
-    axes.set(xlabel="x (mm)", ylabel="y (mm)")
-    axes.legend(loc="upper right", fontsize=8)
+def _draw_readings(panels: Sequence[Axes], key: Axes, story: Story) -> None:
+    """Draw the predicted and the measured reading of the typical touch on one scale, and their key."""
+    board, row = story.run.dataset.board, story.typical
+    predicted, measured = story.predicted.mean[row], story.unseen.reading[row]
+    scale = common_scale(np.stack([predicted, measured]))
+    for axes, reading, std in zip(panels, (predicted, measured), (story.predicted.std[row], None), strict=True):
+        viz.draw_skin(axes)
+        viz.draw_chip_numbers(axes, board)
+        viz.draw_reading(axes, board, reading, scale, std=std)
+        axes.set(xticks=[], yticks=[], frame_on=False)
+    viz.draw_key(key, panels[0], board, scale, std=True)
 
 
 def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
@@ -163,8 +167,9 @@ def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
     ends = [(record.names[i], p[-1, i]) for i in likely]
     for name, end in ends if len(likely) == n else [*ends, (f"{n - len(likely)} others", 0.0)]:
         axes.annotate(name, (len(p) - 1, end), xytext=(7, 0), textcoords="offset points", fontsize=9, va="center")
-    axes.set(xlabel="touches", ylabel="probability", ylim=(-0.02, 1.05), xticks=range(len(p)))
-    axes.set_xlim(0, len(p) - 1 + 0.35 * len(p))
+    axes.set(xlabel="touches", ylabel="probability", ylim=(-0.02, 1.05), xlim=(0, len(p) - 1), xticks=range(len(p)))
+    axes.set_yticks([0, 0.5, 1])
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 FIGURES: dict[FigureName, Draw] = {

@@ -14,6 +14,7 @@ from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
 from experiments.train.finished import FinishedRun, finished_runs
+from i2t.geometry import inverse
 from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import touch_simulator
@@ -61,9 +62,24 @@ class Story:
         )
 
     @cached_property
-    def ranked(self) -> np.ndarray:
-        """Indices of the unseen touches, sorted by prediction error."""
-        return np.argsort(np.square(self.predicted.mean - self.unseen.reading).mean(1))
+    def cosines(self) -> np.ndarray:
+        """Cosine similarity of predicted and measured reading of each unseen touch."""
+        predicted, measured = np.asarray(self.predicted.mean), self.unseen.reading
+        norms = np.linalg.norm(predicted, axis=1) * np.linalg.norm(measured, axis=1)
+        return np.sum(predicted * measured, axis=1) / np.where(norms > 0, norms, 1)
+
+    @property
+    def typical(self) -> int:
+        """Index of the unseen touch of median cosine similarity."""
+        return int(np.argsort(self.cosines)[len(self.cosines) // 2])
+
+    @property
+    def typical_pose(self) -> np.ndarray:
+        """Pose (4, 4) of the tool on the hidden object where the typical touch meets its mesh."""
+        T_o_t = inverse(self.unseen.T_w_o[self.typical]) @ self.unseen.T_w_t[self.typical]
+        surface = i2t.prepare_surface(i2t.make_object(HIDDEN_OBJECT).mesh)
+        T_o_t[:3, 3] += i2t.render_patch(surface, T_o_t).nearest * T_o_t[:3, 2]  # poses of a press have errors
+        return T_o_t
 
     @cached_property
     def episode(self) -> EpisodeRecord:
