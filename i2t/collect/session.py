@@ -230,9 +230,12 @@ class _Session:
             f"{printable(name)} {PRESS_ENDS[skin.code]}  {np.sqrt(np.nansum(skin.reading**2)):.1f} uT".strip()
             for name, skin in touch.skins.items()
         )
+        # A touch without contact has no travel, and one that several skins felt has no force of one skin.
+        measured = [(touch.force, "N"), (1e3 * touch.travel, "mm")]
+        numbers = "".join(f"{value:.2f} {unit}  " for value, unit in measured if np.isfinite(value))
         print(
-            f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {touch.force:.2f} N  "
-            f"{1e3 * touch.travel:.2f} mm  {took:.1f} s, {left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
+            f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {numbers}"
+            f"{took:.1f} s, {left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
             flush=True,
         )
 
