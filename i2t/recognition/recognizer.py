@@ -249,10 +249,10 @@ class ObjectRecognizer:
                 f"at no site is every object met with a probability of {config.min_contact_probability:g}; lower "
                 "min_contact_probability, or draw more sites"
             )
-        sites = SitePool(jnp.asarray(sites.T_w_t)[met], np.asarray(sites.owner)[met])
-        self.sites = sites  # in the object's frame, as the predicted touches are
-        self.table = jax.device_put(element(table, met))
-        self.safe = jnp.asarray(safe_sites(placed, sites.moved(self.T_w_o), config.site_limits))
+        self.safe = jnp.asarray(safe_sites(placed, sites.moved(self.T_w_o), config.site_limits)[met])
+        # In the object's frame, as the predicted touches are.
+        self.sites = SitePool(jnp.asarray(sites.T_w_t)[met], np.asarray(sites.owner)[met])
+        self.table = jax.device_put(jax.tree.map(lambda x: x[met], table))
         self._objects = len(surfaces)
 
     def __repr__(self) -> str:
