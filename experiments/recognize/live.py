@@ -67,7 +67,16 @@ from i2t.viz.episode_report import EVIDENCE_SOURCES
 
 
 def run(args: LiveArgs) -> dict[str, Any]:
-    """Read the pad model, predict touches, and run the episode."""
+    """Run an episode, and write and print its result."""
+    result, record = play(args)
+    write_json(args.out / "result.json", result)
+    write_episode_report(record, args.out / "story")
+    print_result(args.out, result, record)
+    return result
+
+
+def play(args: LiveArgs) -> tuple[dict[str, Any], EpisodeRecord]:
+    """Read the pad model, predict touches, and run the episode. Returns its result and its record for the report."""
     refuse_used(args.out)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
     meshes = load_meshes(args.objects, args.unit) or meshes_by_name(LIVE_OBJECTS)
@@ -204,8 +213,8 @@ def describe_evidence(weights: np.ndarray) -> str:
 
 def conclude(
     args: LiveArgs, live: LiveEpisode, meshes: dict[str, Mesh], fitted: KnownPad, true_object: str | None
-) -> dict[str, Any]:
-    """Write and print the result; `true_object` is None for a real arm."""
+) -> tuple[dict[str, Any], EpisodeRecord]:
+    """Collect the result and the record of an episode; `true_object` is None for a real arm."""
     names, info = live.recognizer.names, live.infos[-1]
     p = np.stack([step.probability for step in live.infos])
     evidence = np.stack([np.stack(step.evidence, axis=-1)[: len(names)] for step in live.infos])
@@ -226,13 +235,11 @@ def conclude(
         "met_air": [touch.code == ReturnCode.AIR for touch in live.touches],
         "would_be_met": np.stack(live.contact_probability).tolist(),
     }
-    write_json(args.out / "result.json", result)
-    T_o_t = inverse(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches])
     shown = true_object or args.truth or info.name
-    record = EpisodeRecord(
+    return result, EpisodeRecord(
         meshes=list(meshes.values()),
         names=names,
-        T_w_t=T_o_t,
+        T_w_t=inverse(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches]),
         readings=np.stack([touch.reading for touch in live.touches]),
         board=fitted.board,
         p=p,
@@ -240,20 +247,26 @@ def conclude(
         simulated=holds_simulated(source),
         evidence=evidence,
     )
-    write_episode_report(record, args.out / "story")
-    truth = "" if true_object is None else f"; the true object is the {true_object} (simulated)"
-    result_text = "an unknown object" if info.name is None else f"the {info.name}"
-    print(f"\nrecognised {result_text} with a probability of {info.confidence:.1%} after {len(p)} touches{truth}")
+
+
+def print_result(out: Path, result: dict[str, Any], record: EpisodeRecord) -> None:
+    """Print the recognised object, the evidence of all touches by its source, and the written files."""
+    name, true_object = result["recognised"], result["true_object"]
+    truth = f"; the true object is the {true_object}" if true_object else ""
+    object_text = "an unknown object" if name is None else f"the {name}"
+    print(
+        f"\nrecognised {object_text} with a probability of {result['probability']:.1%} after {len(record.p)} touches"
+        f"{truth}{' (simulated)' if record.simulated else ''}"
+    )
     first, second = record.leaders
-    weights = describe_evidence((evidence[:, first] - evidence[:, second]).sum(0))
-    print(f"evidence of all touches for {names[first]} against {names[second]}: {weights}")
-    print(f"touches/, result.json and story/ are in {args.out}")
-    if info.name is None:
+    weights = describe_evidence((record.evidence[:, first] - record.evidence[:, second]).sum(0))
+    print(f"evidence of all touches for {record.names[first]} against {record.names[second]}: {weights}")
+    print(f"touches/, result.json and story/ are in {out}")
+    if name is None:
         print(
             "next, reconstruct its surface as a mesh for --objects:\n"
-            f"  python -m experiments.reconstruct --dataset {args.out / 'touches'} --out {args.out / 'surface'}"
+            f"  python -m experiments.reconstruct --dataset {out / 'touches'} --out {out / 'surface'}"
         )
-    return result
 
 
 def refuse_used(out: Path) -> None:

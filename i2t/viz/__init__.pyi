@@ -4,6 +4,7 @@ from .cluster_map import TouchViews as TouchViews
 from .cluster_map import plot_clusters as plot_clusters
 from .episode_report import EpisodeRecord as EpisodeRecord
 from .episode_report import plot_episode as plot_episode
+from .episode_report import plot_episode_with_scene as plot_episode_with_scene
 from .episode_report import write_episode_report as write_episode_report
 from .patches import draw_map as draw_map
 from .patches import draw_patch as draw_patch

@@ -87,14 +87,29 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
         Paths of the written files.
 
     Raises:
-        ValueError: Poses, readings, beliefs, meshes and names do not fit together.
+        ValueError: Poses, readings, beliefs, evidence, meshes and names do not fit together.
+    """
+    return [save_figure(plot_episode_with_scene(record), out / "story.png")]
+
+
+def plot_episode_with_scene(record: EpisodeRecord) -> Picture:
+    """Plot an episode as `plot_episode` does, with the object and its touches if a scene can be drawn.
+
+    Args:
+        record: The episode.
+
+    Returns:
+        The figure, which `save_figure` can write.
+
+    Raises:
+        ValueError: Poses, readings, beliefs, evidence, meshes and names do not fit together.
     """
     record = _checked(record)
     mesh = record.meshes[record.shown_candidate]
-    picture = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
-    if picture is None:
+    scene = object_image(mesh.vertices, mesh.faces, record.T_w_t, numbers=True)
+    if scene is None:
         log.warning("%s", explain_no_scene())
-    return [save_figure(plot_episode(record, picture), out / "story.png")]
+    return plot_episode(record, scene)
 
 
 def _checked(record: EpisodeRecord) -> EpisodeRecord:
@@ -105,6 +120,11 @@ def _checked(record: EpisodeRecord) -> EpisodeRecord:
             f"episode report: poses {T_w_t.shape}, readings {readings.shape} and beliefs {p.shape} must have the same "
             f"number of touches, at least one, and as many candidates as there are meshes ({n}) and names "
             f"({len(record.names)})"
+        )
+    if record.evidence is not None and np.shape(record.evidence) != (*p.shape, len(EVIDENCE_SOURCES)):
+        raise ValueError(
+            f"episode report: evidence {np.shape(record.evidence)} must have {len(EVIDENCE_SOURCES)} sources for each "
+            f"of the {len(p)} touches and {n} candidates"
         )
     return record._replace(T_w_t=T_w_t, readings=readings, p=p)
 

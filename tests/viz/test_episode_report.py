@@ -67,6 +67,27 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
     assert not any("(true)" in text for text in shown)
 
 
+def test_the_evidence_is_stacked_by_source_from_zero_to_either_side(meshes):
+    """Bars of the weights of evidence for the most probable object against the next one, and their sums."""
+    evidence = np.zeros((3, 2, 3))
+    evidence[:, 0] = [(2, 1, 0), (3, -1, 0.5), (0, 0, -4)]
+    evidence[:, 1] = [(1, 0, 0), (0, 0, 0), (0, 0, 0)]
+    page = viz.plot_episode(record(meshes, evidence=evidence))
+    (axes,) = [axes for axes in page.axes if axes.get_title().startswith("evidence")]
+    assert axes.get_title() == "evidence for square against hexagon"
+    spans = {}
+    for bars in axes.containers:
+        spans[bars.get_label()] = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars]
+    assert spans == {
+        "reading": [(0, 1), (0, 3), (0, 0)],
+        "position": [(1, 2), (0, -1), (0, 0)],
+        "presence": [(2, 2), (3, 3.5), (0, -4)],
+    }
+    assert [text.get_text().strip() for text in axes.texts] == ["+2.0", "+2.5", "-4.0"]
+    with pytest.raises(ValueError, match="must have 3 sources for each of the 3 touches and 2 candidates"):
+        viz.plot_episode_with_scene(record(meshes, evidence=evidence[:, :1]))
+
+
 def test_drawing_is_probed_in_another_process(monkeypatch):
     scene.explain_no_scene.cache_clear()
     with monkeypatch.context() as broken:
