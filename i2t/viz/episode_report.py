@@ -158,12 +158,13 @@ def plot_episode(
     _draw_touches(parts[0], record, touches, candidates, scale)
     if below:
         widths = [0.9] * (scene is not None) + [1.0] * (record.evidence is not None)
-        panels = parts[1].subplots(1, len(widths), width_ratios=widths, squeeze=False)[0]
+        columns = parts[1].subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
         if scene is not None:
-            panels[0].imshow(scene)
-            panels[0].set_axis_off()
+            panel = columns[0].subplots()
+            panel.imshow(scene)
+            panel.set_axis_off()
         if record.evidence is not None:
-            _draw_evidence(panels[-1], record, touches)
+            _draw_evidence(columns[-1].subplots(), record, touches)
     legend = textwrap.fill(
         f"measured: {scale_legend(record.board, scale)}".replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}"),
         int(15 * width),
