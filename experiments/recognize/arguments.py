@@ -15,6 +15,11 @@ from i2t.errors import did_you_mean, require_extra
 
 PresetName = Literal["short", "paper", "debug"]
 NOT_REAL_KINDS = ("simulated", "emulated")
+# Default objects of a live run: as high and about as wide as each other, so that the skin meets all of them and must
+# feel their outlines. None of them is in the training set.
+LIVE_OBJECTS = ("star", "cylinder", "flower")
+LIVE_CONTACT_PROBABILITY = 0.95  # smallest probability of contact with each of them at a candidate site
+LIVE_PAD_MODELS = (Path("runs/train"), Path("nominal"))  # the default pad model, and the one used if there is no run
 
 
 @dataclass(frozen=True)
@@ -88,11 +93,14 @@ class LiveArgs:
     FORMER_NAMES: ClassVar = FORMER_NAMES | {"--worn-pad": "--pad-file"}
 
     out: Path = Path("runs/live")  # folder for touches/, result.json and story/
-    pad_model: Path = Path(
-        "runs/train"
-    )  # pad model of this skin: folder of a run of experiments.train, file, or nominal
-    objects: tuple[Path, ...] = ()  # objects to distinguish: names in the catalogue or mesh files
+    # Pad model of this skin: folder of a run of experiments.train, file, or nominal (simulated pad 0). By default
+    # runs/train; without that run, nominal for a skin that is not real.
+    pad_model: Path | None = None
+    # Objects to distinguish: names in the catalogue or mesh files; star, cylinder and flower by default.
+    objects: tuple[Path, ...] = ()
     unit: UnitName | None = None  # unit of the mesh files
+    # Smallest probability of contact with each object at a candidate site; 0.95 by default, and 0 with --objects.
+    min_contact_probability: Probability | None = None
     truth: str | None = None  # name of the object, under which its touches are saved; "unknown" by default
     true_object: str | None = None  # object for an arm that is not real, from the catalogue; random by default
     prior_unknown: float = 0.0  # prior probability of an unknown object
@@ -119,6 +127,21 @@ class LiveArgs:
         return self.arm.kind not in NOT_REAL_KINDS
 
     @property
+    def used_pad_model(self) -> Path:
+        """Pad model to use. Without --pad-model and without a run, it is the ready one, unless the skin is real."""
+        if self.pad_model is not None:
+            return self.pad_model
+        trained, ready = LIVE_PAD_MODELS
+        return trained if trained.exists() or self.skin.kind not in NOT_REAL_KINDS else ready
+
+    @property
+    def contact_probability(self) -> float:
+        """Smallest probability of contact with each object at a candidate site."""
+        if self.min_contact_probability is not None:
+            return self.min_contact_probability
+        return 0.0 if self.objects else LIVE_CONTACT_PROBABILITY
+
+    @property
     def mounted_pad(self) -> str:
         """Name of the skin in data sets."""
         if self.skin.kind not in NOT_REAL_KINDS:
@@ -140,7 +163,7 @@ class LiveArgs:
         for device in (self.arm, self.skin, self.camera):
             device.check()
         require_objects(self.objects, self.unit)
-        require_pad_model(self.pad_model)
+        require_pad_model(self.used_pad_model)
         require_path("--pad-file", self.pad_file)
         require_path("--rig", self.rig, "file")
         self._check_true_object()
@@ -150,9 +173,9 @@ class LiveArgs:
             return
         from i2t.objects.catalogue import NAMES
 
-        names = [path.stem for path in self.objects]
+        names = [path.stem for path in self.objects] or LIVE_OBJECTS
         if self.true_object not in (*NAMES, *names):
-            objects = ", ".join(names) or "the objects of the preset"
+            objects = ", ".join(names)
             remedy = did_you_mean(
                 self.true_object, (*names, *NAMES), f"choose one of {objects}, or another object of the catalogue"
             )

@@ -1,18 +1,25 @@
 """Recognise an object with an arm and a skin, at sites chosen by the current belief.
 
     python -m experiments.recognize live                                   a simulated arm, skin and object
-    python -m experiments.recognize live --true-object hammer --arm emulated --skin emulated      with the real drivers
+    python -m experiments.recognize live --true-object star --arm emulated --skin emulated        with the real drivers
     python -m experiments.recognize live --objects star own.stl --unit mm --arm emulated --skin emulated
     python -m experiments.recognize live --pad-model runs/collected --pad-name "skin A" --arm ur \\
         --host 192.168.1.10 --skin reskin --camera realsense --rig lab.toml     a real skin and a run on its touches
 
+The default objects are equally high and about equally wide, and the skin meets all of them at every candidate site
+(--min-contact-probability), so that readings decide. Each touch prints its weights of evidence (nats) for the most
+probable object against the next one, from the reading, from the position at which the press ended, and from presence,
+whether it met anything. They sum to the change of the log odds before calibration
+(`i2t.recognition.belief.evidence_by_source`).
+
 Skins differ, so --pad-model must be the folder of a run of `experiments.train`, or a file, for the same skin, by its
 name in data sets and its board. Other pad models are refused before anything moves. A simulated or emulated skin is
-"simulated pad 0", as in `experiments.train`, unless --pad-file names another pad. A real skin has the name --pad-name,
-as in its data sets. The next touch is the most informative one (`i2t.recognition.recognizer`) among sites that are safe
-for all possible objects. If ten draws of candidates have no safe site, the run stops with a message. The run ends when
-the most probable object is wrong with a probability of at most --max-error-probability, but not before --min-touches,
-or after --max-touches. A touch without contact is evidence too, against the objects that it should have met. With
+"simulated pad 0", as in `experiments.train`, unless --pad-file names another pad. Without the run runs/train, such a
+skin is recognised with the ready pad model "nominal". A real skin has the name --pad-name, as in its data sets. The
+next touch is the most informative one (`i2t.recognition.recognizer`) among sites that are safe for all possible
+objects. If ten draws of candidates have no safe site, the run stops with a message. The run ends when the most probable
+object is wrong with a probability of at most --max-error-probability, but not before --min-touches, or after
+--max-touches. A touch without contact is evidence too, against the objects that it should have met. With
 --prior-unknown, such as 0.1, the object may be unknown; the probability of that grows if surrogates, random objects
 similar to the known ones, explain the touches better. All touches are saved in OUT/touches as a data set, under the
 name --truth or "unknown". They can be recognised again (--dataset) with a mesh of that name among --objects, such as
@@ -27,8 +34,7 @@ import jax
 import numpy as np
 
 from experiments.common.runs import write_json
-from experiments.recognize.arguments import LiveArgs
-from experiments.recognize.config import Recognition
+from experiments.recognize.arguments import LIVE_OBJECTS, LIVE_PAD_MODELS, LiveArgs
 from experiments.recognize.plans import load_meshes, meshes_by_name
 from experiments.train.finished import find_pad_model
 from i2t.collect import session
@@ -57,16 +63,29 @@ from i2t.skin import boards
 from i2t.skin_models.pad_model import KnownPad, load_pad_model, require_skin
 from i2t.types import Board, ReturnCode
 from i2t.viz import EpisodeRecord, write_episode_report
+from i2t.viz.episode_report import EVIDENCE_SOURCES
 
 
 def run(args: LiveArgs) -> dict[str, Any]:
-    """Read the pad model, predict touches, and run the episode."""
+    """Run an episode, and write and print its result."""
+    result, record = play(args)
+    write_json(args.out / "result.json", result)
+    write_episode_report(record, args.out / "story")
+    print_result(args.out, result, record)
+    return result
+
+
+def play(args: LiveArgs) -> tuple[dict[str, Any], EpisodeRecord]:
+    """Read the pad model, predict touches, and run the episode. Returns its result and its record for the report."""
     refuse_used(args.out)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
-    meshes = load_meshes(args.objects, args.unit) or meshes_by_name(Recognition().objects)
+    meshes = load_meshes(args.objects, args.unit) or meshes_by_name(LIVE_OBJECTS)
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
     _, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
-    fitted = load_pad_model(find_pad_model(args.pad_model)[0])
+    pad_model = args.used_pad_model
+    if args.pad_model is None and pad_model != LIVE_PAD_MODELS[0]:
+        print(f"There is no run {LIVE_PAD_MODELS[0]}, so the ready pad model {pad_model} is used.")
+    fitted = load_pad_model(find_pad_model(pad_model)[0])
     require_skin(fitted, [args.mounted_pad], mounted_board(args, fitted.board), f"--skin {args.skin.kind}")
     print(describe(fitted))
     same_names = (
@@ -76,7 +95,9 @@ def run(args: LiveArgs) -> dict[str, Any]:
     recognizer = ObjectRecognizer(
         key_sites, fitted.model, meshes, T_w_o=np.asarray(rig.T_world_object),
         pose_prior=np.asarray(rig.object_covariance),
-        config=RecognizerConfig(**{name: getattr(args, name) for name in same_names}),
+        config=RecognizerConfig(
+            **{name: getattr(args, name) for name in same_names}, min_contact_probability=args.contact_probability
+        ),
     )  # fmt: skip
     recognizer.warm_up()  # compile before connecting the arm, whose watchdog would time out
     live = LiveEpisode(recognizer, key_touches)
@@ -178,15 +199,25 @@ class LiveEpisode:
         print(f"  {'contact' if contact else 'no contact'}; predicted probability of contact: {predicted}")
         unknown = f"; unknown object {info.unknown:.1%}" if self.recognizer.config.prior_unknown else ""
         belief = ", ".join(f"{names[i]} {info.probability[i]:.1%} (before {before[i]:.1%})" for i in best)
-        print(f"  belief: {belief}{unknown}", flush=True)
+        print(f"  belief: {belief}{unknown}")
+        first, second = best[:2]
+        weights = describe_evidence(info.evidence.weights(first, second))
+        print(f"  evidence for {names[first]} against {names[second]}: {weights}", flush=True)
+
+
+def describe_evidence(weights: np.ndarray) -> str:
+    """Describe weights of evidence (3,), those of the reading, the position and presence, and their sum (nats)."""
+    parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in zip(EVIDENCE_SOURCES, weights, strict=True))
+    return f"{parts}, together {weights.sum():+.2f} nats"
 
 
 def conclude(
     args: LiveArgs, live: LiveEpisode, meshes: dict[str, Mesh], fitted: KnownPad, true_object: str | None
-) -> dict[str, Any]:
-    """Write and print the result; `true_object` is None for a real arm."""
+) -> tuple[dict[str, Any], EpisodeRecord]:
+    """Collect the result and the record of an episode; `true_object` is None for a real arm."""
     names, info = live.recognizer.names, live.infos[-1]
     p = np.stack([step.probability for step in live.infos])
+    evidence = np.stack([np.stack(step.evidence, axis=-1)[: len(names)] for step in live.infos])
     source = read_touch(list_touches(args.out / "touches")[0]).touch.source
     result = {
         "source": source,
@@ -200,33 +231,42 @@ def conclude(
         "stopped": live.nothing_safe or live.recognizer.stop_reason(live.state),
         "sites": [touch.site.number for touch in live.touches],
         "belief": p.tolist(),
+        "evidence": dict(zip(EVIDENCE_SOURCES, np.moveaxis(evidence, -1, 0).tolist(), strict=True)),
         "met_air": [touch.code == ReturnCode.AIR for touch in live.touches],
         "would_be_met": np.stack(live.contact_probability).tolist(),
     }
-    write_json(args.out / "result.json", result)
-    T_o_t = inverse(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches])
     shown = true_object or args.truth or info.name
-    record = EpisodeRecord(
+    return result, EpisodeRecord(
         meshes=list(meshes.values()),
         names=names,
-        T_w_t=T_o_t,
+        T_w_t=inverse(live.recognizer.T_w_o) @ np.stack([touch.T_w_t for touch in live.touches]),
         readings=np.stack([touch.reading for touch in live.touches]),
         board=fitted.board,
         p=p,
         truth=names.index(shown) if shown in names else -1,
         simulated=holds_simulated(source),
+        evidence=evidence,
     )
-    write_episode_report(record, args.out / "story")
-    truth = "" if true_object is None else f"; the true object is the {true_object} (simulated)"
-    result_text = "an unknown object" if info.name is None else f"the {info.name}"
-    print(f"\nrecognised {result_text} with a probability of {info.confidence:.1%} after {len(p)} touches{truth}")
-    print(f"touches/, result.json and story/ are in {args.out}")
-    if info.name is None:
+
+
+def print_result(out: Path, result: dict[str, Any], record: EpisodeRecord) -> None:
+    """Print the recognised object, the evidence of all touches by its source, and the written files."""
+    name, true_object = result["recognised"], result["true_object"]
+    truth = f"; the true object is the {true_object}" if true_object else ""
+    object_text = "an unknown object" if name is None else f"the {name}"
+    print(
+        f"\nrecognised {object_text} with a probability of {result['probability']:.1%} after {len(record.p)} touches"
+        f"{truth}{' (simulated)' if record.simulated else ''}"
+    )
+    first, second = record.leaders
+    weights = describe_evidence((record.evidence[:, first] - record.evidence[:, second]).sum(0))
+    print(f"evidence of all touches for {record.names[first]} against {record.names[second]}: {weights}")
+    print(f"touches/, result.json and story/ are in {out}")
+    if name is None:
         print(
             "next, reconstruct its surface as a mesh for --objects:\n"
-            f"  python -m experiments.reconstruct --dataset {args.out / 'touches'} --out {args.out / 'surface'}"
+            f"  python -m experiments.reconstruct --dataset {out / 'touches'} --out {out / 'surface'}"
         )
-    return result
 
 
 def refuse_used(out: Path) -> None:

@@ -181,7 +181,7 @@ class _Session:
         finally:
             with suppress(DataError):  # the card is optional, and unreadable touches are reported elsewhere
                 write_card(out, self.collected, board_name=name_of_board(self.collected.board))
-            print(self.summary())
+            print(self.summary(can_resume=choose is None))
 
     @cached_property
     def collected(self) -> Dataset:
@@ -230,14 +230,17 @@ class _Session:
             f"{printable(name)} {PRESS_ENDS[skin.code]}  {np.sqrt(np.nansum(skin.reading**2)):.1f} uT".strip()
             for name, skin in touch.skins.items()
         )
+        # A touch without contact has no travel, and one that several skins felt has no force of one skin.
+        measured = [(touch.force, "N"), (1e3 * touch.travel, "mm")]
+        numbers = "".join(f"{value:.2f} {unit}  " for value, unit in measured if np.isfinite(value))
         print(
-            f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {touch.force:.2f} N  "
-            f"{1e3 * touch.travel:.2f} mm  {took:.1f} s, {left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
+            f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {numbers}"
+            f"{took:.1f} s, {left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
             flush=True,
         )
 
-    def summary(self) -> str:
-        """Summarise the session."""
+    def summary(self, *, can_resume: bool) -> str:
+        """Summarise the session. A session whose sites a recogniser chooses cannot be resumed."""
         saved, seconds = len(self.recorder.saved), time.monotonic() - self.begun
         ends = ", ".join(f"{count} {PRESS_ENDS[code]}" for code, count in sorted(self.codes.items()))
         counts = [on_tool.skin.counters for on_tool in self.procedure.skins]
@@ -247,6 +250,6 @@ class _Session:
             f"{seconds / max(1, saved):.2f} s and {self.recorder.bytes / max(1, saved) / 1024:.0f} KiB a touch; of "
             f"{samples} samples {lost} were lost; {self.unreachable} sites cannot be reached",
         ]
-        if len(self.done) < self.args.touches:
+        if can_resume and len(self.done) < self.args.touches:
             lines.append("the same command resumes the collection")
         return "\n".join(lines)

@@ -29,6 +29,7 @@ from .recognizer import RecognitionInfo as RecognitionInfo
 from .recognizer import RecognizerConfig as RecognizerConfig
 from .recognizer import RecognizerState as RecognizerState
 from .recognizer import SiteObservation as SiteObservation
+from .recognizer import TouchEvidence as TouchEvidence
 from .rollout import POLICIES as POLICIES
 from .rollout import RunningEpisodes as RunningEpisodes
 from .rollout import advance as advance

@@ -166,13 +166,36 @@ def update(belief: Belief, observation: TouchObservation, predicted: PredictedTo
     Returns:
         Belief after the touch.
     """
-    unbiased = observation._replace(reading=observation.reading - belief.bias)
-    compared = jax.vmap(jax.vmap(partial(evidence, unbiased, likelihood=likelihood)))(
-        predicted, belief.mean, belief.covariance
-    )
+    unbiased, compared = _compare(belief, observation, predicted, likelihood)
     log_weight = belief.log_weight + log_likelihood(compared, likelihood)
     bias, variance = _update_bias(belief, unbiased, compared.reading, log_weight, likelihood)
     return Belief(log_weight, compared.mean, compared.covariance, bias, variance)
+
+
+def evidence_by_source(
+    belief: Belief, observation: TouchObservation, predicted: PredictedTouch, likelihood: Likelihood
+) -> Float[Array, "4 objects"]:
+    """Add the sources of a touch's evidence one after another, summed over the poses of each object.
+
+    By the chain rule, the density of a touch is that of presence, times that of the position given presence, times that
+    of the reading given both. Differences of successive rows are therefore log predictive densities, and those of two
+    objects differ by the weight of evidence of that source: weights of evidence add up to the change of the log odds
+    (Good, Bayesian Statistics 2, 1985, pp. 249-270). The reading comes last, so that it counts only for what presence
+    and position do not reveal. These are the log odds of `posterior`, before any calibration.
+
+    Args:
+        belief: The belief before the touch.
+        observation: The measurements of the touch.
+        predicted: The predicted touch for each object and each of its k particles, (objects, k).
+        likelihood: The distribution of measurements about predictions.
+
+    Returns:
+        `(4, objects)` log weights (nats) of the objects: before the touch, with its presence, with its position too,
+        and with its reading too, which is the log weight after the touch.
+    """
+    _, compared = _compare(belief, observation, predicted, likelihood)
+    steps = jnp.stack([belief.log_weight, *reversed(_weighted(compared, likelihood))])
+    return logsumexp(jnp.cumsum(steps, axis=0), axis=2)
 
 
 def log_likelihood(evidence: Evidence, likelihood: Likelihood) -> Float[Array, "..."]:
@@ -185,15 +208,8 @@ def log_likelihood(evidence: Evidence, likelihood: Likelihood) -> Float[Array, "
     Returns:
         `(...)` log densities, one for each particle.
     """
-
-    def weighted(weight: Array, density: Array) -> Array:
-        return jnp.where(weight > 0, weight * density, 0.0)  # evidence without weight may be NaN
-
-    return (
-        weighted(likelihood.tactile_weight, evidence.tactile)
-        + weighted(likelihood.spatial_weight, evidence.spatial)
-        + weighted(likelihood.presence_weight, evidence.presence)
-    )
+    tactile, spatial, presence = _weighted(evidence, likelihood)
+    return tactile + spatial + presence
 
 
 def evidence(
@@ -300,6 +316,30 @@ def twist_estimate(
     deviation = twist - mean[:, None]
     between = jnp.einsum("ok,oki,okj->oij", weight, deviation, deviation)
     return mean, between + jnp.einsum("ok,okij->oij", weight, belief.covariance)
+
+
+def _compare(
+    belief: Belief, observation: TouchObservation, predicted: PredictedTouch, likelihood: Likelihood
+) -> tuple[TouchObservation, Evidence]:
+    """Correct a touch for the sensor's bias, and compare it with its predictions (objects, k)."""
+    unbiased = observation._replace(reading=observation.reading - belief.bias)
+    compared = jax.vmap(jax.vmap(partial(evidence, unbiased, likelihood=likelihood)))(
+        predicted, belief.mean, belief.covariance
+    )
+    return unbiased, compared
+
+
+def _weighted(evidence: Evidence, likelihood: Likelihood) -> tuple[Array, Array, Array]:
+    """Compute the weighted log densities of the reading, of the position, and of presence."""
+
+    def weighted(weight: Array, density: Array) -> Array:
+        return jnp.where(weight > 0, weight * density, 0.0)  # evidence without weight may be NaN
+
+    return (
+        weighted(likelihood.tactile_weight, evidence.tactile),
+        weighted(likelihood.spatial_weight, evidence.spatial),
+        weighted(likelihood.presence_weight, evidence.presence),
+    )
 
 
 def _end_log_densities(

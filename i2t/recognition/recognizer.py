@@ -23,6 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Key
+from scipy.special import logsumexp
 
 from i2t import validation
 from i2t.contact.press import PressLimits
@@ -59,7 +60,8 @@ class RecognizerConfig:
     """Settings of an `ObjectRecognizer`: choice of sites, stopping, unknown objects and safety limits.
 
     Raises:
-        ValueError: The prior of an unknown object is not a probability, or it has no surrogates.
+        ValueError: The prior of an unknown object or the smallest contact probability is not a probability, or an
+            unknown object has no surrogates.
 
     Example:
         config = i2t.RecognizerConfig(max_touches=20, max_error_probability=0.01)  # more certain, with more touches
@@ -67,6 +69,9 @@ class RecognizerConfig:
     """
 
     num_sites: int = 24  # number of candidate sites of each object
+    # Smallest share of each known object's poses that the skin must meet at a candidate site. With 0, all sites are
+    # candidates; near 1, only sites that every object reaches, so that the readings decide rather than missed touches.
+    min_contact_probability: float = 0.0
     num_particles: int = 64  # number of poses of each object
     max_touches: int = 10
     # smallest number of touches before an episode may end for certainty; `max_touches` always ends it
@@ -85,6 +90,10 @@ class RecognizerConfig:
     def __post_init__(self) -> None:
         if not 0 <= self.prior_unknown < 1:
             raise ValueError(f"prior_unknown is {self.prior_unknown:g}; give a probability, from 0 to below 1")
+        if not 0 <= self.min_contact_probability <= 1:
+            raise ValueError(
+                f"min_contact_probability is {self.min_contact_probability:g}; give a probability, from 0 to 1"
+            )
         if self.prior_unknown > 0 and self.num_surrogates < 1:
             raise ValueError(f"num_surrogates is {self.num_surrogates}; an unknown object needs some, such as 16")
 
@@ -106,9 +115,43 @@ class SiteObservation(NamedTuple):
 
 
 @in_one_line
+class TouchEvidence(NamedTuple):
+    """Evidence of one touch for each hypothesis by its source: log predictive densities (nats) of presence, of the
+    position given presence, and of the reading given both.
+
+    The hypotheses are the known objects in the order of `ObjectRecognizer.names`, and last the unknown object if it has
+    a prior. Values are NaN for a hypothesis that a prior of 0 excludes. `i2t.recognition.belief.evidence_by_source`
+    explains the order of the sources.
+
+    Example:
+        reading, position, presence = info.evidence.weights(0, 1)  # for the first known object against the second
+    """
+
+    # Log density of the reading, up to a constant; 0 without contact.
+    reading: Float[np.ndarray, " hypotheses"]
+    # Log density of the travel at which the press ended; 0 without contact.
+    position: Float[np.ndarray, " hypotheses"]
+    # Log probability of contact, or of no contact.
+    presence: Float[np.ndarray, " hypotheses"]
+
+    def weights(self, hypothesis: int, rival: int) -> Float[np.ndarray, "3"]:
+        """Compute the weights of evidence for one hypothesis against another.
+
+        Args:
+            hypothesis: Index of the hypothesis.
+            rival: Index of the other hypothesis.
+
+        Returns:
+            `(3,)` weights of evidence (nats) of the reading, the position and presence. Their sum is the change of the
+            log odds of the two by the touch, before calibration.
+        """
+        return np.array([source[hypothesis] - source[rival] for source in self])
+
+
+@in_one_line
 class RecognizerState(NamedTuple):
     """State of a recognition: the belief over objects and poses, a mask of the sites touched or excluded so far, the
-    number of touches, and calibrated probabilities of the known objects.
+    number of touches, calibrated probabilities of the known objects, and the evidence of the last touch.
     """
 
     belief: Belief  # belief over objects and their poses
@@ -116,12 +159,13 @@ class RecognizerState(NamedTuple):
     touches: int  # number of touches that the belief contains
     # calibrated probabilities of the known objects; an unknown one has the rest
     probability: Float[np.ndarray, " objects"]
+    evidence: TouchEvidence  # evidence of the last touch; 0 before the first
 
 
 @in_one_line
 class RecognitionInfo(NamedTuple):
-    """Calibrated probabilities of the known objects and of an unknown one after a touch, and name (None for an unknown
-    one) and probability of the most probable.
+    """Calibrated probabilities of the known objects and of an unknown one after a touch, name (None for an unknown one)
+    and probability of the most probable, and the evidence of the last touch by its source.
     """
 
     # probabilities of the known objects, in the order of `ObjectRecognizer.names`
@@ -129,6 +173,7 @@ class RecognitionInfo(NamedTuple):
     unknown: float  # probability of an unknown object
     name: str | None  # name of the most probable object; None for an unknown one
     confidence: float  # probability of the most probable object
+    evidence: TouchEvidence  # evidence of the last touch; 0 before the first
 
 
 class ObjectRecognizer:
@@ -165,11 +210,13 @@ class ObjectRecognizer:
             pose_prior: Covariance (m^2), or standard deviations (m), of its twist from there; 1 mm and 1 degree about
                 each axis by default.
             sites: Candidates, with poses in the object's frame; safe random sites of every object by default. A site
-                that is not safe at the believed pose is never chosen.
+                that is not safe at the believed pose is never chosen. The attribute `sites` holds those that meet
+                `config.min_contact_probability`.
             config: Options of choices and stopping.
 
         Raises:
-            ValueError: There are fewer than two objects, an object has too few safe sites, or `T_w_o` is not rigid.
+            ValueError: There are fewer than two objects, an object has too few safe sites, no site is met by all
+                objects with the smallest contact probability, or `T_w_o` is not rigid.
             TypeError: `key` is not a random key, `pad_model` is not a pad model, or `meshes` is not a mapping.
         """
         validation.random_key("key", key)
@@ -190,15 +237,22 @@ class ObjectRecognizer:
         if sites is None:
             drawn = sample_sites(key, placed[: len(objects)], self.names, config.num_sites, config.site_limits)
             sites = drawn.moved(inverse(self.T_w_o))
-        self.sites = sites  # in the object's frame, as the predicted touches are
         pose_prior = outcomes.placement_std(1e-3, float(np.radians(1.0))) if pose_prior is None else pose_prior
         self.particles = belief.sample_particles(pose_prior, config.num_particles, config.seed)
         (table,) = predict_outcomes(
             surfaces, self.particles.twist, sites.T_w_t, [pad_model.reading_model],
             overtravel=config.overtravel, label="candidates",
         )  # fmt: skip
-        self.table = jax.device_put(table)
-        self.safe = jnp.asarray(safe_sites(placed, sites.moved(self.T_w_o), config.site_limits))
+        met = np.flatnonzero(table.hit[:, : len(objects)].mean(2).min(1) >= config.min_contact_probability)
+        if not len(met):
+            raise ValueError(
+                f"at no site is every object met with a probability of {config.min_contact_probability:g}; lower "
+                "min_contact_probability, or draw more sites"
+            )
+        self.safe = jnp.asarray(safe_sites(placed, sites.moved(self.T_w_o), config.site_limits)[met])
+        # In the object's frame, as the predicted touches are.
+        self.sites = SitePool(jnp.asarray(sites.T_w_t)[met], np.asarray(sites.owner)[met])
+        self.table = jax.device_put(jax.tree.map(lambda x: x[met], table))
         self._objects = len(surfaces)
 
     def __repr__(self) -> str:
@@ -228,7 +282,8 @@ class ObjectRecognizer:
         begun = belief.init(
             self.particles, self._objects, channels=self.channels, prior=np.concatenate([probability, share])
         )
-        return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability)
+        no_evidence = self._evidence(np.zeros((4, self._objects)))
+        return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability, no_evidence)
 
     def choose_touch(self, state: RecognizerState, *, key: Key[Array, ""] | None = None) -> ChosenSite | None:
         """Choose the site with the largest expected information among random candidates that are probably safe.
@@ -326,7 +381,7 @@ class ObjectRecognizer:
             observation: The measurements of the touch.
 
         Returns:
-            State after the touch, and its calibrated belief.
+            State after the touch, and its calibrated belief with the evidence of the touch.
 
         Raises:
             ValueError: A chip of the skin did not respond in this touch.
@@ -336,10 +391,11 @@ class ObjectRecognizer:
                 f"the touch at site {observation.number} lacks chips of the skin, and the pad model needs them all; "
                 "exclude the site, and check the skin's cables"
             )
-        after, p = _update(state.belief, observation.touch, self.table, observation.number, self.likelihood)
+        after, p, steps = _update(state.belief, observation.touch, self.table, observation.number, self.likelihood)
         touches = state.touches + 1
         touched = self.exclude(state, observation.number).touched
-        state = RecognizerState(after, touched, touches, self._calibrated(p, touches))
+        evidence = self._evidence(np.asarray(steps, np.float64))
+        state = RecognizerState(after, touched, touches, self._calibrated(p, touches), evidence)
         return state, self.info(state)
 
     def exclude(self, state: RecognizerState, number: int) -> RecognizerState:
@@ -363,13 +419,13 @@ class ObjectRecognizer:
             state: The state after the touches so far.
 
         Returns:
-            Calibrated probabilities, and the most probable object.
+            Calibrated probabilities, the most probable object, and the evidence of the last touch.
         """
         p = state.probability
         best, unknown = int(p.argmax()), float(max(0.0, 1 - p.sum()))
         if unknown > p[best]:
-            return RecognitionInfo(p, unknown, None, unknown)
-        return RecognitionInfo(p, unknown, self.names[best], float(p[best]))
+            return RecognitionInfo(p, unknown, None, unknown, state.evidence)
+        return RecognitionInfo(p, unknown, self.names[best], float(p[best]), state.evidence)
 
     def object_pose(self, state: RecognizerState, name: str) -> Float[np.ndarray, "4 4"]:
         """Estimate the pose of an object, given that it is the true one.
@@ -427,6 +483,14 @@ class ObjectRecognizer:
         )  # fmt: skip
         return int(number)
 
+    def _evidence(self, steps: Float[np.ndarray, "4 all"]) -> TouchEvidence:
+        """Take differences of the log weights of `belief.evidence_by_source`, with all surrogates as one hypothesis."""
+        count = len(self.names)
+        unknown = logsumexp(steps[:, count:], axis=1, keepdims=True) if self._objects > count else steps[:, count:]
+        with np.errstate(invalid="ignore"):  # both are minus infinity if the prior is 0
+            presence, position, reading = np.diff(np.concatenate([steps[:, :count], unknown], axis=1), axis=0)
+        return TouchEvidence(reading, position, presence)
+
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
         """Calibrate probabilities of the known objects, given those of all objects including surrogates."""
         count = len(self.names)
@@ -446,7 +510,10 @@ class ObjectRecognizer:
 @jit_quickly
 def _update(
     now: Belief, touch: TouchObservation, table: PredictedTouch, number: int | Array, likelihood: Likelihood
-) -> tuple[Belief, Array]:
-    """Update the belief with a touch of a site, and compute the probabilities of all objects."""
-    after = belief.update(now, touch, element(table, number), likelihood)
-    return after, belief.posterior(after)
+) -> tuple[Belief, Array, Array]:
+    """Update the belief with a touch of a site, and compute the probabilities of all objects and the log weights of the
+    touch's sources of evidence.
+    """
+    predicted = element(table, number)
+    after = belief.update(now, touch, predicted, likelihood)
+    return after, belief.posterior(after), belief.evidence_by_source(now, touch, predicted, likelihood)

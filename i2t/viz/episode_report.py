@@ -1,19 +1,23 @@
 """Illustrated report of one recognition episode: the touches, their readings, what each candidate would have shown
-there, and the belief after each touch.
+there, the belief after each touch, and the evidence by its source.
 
-    record = EpisodeRecord(meshes, names, T_w_t, readings, board, p, truth, simulated=True)
+    record = EpisodeRecord(meshes, names, T_w_t, readings, board, p, truth, simulated=True, evidence=evidence)
     paths = write_episode_report(record, Path("runs/episode"))
 
-writes `story.png`, a page with the object and its touches, and a row for each touch.
+writes `story.png`, a page with a row for each touch and the object with its touches, which is legible at a width of 390
+pixels.
 """
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import SubFigure
 from matplotlib.image import AxesImage
+from matplotlib.ticker import MaxNLocator
 
 from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
@@ -24,6 +28,11 @@ from i2t.viz.patches import draw_patch
 from i2t.viz.scene import draw_object, touch_colours
 from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
+
+EVIDENCE_SOURCES = {"reading": Colour.GREEN, "position": Colour.SKY, "presence": Colour.PINK}  # with their colours
+PANEL_IN = 0.9  # inch, edge of a panel
+BELIEF_IN = 1.45  # inch, width of the bars of the belief with their labels
+FONT = 8.5  # pt
 
 
 class EpisodeRecord(NamedTuple):
@@ -39,6 +48,23 @@ class EpisodeRecord(NamedTuple):
     p: Array  # (t, n) posterior after each touch; the rest to 1 is the probability of an unknown object
     truth: int  # index of the true candidate, -1 for an unknown object
     simulated: bool
+    # (t, n, 3) log densities (nats) of each touch under each candidate: of its reading, its position and presence
+    evidence: Array | None = None
+
+    @property
+    def leaders(self) -> tuple[int, int]:
+        """Indices of the most probable candidate at the end and of the next one."""
+        first, second = np.argsort(-np.asarray(self.p)[-1], kind="stable")[:2]
+        return int(first), int(second)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Weights of evidence `(t, 3)` in nats of each touch's sources for the first leader against the second one.
+
+        Only a record with `evidence` has them.
+        """
+        evidence, (first, second) = np.asarray(self.evidence), self.leaders
+        return evidence[:, first] - evidence[:, second]
 
     @property
     def shown_candidate(self) -> int:
@@ -66,7 +92,7 @@ def write_episode_report(record: EpisodeRecord, out: Path) -> list[Path]:
         Paths of the written files.
 
     Raises:
-        ValueError: Poses, readings, beliefs, meshes and names do not fit together.
+        ValueError: Poses, readings, beliefs, evidence, meshes and names do not fit together.
     """
     return [save_figure(plot_episode(_checked(record), scene=True), out / "story.png")]
 
@@ -80,6 +106,11 @@ def _checked(record: EpisodeRecord) -> EpisodeRecord:
             f"number of touches, at least one, and as many candidates as there are meshes ({n}) and names "
             f"({len(record.names)})"
         )
+    if record.evidence is not None and np.shape(record.evidence) != (*p.shape, len(EVIDENCE_SOURCES)):
+        raise ValueError(
+            f"episode report: evidence {np.shape(record.evidence)} must have {len(EVIDENCE_SOURCES)} sources for each "
+            f"of the {len(p)} touches and {n} candidates"
+        )
     return record._replace(T_w_t=T_w_t, readings=readings, p=p)
 
 
@@ -88,12 +119,13 @@ def plot_episode(
 ) -> Picture:
     """Plot a row for each touch: the reading, the patches that the candidates have there, and the belief after it.
 
-    If there are too many touches, evenly spaced ones are shown, with the first and the last. If there are too many
-    candidates, the true one and the most probable ones are shown.
+    Below, bars show the weights of evidence of each touch for the most probable candidate at the end against the next
+    one, if they are known. If there are too many touches, evenly spaced ones are shown, with the first and the last. If
+    there are too many candidates, the true one and the most probable ones are shown.
 
     Args:
         record: The episode.
-        scene: Whether to draw the object with its touches on the left.
+        scene: Whether to draw the object with its touches below.
         max_touches: Maximum number of touches shown.
         max_candidates: Maximum number of candidates shown.
 
@@ -102,42 +134,80 @@ def plot_episode(
     """
     touches = np.unique(np.linspace(0, len(record.p) - 1, max_touches).round().astype(int)).tolist()
     candidates = _shown_candidates(record.p, record.truth, max_candidates)
-    depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
     scale = common_scale(record.readings)
-    colours = touch_colours(len(record.p))
+    below = scene or record.evidence is not None
+    width = PANEL_IN * (1 + len(candidates)) + BELIEF_IN + 0.5
+    heights = [1.25 * PANEL_IN * len(touches) + 0.75] + [0.22 * len(touches) + 1.35] * below
+    figure = Picture(figsize=(width, sum(heights) + 0.7), layout="constrained")
+    parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    _draw_touches(parts[0], record, touches, candidates, scale)
+    if below:
+        widths = [0.9] * scene + [1.0] * (record.evidence is not None)
+        columns = parts[1].subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
+        if scene:
+            mesh = record.meshes[record.shown_candidate]
+            draw_object(columns[0].subplots(), mesh.vertices, mesh.faces, record.T_w_t)
+        if record.evidence is not None:
+            _draw_evidence(columns[-1].subplots(), record, touches)
+    legend = textwrap.fill(
+        f"measured: {scale_legend(record.board, scale)}".replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}"),
+        int(15 * width),
+    )
+    figure.suptitle(f"{record.headline}\n{legend}", fontsize=FONT)
+    return figure
 
-    widths = [2.2] * scene + [1.15] + [1.0] * len(candidates) + [1.0, 0.75]
-    figure = Picture(figsize=(1.55 * sum(widths) + 0.6, 1.55 * len(touches) + 1.3), layout="constrained")
-    grid = figure.add_gridspec(len(touches), len(widths), width_ratios=widths)
-    if scene:
-        mesh = record.meshes[record.shown_candidate]
-        draw_object(figure.add_subplot(grid[:, 0]), mesh.vertices, mesh.faces, record.T_w_t)
-    first = len(widths) - len(candidates) - 3
-    panels: list[Axes] = []
+
+def _draw_touches(
+    part: SubFigure, record: EpisodeRecord, touches: Sequence[int], candidates: Sequence[int], scale: float
+) -> None:
+    """Draw a row for each touch: the reading, the patches of the candidates, and the belief after it."""
+    depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
+    colours = touch_colours(len(record.p))
+    widths = [1.0] * (1 + len(candidates)) + [BELIEF_IN / PANEL_IN]
+    panels = part.subplots(len(touches), len(widths), width_ratios=widths, squeeze=False)
     for row, touch in enumerate(touches):
-        top = row == 0
-        measured = figure.add_subplot(grid[row, first])
+        measured, *patches, bars = panels[row]
         _draw_measured(measured, record, touch, scale, colours[touch])
-        for i, candidate in enumerate(candidates):
-            panel = figure.add_subplot(grid[row, first + 1 + i])
+        for i, panel in enumerate(patches):
             image = _draw_candidate(panel, depth[row, i], float(nearest[row, i]))
-            if top:
-                true = candidate == record.truth
-                label = record.names[candidate] + (" (true)" if true else "")
-                panel.set_title(label, fontsize=8.5, fontweight="bold" if true else "normal")
-            panels.append(panel)
-        bars = figure.add_subplot(grid[row, first + 1 + len(candidates) : first + 3 + len(candidates)])
         _draw_belief(bars, record.p[touch], record.names, candidates, record.truth)
-        if top:
-            measured.set_title("measured", fontsize=8.5)
-            bars.set_title("belief", fontsize=8.5)
         if touch < touches[-1]:
             bars.set_xticklabels([])
-    bar = figure.colorbar(image, ax=panels, location="bottom", shrink=0.5, aspect=40, pad=0.01)
-    bar.set_label("predicted depth behind the nearest point (mm)", fontsize=8)
-    bar.ax.tick_params(labelsize=8)
-    figure.suptitle(f"{record.headline}\nmeasured: {scale_legend(record.board, scale)}", fontsize=10)
-    return figure
+    panels[0, 0].set_title("measured", fontsize=FONT)
+    panels[0, -1].set_title("belief", fontsize=FONT)
+    for panel, candidate in zip(panels[0, 1:-1], candidates, strict=True):
+        true = candidate == record.truth
+        label = record.names[candidate] + (" (true)" if true else "")
+        panel.set_title(label, fontsize=FONT, fontweight="bold" if true else "normal")
+    bar = part.colorbar(image, ax=panels[:, :-1].ravel().tolist(), location="bottom", shrink=0.6, aspect=30, pad=0.02)
+    bar.set_label("depth behind the nearest point (mm)", fontsize=FONT)
+    bar.ax.tick_params(labelsize=FONT)
+
+
+def _draw_evidence(axes: Axes, record: EpisodeRecord, touches: Sequence[int]) -> None:
+    """Draw the weights of evidence (nats) of each touch, stacked from zero to either side, with their sums."""
+    first, second = record.leaders
+    weights = record.weights[touches]
+    rows = np.arange(len(touches))
+    left, right = np.zeros(len(rows)), np.zeros(len(rows))
+    for (name, colour), weight in zip(EVIDENCE_SOURCES.items(), weights.T, strict=True):
+        axes.barh(rows, weight, 0.7, left=np.where(weight < 0, left, right), color=colour, label=name)
+        left, right = left + np.minimum(weight, 0), right + np.maximum(weight, 0)
+    for row, total in enumerate(weights.sum(1)):
+        axes.text(right[row], row, f" {total:+.1f}", va="center", fontsize=FONT)
+    axes.axvline(0, color="black", lw=0.8)
+    axes.set_yticks(rows, [f"touch {touch + 1}" for touch in touches], fontsize=FONT)
+    axes.invert_yaxis()
+    span = right.max() - left.min()
+    axes.set_xlim(left.min() - 0.03 * span, right.max() + 0.25 * span)
+    axes.xaxis.set_major_locator(MaxNLocator(4))
+    axes.tick_params(axis="x", labelsize=FONT)
+    axes.set_xlabel("nats", fontsize=FONT)
+    axes.set_title(f"evidence for {record.names[first]} against {record.names[second]}", fontsize=FONT, pad=20)
+    axes.legend(
+        loc="lower center", bbox_to_anchor=(0.45, 0.97), ncols=3, fontsize=FONT, frameon=False, handlelength=0.8,
+        columnspacing=0.8, handletextpad=0.3,
+    )  # fmt: skip
 
 
 def _shown_candidates(p: np.ndarray, truth: int, count: int) -> list[int]:
@@ -163,7 +233,7 @@ def _draw_measured(axes: Axes, record: EpisodeRecord, touch: int, scale: float, 
     draw_reading(axes, record.board, record.readings[touch], scale)
     axes.set(xticks=[], yticks=[])
     axes.set_ylabel(
-        f"touch {touch + 1}", fontsize=10, fontweight="bold", labelpad=8,
+        f"touch {touch + 1}", fontsize=FONT + 0.5, fontweight="bold", labelpad=6,
         color="white" if colour.mean() < 0.5 else "black",
         bbox={"facecolor": colour, "edgecolor": "none", "alpha": 0.8, "pad": 2.5},
     )  # fmt: skip
@@ -177,7 +247,7 @@ def _draw_candidate(axes: Axes, depth: np.ndarray, nearest: float) -> AxesImage:
         distance = f"{abs(nearest) * MM_PER_M:.1f} mm {'deep' if nearest < 0 else 'away'}"
     else:
         distance = "no surface here"
-    axes.set_xlabel(distance, fontsize=7.5, labelpad=2)
+    axes.set_xlabel(distance, fontsize=FONT - 1, labelpad=2)
     return image
 
 
@@ -193,10 +263,10 @@ def _draw_belief(axes: Axes, p: np.ndarray, names: Sequence[str], shown: Sequenc
         axes.barh(y, value, color=colour)
         inside = value > 0.75
         axes.text(
-            value + (-0.03 if inside else 0.03), y, f"{value:.0%}", va="center", fontsize=7.5,
+            value + (-0.03 if inside else 0.03), y, f"{value:.0%}", va="center", fontsize=FONT - 0.5,
             ha="right" if inside else "left", color="white" if inside else "black",
         )  # fmt: skip
-    axes.set_yticks(range(len(rows)), [name for name, *_ in rows], fontsize=7.5)
+    axes.set_yticks(range(len(rows)), [name for name, *_ in rows], fontsize=FONT - 0.5)
     axes.invert_yaxis()
     axes.set(xlim=(0, 1), xticks=[0, 0.5, 1])
-    axes.tick_params(axis="x", labelsize=7.5)
+    axes.tick_params(axis="x", labelsize=FONT - 0.5)

@@ -179,6 +179,19 @@ def test_sigterm_stops_a_collection_and_keeps_everything(tmp_path, rig, capsys):
     assert "the same command resumes the collection" in capsys.readouterr().out
 
 
+def test_a_touch_without_contact_has_no_travel_and_no_force_in_its_line(capsys):
+    recorder = SimpleNamespace(saved=[SimpleNamespace(name="touch-1.h5")], bytes=0)
+    progress = session._Session(SimpleNamespace(touches=2), None, None, recorder, set())
+    for code, force, travel in ((ReturnCode.SKIN, 0.7249, 0.1731e-3), (ReturnCode.AIR, np.nan, np.nan)):
+        touch = SimpleNamespace(skins={"": SimpleNamespace(code=code, reading=np.array([3.0, np.nan, 4.0]))})
+        touch.force, touch.travel = force, travel
+        progress.report(SimpleNamespace(site=SimpleNamespace(number=code), code=code, touch=touch, reason=""))
+    met, missed = capsys.readouterr().out.splitlines()
+    assert "stopped by the skin  5.0 uT  0.72 N  0.17 mm  " in met
+    assert "no contact  5.0 uT  " in missed
+    assert not {"nan", "N", "mm"} & set(missed.split())
+
+
 def test_wrong_options_are_refused_before_jax_is_imported(tmp_path):
     """They are speeds beyond what the rig can stop, another seed, another pad, and unknown devices."""
     args = CollectArgs(out=tmp_path)

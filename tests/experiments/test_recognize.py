@@ -3,7 +3,9 @@ which share what it compiles.
 """
 
 import json
+from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -11,14 +13,18 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from experiments.common.runs import load_part
 from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
-from experiments.recognize.arguments import DatasetArgs, SimulateArgs
+from experiments.recognize.arguments import LIVE_OBJECTS, DatasetArgs, LiveArgs, SimulateArgs
 from experiments.recognize.config import PRESETS
+from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.run import configure
 from experiments.studies import __main__ as studies
 from experiments.studies import physics
 from experiments.train import __main__ as train
 from i2t import dataset
-from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer
+from i2t.collect.arguments import SkinArgs
+from i2t.objects import catalogue
+from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer, RecognizerConfig
+from i2t.skin_models.pad_model import load_pad_model
 from i2t.types import ReturnCode
 from tools.gallery.arguments import FIGURE_NAMES
 from tools.gallery.figures import FIGURES
@@ -119,7 +125,38 @@ def test_recorded_touches_are_trained_on_and_recognised(trained_run, tmp_path, c
     assert recorded["methods"]["fused"]["accuracy"]["mean"][-1] > 1 / len(recorded["objects"])
 
 
-LIVE = ["--num-sites", "3", "--num-particles", "16", "--num-surrogates", "2", "--true-object", "hammer"]
+LIVE = ["--num-sites", "3", "--num-particles", "16", "--num-surrogates", "2", "--true-object", "star"]
+
+
+def test_the_default_objects_of_a_live_run_differ_in_their_outlines_only():
+    """They are prisms of one height, and no wider than a skin of 17 mm from one another."""
+    corners = [catalogue.make_object(name).mesh.vertices for name in LIVE_OBJECTS]
+    assert len(set(LIVE_OBJECTS)) == 3
+    for vertices in corners:
+        np.testing.assert_allclose(np.unique(vertices[:, 2].round(6)), [0, 0.03], atol=1e-6)
+    sizes = np.array([np.ptp(vertices[:, :2], axis=0) for vertices in corners])
+    assert np.ptp(sizes, axis=0).max() < 17e-3
+    assert LiveArgs().contact_probability == 0.95
+
+
+def test_a_live_run_without_a_trained_run_uses_the_ready_pad_model_of_a_simulated_skin(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    real = LiveArgs(skin=SkinArgs("reskin"))
+    assert (LiveArgs().used_pad_model, real.used_pad_model) == (Path("nominal"), Path("runs/train"))
+    Path("runs/train").mkdir(parents=True)
+    assert LiveArgs().used_pad_model == Path("runs/train")
+    assert LiveArgs(pad_model=Path("nominal")).used_pad_model == Path("nominal")
+
+
+@pytest.mark.full
+def test_the_default_objects_of_a_live_run_are_met_at_all_sites():
+    args = LiveArgs(num_particles=16)
+    config = RecognizerConfig(num_particles=16, min_contact_probability=args.contact_probability)
+    model = load_pad_model("nominal").model
+    recognizer = ObjectRecognizer(jax.random.key(args.seed), model, meshes_by_name(LIVE_OBJECTS), config=config)
+    assert recognizer.table.hit.mean(-1).min() >= 0.95
+    assert len(recognizer.sites.owner) > 0.8 * len(LIVE_OBJECTS) * args.num_sites  # few are left out
+    assert recognizer.safe.all()
 
 
 @pytest.mark.full
@@ -130,14 +167,18 @@ def test_an_arm_touches_the_site_chosen_from_the_belief(trained_run, tmp_path, c
     assert recognize.main(args) == 0
     result = json.loads((out / "result.json").read_text())
     assert result["source"] == "simulated"
-    assert result["true_object"] == "hammer"
+    assert result["true_object"] == "star"
     belief = np.array(result["belief"])
-    assert belief.shape == (2, 5)
+    assert belief.shape == np.shape(result["evidence"]["reading"]) == (2, 3)
     assert (belief.sum(1) < 1).all()
     np.testing.assert_allclose(belief.sum(1)[-1], 1 - result["unknown"], atol=1e-9)
     assert len(set(result["sites"])) == len(result["sites"]) == 2
     assert len(result["met_air"]) == len(result["would_be_met"]) == len(belief)
-    assert "; predicted probability of contact: " in capsys.readouterr().out  # what a touch told, air included
+    output = capsys.readouterr().out
+    assert "; predicted probability of contact: " in output  # what a touch told, air included
+    assert output.count("  evidence for ") == 2
+    assert "nan" not in output
+    assert np.min(result["would_be_met"]) > 0.9
     kept = dataset.load_dataset(out / "touches")
     assert len(kept) == len(belief)
     assert kept.objects == ("unknown",)

@@ -39,6 +39,7 @@ def like(**changes: Any) -> Likelihood:
 
 evidence = jax.jit(jax.vmap(belief.evidence, (0, 0, 0, 0, None)))
 update, posterior = jax.jit(belief.update), jax.jit(belief.posterior)
+by_source = jax.jit(belief.evidence_by_source)
 
 
 def outcomes(rng: np.random.Generator, *shape: int) -> PredictedTouch:
@@ -292,6 +293,77 @@ def test_evidence_without_weight_may_be_nan(middle):
     after = update(now, ended, outcome, like(spatial_weight=0))
     np.testing.assert_array_equal(after.mean, now.mean)
     np.testing.assert_array_equal(after.covariance, now.covariance)
+
+
+def test_the_evidence_of_the_sources_sums_to_the_change_of_the_log_odds(middle):
+    now, at, outcome = middle
+    steps = np.asarray(by_source(now, at, outcome, LIKE), np.float64)
+    before, after = np.log(posterior(now)), np.log(posterior(update(now, at, outcome, LIKE)))
+    np.testing.assert_allclose(steps[0] - steps[0, 0], before - before[0], atol=1e-4)
+    np.testing.assert_allclose(
+        np.diff(steps, axis=0).sum(0) - steps[-1, 0] + steps[0, 0], (after - before) - (after - before)[0], atol=2e-3
+    )
+    away = at._replace(contact=jnp.asarray(False))
+    np.testing.assert_array_equal(np.diff(by_source(now, away, outcome, LIKE), axis=0)[1:], 0)  # presence alone
+
+
+def pair(**second: Any) -> PredictedTouch:
+    """A touch that is predicted equally for two objects of one pose, but for these fields of the second."""
+    first = jax.tree.map(lambda x: jnp.tile(x, (2,) + (1,) * (x.ndim - 1)), outcomes(np.random.default_rng(3), 1, 1))
+    first = first._replace(jacobian=0 * first.jacobian)
+    return first._replace(**{name: getattr(first, name).at[1].set(value) for name, value in second.items()})
+
+
+def weights(predicted: PredictedTouch, error: float = 0.0, contact: bool = True) -> np.ndarray:
+    """Weights of evidence of presence, position and reading for the first object of a pair, which a touch matches to an
+    error of its end (m).
+    """
+    now = belief.init(Particles(jnp.zeros((1, 6)), jnp.zeros((1, 6, 6))), 2, channels=15)
+    at = measured(predicted.reading[0, 0, 1], LOADS[1], expected(predicted, 1)[0, 0] + error, contact)
+    first, second = np.diff(np.asarray(by_source(now, at, predicted, LIKE), np.float64), axis=0).T
+    return first - second
+
+
+def test_where_only_readings_differ_only_the_reading_is_evidence():
+    """Student's t of two readings that differ by 30 uT at one chip, in double precision."""
+    same = pair()
+    other = same.reading[1].at[..., 0].add(30.0)
+    variance = float(same.variance[0, 0, 1])
+    shape = float(LIKE.inflation) ** 2 * (COVARIANCE + variance * np.diag(SCALE**2))
+    t = stats.multivariate_t(shape=shape, df=float(LIKE.dof))
+    exact = float(LIKE.tactile_weight) * (t.logpdf(np.zeros(15)) - t.logpdf(30 * np.eye(15)[0]))
+    presence, position, reading = weights(pair(reading=other))
+    assert (presence, position) == (0, 0)
+    assert reading == pytest.approx(exact, rel=0.02)
+    assert reading > 0.1
+
+
+def test_where_only_distances_differ_only_the_position_is_evidence():
+    """A mixture of normals and an outlier's uniform density, of ends that differ by 0.2 mm."""
+    near = pair()
+    std, share = np.asarray(LIKE.position_std, np.float64), np.asarray(LIKE.position_share, np.float64)
+    rate = float(LIKE.outlier_rate)
+
+    def density(error: float) -> float:
+        return (1 - rate) * float(share @ stats.norm.pdf(error, scale=std)) + rate / STRAY
+
+    exact = float(LIKE.spatial_weight) * np.log(density(0.05e-3) / density(0.05e-3 - 0.2e-3))
+    presence, position, reading = weights(pair(approach_distance=near.approach_distance[0] + 0.2e-3), 0.05e-3)
+    assert presence == 0
+    assert abs(reading) < 1e-5  # a rounding of the position's
+    assert position == pytest.approx(exact, rel=1e-3)
+    assert position > 0.1
+
+
+@pytest.mark.parametrize("contact", [True, False])
+def test_where_only_one_object_is_met_only_presence_is_evidence_of_no_contact(contact):
+    """The object that should have been met is excluded up to outliers, and so is the one that should not if it was."""
+    rate = float(LIKE.outlier_rate)
+    exact = float(LIKE.presence_weight) * np.log((1 + rate) / rate) * (1 if contact else -1)
+    presence, position, reading = weights(pair(hit=False), contact=contact)
+    assert presence == pytest.approx(exact, rel=1e-3)
+    if not contact:
+        assert (position, reading) == (0, 0)
 
 
 @pytest.mark.full

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from helpers import predicted_touches as given
 from scipy.spatial.transform import Rotation
+from scipy.special import logsumexp
 
 from i2t.geometry import contact_frame
 from i2t.objects import catalogue
@@ -193,6 +194,52 @@ def test_an_update_makes_a_new_state(leaning):
     np.testing.assert_array_equal(after.touched, np.arange(given.SITES) == 2)
 
 
+def test_weights_of_evidence_sum_to_the_log_odds(leaning):
+    state, total = leaning.init(np.array([2.0, 1.0])), np.zeros(3)
+    np.testing.assert_array_equal(leaning.info(state).evidence.weights(0, 1), 0)
+    for number in (2, 3):
+        state, info = leaning.update(state, SiteObservation(number, given.measured(leaning.table, number, 0)))
+        total += info.evidence.weights(0, 1)
+        np.testing.assert_array_equal(info.evidence.weights(1, 0), -info.evidence.weights(0, 1))
+    one, other = logsumexp(np.asarray(state.belief.log_weight, np.float64), axis=1)
+    assert total.sum() == pytest.approx(one - other - np.log(2), rel=1e-5)
+    reading, position, presence = total
+    assert reading > 1 > 0.01 > abs(position) + abs(presence)  # only the readings of the objects differ
+
+
+def test_an_unknown_object_is_one_hypothesis_of_the_evidence(leaning):
+    some = copy(leaning)
+    some.names, some._objects = ("one",), 4  # and three surrogates
+    densities = np.random.default_rng(0).uniform(0.1, 1, (4, 4))
+    summed = np.log(np.stack([densities[:, 0], densities[:, 1:].sum(1)], axis=1))
+    presence, position, reading = np.diff(summed[:, 0] - summed[:, 1])
+    np.testing.assert_allclose(some._evidence(np.log(densities)).weights(0, 1), [reading, position, presence])
+
+
+def test_only_sites_at_which_every_object_is_met_are_candidates(leaning, monkeypatch):
+    table = given.predicted_touches()
+    hit = np.ones(table.hit.shape, bool)
+    hit[0], hit[3, 1, :1] = False, False  # no pose of either object, and a quarter of those of one
+    monkeypatch.setattr(recognizer_module, "predict_outcomes", lambda *_, **__: [table._replace(hit=jnp.asarray(hit))])
+
+    def candidates(share: float) -> ObjectRecognizer:
+        model = PadModel(None, given.likelihood(), np.ones(CHANNELS), 1.0, np.zeros((0, CHANNELS)))
+        mesh = catalogue.make_object("dome").mesh
+        config = RecognizerConfig(num_particles=given.PARTICLES, min_contact_probability=share)
+        meshes = {"one": mesh, "other": mesh}
+        return ObjectRecognizer(jax.random.key(0), model, meshes, T_w_o=TILTED, sites=leaning.sites, config=config)
+
+    for share, kept in ((0.2, [1, 2, 3, 4]), (0.95, [1, 2, 4])):
+        some = candidates(share)
+        np.testing.assert_array_equal(some.sites.T_w_t, leaning.sites.T_w_t[np.array(kept)])
+        np.testing.assert_array_equal(some.sites.owner, leaning.sites.owner[kept])
+        np.testing.assert_array_equal(some.table.reading, table.reading[np.array(kept)])
+        assert len(some.safe) == len(some.init().touched) == len(kept)
+    hit[:] = False
+    with pytest.raises(ValueError, match=r"at no site is every object met with a probability of 0\.5"):
+        candidates(0.5)
+
+
 def test_the_advance_is_the_distance_along_the_approach_of_the_site(leaning):
     site = ChosenSite(3, leaning.site_pose(3))
     end = site.T_w_t @ np.array([[1, 0, 0, 2e-3], [0, 1, 0, -1e-3], [0, 0, 1, 5e-3], [0, 0, 0, 1]])
@@ -231,6 +278,8 @@ def test_the_first_belief_is_the_prior(recognizer):
 def test_impossible_options_are_refused(pad_model):
     with pytest.raises(ValueError, match="prior_unknown is 1"):
         RecognizerConfig(prior_unknown=1.0)
+    with pytest.raises(ValueError, match=r"min_contact_probability is 1\.5"):
+        RecognizerConfig(min_contact_probability=1.5)
     with pytest.raises(ValueError, match="num_surrogates is 0"):
         RecognizerConfig(prior_unknown=0.1, num_surrogates=0)
     with pytest.raises(ValueError, match="at least two objects"):

@@ -10,7 +10,6 @@ from i2t import viz
 from i2t.objects import catalogue
 from i2t.patches.dimensions import REACH
 from i2t.skin.boards import grid_board, reskin_board
-from i2t.viz import episode_report, scene
 
 NAMES = ("square", "hexagon")  # prisms 30 mm high: +-25 mm wide, and of circumradius 30 mm with flat sides at +-y
 PRESSED = 0.4e-3
@@ -67,34 +66,32 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
     assert not any("(true)" in text for text in shown)
 
 
-def test_drawing_is_probed_in_another_process(monkeypatch):
-    scene.explain_no_scene.cache_clear()
-    with monkeypatch.context() as broken:
-        broken.setattr(scene, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-        assert "libegl1" in scene.explain_no_scene()
-        scene.explain_no_scene.cache_clear()
-        broken.setattr(scene, "find_spec", lambda name: None)
-        assert "pip install" in scene.explain_no_scene()
-    scene.explain_no_scene.cache_clear()
+def test_the_evidence_is_stacked_by_source_from_zero_to_either_side(meshes, tmp_path):
+    """Bars of the weights of evidence for the most probable object against the next one, and their sums."""
+    evidence = np.zeros((3, 2, 3))
+    evidence[:, 0] = [(2, 1, 0), (3, -1, 0.5), (0, 0, -4)]
+    evidence[:, 1] = [(1, 0, 0), (0, 0, 0), (0, 0, 0)]
+    page = viz.plot_episode(record(meshes, evidence=evidence))
+    (axes,) = [axes for axes in page.axes if axes.get_title().startswith("evidence")]
+    assert axes.get_title() == "evidence for square against hexagon"
+    spans = {}
+    for bars in axes.containers:
+        spans[bars.get_label()] = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in bars]
+    assert spans == {
+        "reading": [(0, 1), (0, 3), (0, 0)],
+        "position": [(1, 2), (0, -1), (0, 0)],
+        "presence": [(2, 2), (3, 3.5), (0, -4)],
+    }
+    assert [text.get_text().strip() for text in axes.texts] == ["+2.0", "+2.5", "-4.0"]
+    with pytest.raises(ValueError, match="must have 3 sources for each of the 3 touches and 2 candidates"):
+        viz.write_episode_report(record(meshes, evidence=evidence[:, :1]), tmp_path)
 
 
-def test_the_page_is_written_without_a_scene(meshes, tmp_path, monkeypatch, caplog):
-    for module in (episode_report, scene):
-        monkeypatch.setattr(module, "explain_no_scene", lambda: scene.NO_GL)
-    written = viz.write_episode_report(record(meshes), tmp_path / "a")
-    assert written == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
-    assert caplog.messages == [scene.NO_GL]
+def test_the_page_is_written_with_the_object_and_its_touches(meshes, tmp_path):
+    page = viz.plot_episode(record(meshes), scene=True)
+    pictures = [image.get_array() for axes in page.axes for image in axes.images]
+    (drawn,) = [picture for picture in pictures if picture.ndim == 3]
+    assert len(np.unique(drawn.reshape(-1, 3)[::7], axis=0)) > 50  # shaded faces and coloured squares
+    assert viz.write_episode_report(record(meshes), tmp_path / "a") == [tmp_path / "a" / "story.png"]
     with pytest.raises(ValueError, match="same number of touches"):
         viz.write_episode_report(record(meshes, readings=np.ones((2, 15))), tmp_path)
-
-
-@pytest.mark.full
-def test_a_scene_shows_the_object_and_its_touches(meshes, tmp_path):
-    if scene.explain_no_scene():
-        pytest.skip(scene.explain_no_scene())
-    picture = viz.object_image(meshes[0].vertices, meshes[0].faces, poses(), numbers=True)
-    assert len(np.unique(picture.reshape(-1, 3)[::7], axis=0)) > 50  # shaded faces and coloured squares
-    page = viz.plot_episode(record(meshes), picture)
-    assert any(axes.images and axes.images[0].get_array().shape == picture.shape for axes in page.axes)
-    (written,) = viz.write_episode_report(record(meshes), tmp_path)
-    assert written.stat().st_size > 20_000

@@ -11,7 +11,7 @@ FigureName = Literal[
     "monitor", "from_depth", "stamps",
 ]  # fmt: skip
 FIGURE_NAMES: tuple[FigureName, ...] = get_args(FigureName)
-FIGURES_OF_RUN = frozenset[FigureName](("overview", "episode", "predictors"))  # figures that need a trained run
+FIGURES_OF_RUN = frozenset[FigureName](("overview", "predictors"))  # figures that need a trained run
 
 
 @dataclass(frozen=True)

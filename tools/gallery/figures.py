@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import i2t
+from experiments.recognize import live
+from experiments.recognize.arguments import LiveArgs
 from i2t import viz
 from i2t.patches.dimensions import PATCH_WINDOW
 from i2t.rendering.render import contact_mask
@@ -80,9 +83,11 @@ def press(story: Story) -> Figure:
     )  # fmt: skip
 
 
-def episode(story: Story) -> Figure:
-    """An episode of recognition: each touch, the predicted patch of each candidate, and the belief."""
-    return viz.plot_episode(story.episode)
+def episode(_: Story) -> Figure:
+    """Episode of `python -m experiments.recognize live`: touches, patches of the candidates, belief and evidence."""
+    with TemporaryDirectory() as folder:
+        _, record = live.play(LiveArgs(out=Path(folder), pad_model=Path("nominal")))
+    return viz.plot_episode(record, scene=True)
 
 
 def calibration_curve(story: Story) -> Figure:
