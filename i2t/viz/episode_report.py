@@ -62,6 +62,15 @@ class EpisodeRecord(NamedTuple):
         return int(first), int(second)
 
     @property
+    def weights(self) -> np.ndarray:
+        """Weights of evidence `(t, 3)` in nats of each touch's sources for the first leader against the second one.
+
+        Only a record with `evidence` has them.
+        """
+        evidence, (first, second) = np.asarray(self.evidence), self.leaders
+        return evidence[:, first] - evidence[:, second]
+
+    @property
     def shown_candidate(self) -> int:
         """Index of the candidate that a scene shows, the true one or else the most probable one at the end."""
         return self.truth if self.truth >= 0 else int(self.p[-1].argmax())
@@ -203,8 +212,7 @@ def _draw_touches(
 def _draw_evidence(axes: Axes, record: EpisodeRecord, touches: Sequence[int]) -> None:
     """Draw the weights of evidence (nats) of each touch, stacked from zero to either side, with their sums."""
     first, second = record.leaders
-    evidence = np.asarray(record.evidence)[touches]
-    weights = evidence[:, first] - evidence[:, second]
+    weights = record.weights[touches]
     rows = np.arange(len(touches))
     left, right = np.zeros(len(rows)), np.zeros(len(rows))
     for (name, colour), weight in zip(EVIDENCE_SOURCES.items(), weights.T, strict=True):
