@@ -259,7 +259,7 @@ def print_result(out: Path, result: dict[str, Any], record: EpisodeRecord) -> No
         f"{truth}{' (simulated)' if record.simulated else ''}"
     )
     first, second = record.leaders
-    weights = describe_evidence((record.evidence[:, first] - record.evidence[:, second]).sum(0))
+    weights = describe_evidence(record.weights.sum(0))
     print(f"evidence of all touches for {record.names[first]} against {record.names[second]}: {weights}")
     print(f"touches/, result.json and story/ are in {out}")
     if name is None:

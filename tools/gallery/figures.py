@@ -83,7 +83,7 @@ def press(story: Story) -> Figure:
     )  # fmt: skip
 
 
-def episode(_: Story) -> Figure:
+def episode(story: Story) -> Figure:
     """Episode of `python -m experiments.recognize live`: touches, patches of the candidates, belief and evidence."""
     with TemporaryDirectory() as folder:
         _, record = live.play(LiveArgs(out=Path(folder), pad_model=Path("nominal")))
