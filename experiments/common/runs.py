@@ -21,6 +21,8 @@ from i2t.files.writing import replacing
 from i2t.objects.named import split_unit
 
 CONFIG, METRICS = "config.json", "metrics.json"
+# options that do not affect results, which config.json therefore leaves out
+RUN_OPTIONS = ("out", "resume", "overwrite", "workers", "config")
 # Nested dict of arrays: results of an experiment for one pad and seed. Its keys are names of methods and conditions,
 # which `i2t.files.serialization` cannot store, because it stores NamedTuples of known types.
 Part = dict[str, Any]
@@ -51,7 +53,7 @@ def settings(args: Any) -> dict[str, Any]:
     that do not affect results, such as the output folder and the workers, are left out.
     """
     packages = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
-    kept = {k: v for k, v in asdict(args).items() if k not in ("out", "resume", "overwrite", "workers")}
+    kept = {k: v for k, v in asdict(args).items() if k not in RUN_OPTIONS}
     named = [item for value in kept.values() for item in (value if isinstance(value, tuple) else (value,))]
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
