@@ -41,7 +41,7 @@ class ImagineArgs:
     object: tyro.conf.Positional[str] = "hammer"
     """Name of the object in the catalogue, or a mesh file."""
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    """Unit of the mesh file; required for a mesh file."""
+    """Unit of the mesh file, if its name has none (mug.stl:mm); glTF is in metres."""
     model: str = "nominal"
     """Predictor: the name of the ready model, or the folder of a finished run of experiments.train."""
     board: str | None = None

@@ -41,7 +41,7 @@ class PlaceArgs:
 
     rig: tyro.conf.Positional[Path]  # the lab's calibration file
     object: str  # name of the object in the catalogue, or a mesh file
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file; required for a mesh file
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file, if its name has none (mug.stl:mm)
     arm: str = UR
     """Arm whose pose is read; the arm is not moved. Give ur, the name that another package registers, or
     package.module:Class."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from i2t.files.kinds import MESH_SUFFIXES
 from i2t.files.reading import explain_no_dataset
-from i2t.objects.named import require_object
+from i2t.objects.named import object_name, require_object, units_of
 
 
 def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> None:
@@ -38,7 +38,7 @@ def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2
 
     Args:
         paths: Values of --objects: names of the catalogue or mesh files; empty if the option was omitted.
-        unit: Unit of the files' lengths.
+        unit: Unit of the files whose names have none.
         minimum: Minimum number of objects.
         catalogue: Whether names of the catalogue are allowed.
 
@@ -49,15 +49,17 @@ def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2
         if unit is not None:
             raise ValueError("--unit is the unit of the mesh files of --objects; pass both, or omit --unit")
         return
-    for path in paths:
-        require_object(str(path), unit, flag="--objects", catalogue=catalogue)
+    names = list(map(str, paths))
+    for name, own_unit in zip(names, units_of(names, unit), strict=True):
+        require_object(name, own_unit, flag="--objects", catalogue=catalogue)
     if len(paths) < minimum:
         raise ValueError("--objects needs at least two objects to distinguish")
-    seen: dict[str, Path] = {}
-    for path in paths:
-        if path.stem in seen:
+    seen: dict[str, str] = {}
+    for name in names:
+        own = object_name(name)
+        if own in seen:
             raise ValueError(
-                f"--objects: {seen[path.stem]} and {path} are both called {path.stem}, and objects are identified by "
-                "name; rename one of them"
+                f"--objects: {seen[own]} and {name} are both called {own}, and objects are identified by name; rename "
+                "one of them"
             )
-        seen[path.stem] = path
+        seen[own] = name

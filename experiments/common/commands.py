@@ -10,11 +10,11 @@ therefore appear at once. The experiment's `__main__.py` names both:
 import importlib
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
+from experiments.common.config_file import config_path, kind_of_config, options_of_config
 from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, folder_of, pictures_in
 from i2t.cli.options import check_options, docstring_of, read_options, refuse_renamed
 
@@ -43,7 +43,8 @@ def command(kind: type[Any], module: str) -> Main:
 def command_of_parts(
     package: str, parts: Mapping[str, tuple[type[Any], str]], by_option: Mapping[str, str] = MappingProxyType({})
 ) -> Main:
-    """Make the `main` function of a command whose first word names one of its parts; the first part is the default.
+    """Make the `main` function of a command whose first word names one of its parts. Without such a word, the part is
+    that of the run whose config.json is given, or else the first.
 
     Args:
         package: Package of the command, such as `experiments.registration`.
@@ -57,7 +58,12 @@ def command_of_parts(
 
     def main(argv: Sequence[str] | None = None) -> int:
         words = _words(argv)
-        name = words.pop(0) if words and words[0] in parts else first
+        path = config_path(words)
+        if words and words[0] in parts:
+            name = words.pop(0)
+        else:
+            kind = None if path is None else kind_of_config(path)
+            name = next((part for part, (options, _) in parts.items() if options.__name__ == kind), first)
         if name == first:
             name = next((by_option[flag] for word in words if (flag := word.partition("=")[0]) in by_option), first)
         about = f"\n\nParts of this command, each with its own --help: {', '.join(parts)}."
@@ -72,10 +78,19 @@ def _words(argv: Sequence[str] | None) -> list[str]:
 
 def _carry_out(kind: type[Any], module: str, words: Sequence[str], program: str, about: str = "") -> int:
     """Read and check the options, then import and run the module that does the work, and return the exit code."""
-    renamed = partial(refuse_renamed, kind, words)
-    if code := exit_code_of_run(renamed):
+    default: Any = None
+
+    def prepare() -> None:
+        nonlocal default
+        refuse_renamed(kind, words)
+        path = config_path(words)
+        if path is not None and hasattr(kind, "config"):
+            default = options_of_config(path, kind, program)
+
+    if code := exit_code_of_run(prepare):
         return code
-    args = read_options(kind, words, program=program, description=docstring_of(module) + about, config=())
+    description = docstring_of(module) + about
+    args = read_options(kind, words, program=program, description=description, config=(), default=default)
     out = folder_of(args)
 
     def work() -> Any:

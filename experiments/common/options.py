@@ -1,6 +1,7 @@
 """Options that experiments share by inheritance. This module has no slow imports."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from i2t.cli.options import Count, Seed
@@ -14,6 +15,7 @@ class RunOptions:
 
     seed: Seed = 0  # seed of all random choices
     overwrite: bool = False  # replace a finished or unfinished run in --out
+    config: Path | None = None  # config.json of an earlier run, whose options apply unless they are given here
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,11 @@ from typing import Any
 from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import require_writable
 from i2t.files.writing import replacing
+from i2t.objects.named import split_unit
 
 CONFIG, METRICS = "config.json", "metrics.json"
+# options that do not affect results, which config.json therefore leaves out
+RUN_OPTIONS = ("out", "resume", "overwrite", "workers", "config")
 # Nested dict of arrays: results of an experiment for one pad and seed. Its keys are names of methods and conditions,
 # which `i2t.files.serialization` cannot store, because it stores NamedTuples of known types.
 Part = dict[str, Any]
@@ -50,13 +53,18 @@ def settings(args: Any) -> dict[str, Any]:
     that do not affect results, such as the output folder and the workers, are left out.
     """
     packages = ("jax", "flax", "optax", "orbax-checkpoint", "numpy")
-    kept = {k: v for k, v in asdict(args).items() if k not in ("out", "resume", "overwrite", "workers")}
+    kept = {k: v for k, v in asdict(args).items() if k not in RUN_OPTIONS}
     named = [item for value in kept.values() for item in (value if isinstance(value, tuple) else (value,))]
     return {
         "args": {name: str(value) if isinstance(value, Path) else value for name, value in kept.items()},
-        "files": {str(path): _digest(path) for path in named if isinstance(path, Path) and path.is_file()},
+        "files": {str(path): _digest(path) for path in map(_file_of, named) if path is not None and path.is_file()},
         "versions": {"python": sys.version.split()[0], **{name: version(name) for name in packages}},
     }
+
+
+def _file_of(value: Any) -> Path | None:
+    """Return the file that an option names, without the unit of a mesh; None for an option of another kind."""
+    return Path(split_unit(str(value))[0]) if isinstance(value, Path) else None
 
 
 def _digest(path: Path) -> str:

@@ -12,6 +12,7 @@ from experiments.train.finished import FORMER_NAMES, require_pad_model, require_
 from i2t.cli.options import Count, Limits, Probability, Seed, require_path
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import did_you_mean, require_extra
+from i2t.objects.named import object_name
 
 PresetName = Literal["short", "paper", "debug"]
 NOT_REAL_KINDS = ("simulated", "emulated")
@@ -34,7 +35,7 @@ class SimulateArgs(ResumableOptions):
     method: Literal["all", "paper"] = "all"  # all methods on the same episodes, or only the paper's own loop
     preset: PresetName = "short"  # numbers of episodes and poses
     objects: tuple[Path, ...] = ()  # objects to distinguish: names in the catalogue or mesh files
-    unit: UnitName | None = None  # unit of the mesh files
+    unit: UnitName | None = None  # unit of the mesh files whose names have none (mug.stl:mm)
     episodes: Count | None = None  # episodes of each object, for each pad and seed
     paper_episodes: Count | None = None  # episodes of each object in the paper's sets; by default twice --episodes
     num_particles: Count | None = None  # poses of each object, instead of the preset's
@@ -66,7 +67,7 @@ class DatasetArgs(RunOptions):
     pad_model: Path = Path("runs/train")
     preset: PresetName = "paper"  # number of poses, and minimum number of touches in a session
     objects: tuple[Path, ...] = ()  # objects to distinguish: names in the catalogue or mesh files
-    unit: UnitName | None = None  # unit of the mesh files
+    unit: UnitName | None = None  # unit of the mesh files whose names have none (mug.stl:mm)
     skin_name: str | None = None  # skin to use, if each touch has readings of several
     other_skin: bool = False  # allow touches of another skin than the pad model's, with a warning
     max_touches: Count | None = None  # touches of each session; by default as many as all long enough sessions have
@@ -98,7 +99,7 @@ class LiveArgs:
     pad_model: Path | None = None
     # Objects to distinguish: names in the catalogue or mesh files; star, cylinder and flower by default.
     objects: tuple[Path, ...] = ()
-    unit: UnitName | None = None  # unit of the mesh files
+    unit: UnitName | None = None  # unit of the mesh files whose names have none (mug.stl:mm)
     # Smallest probability of contact with each object at a candidate site; 0.95 by default, and 0 with --objects.
     min_contact_probability: Probability | None = None
     truth: str | None = None  # name of the object, under which its touches are saved; "unknown" by default
@@ -173,7 +174,7 @@ class LiveArgs:
             return
         from i2t.objects.catalogue import NAMES
 
-        names = [path.stem for path in self.objects] or LIVE_OBJECTS
+        names = [object_name(str(path)) for path in self.objects] or LIVE_OBJECTS
         if self.true_object not in (*NAMES, *names):
             objects = ", ".join(names)
             remedy = did_you_mean(

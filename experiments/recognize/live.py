@@ -49,6 +49,7 @@ from i2t.errors import DeviceError
 from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.hardware.world import WorldArgs
+from i2t.objects.named import object_name, units_of
 from i2t.objects.solids import Mesh
 from i2t.recognition.policy import NUM_CANDIDATES
 from i2t.recognition.recognizer import (
@@ -124,7 +125,8 @@ def mounted_board(args: LiveArgs, expected: Board) -> Board:
 
 def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | None) -> CollectArgs:
     """Convert the options to those of a collection whose sites the recogniser chooses."""
-    sources = {path.stem: str(path) for path in args.objects}
+    names = list(map(str, args.objects))
+    sources = dict(zip(map(object_name, names), zip(names, units_of(names, args.unit), strict=True), strict=True))
     # For a real arm, only the height of the tallest object matters.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
     name = true_object or tallest
@@ -134,7 +136,7 @@ def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | Non
         arm=args.arm,
         skin=args.skin,
         camera=args.camera,
-        world=WorldArgs(sources.get(name, name), args.unit or "mm", pad=args.pad_file, seed=args.seed),
+        world=WorldArgs(*sources.get(name, (name, None)), pad=args.pad_file, seed=args.seed),
         lab=LabArgs(args.rig),
         name=args.truth or "unknown",
         pad_name=args.mounted_pad,

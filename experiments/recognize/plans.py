@@ -10,7 +10,7 @@ import numpy as np
 from experiments.common.checks import require_objects
 from experiments.recognize.config import Recognition
 from i2t.objects import Mesh, catalogue
-from i2t.objects.named import read_object
+from i2t.objects.named import read_objects
 from i2t.recognition.site_pool import SitePools, TouchPlan, plan_informative_touches, plan_random_touches, sample_pools
 from i2t.types import Surface
 
@@ -29,7 +29,7 @@ def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
 
     Args:
         paths: At least two names in the catalogue or mesh files, or nothing if the option was omitted.
-        unit: Unit of length in the files.
+        unit: Unit of length in the files whose names have none.
 
     Returns:
         The meshes by name: the catalogue's name, or the file's stem.
@@ -38,7 +38,7 @@ def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
         ValueError: An object does not exist, a file has no unit, two objects share a name, or there is only one object.
     """
     require_objects(paths, unit)
-    return {path.stem: read_object(str(path), unit).mesh for path in paths}
+    return read_objects(list(map(str, paths)), unit)
 
 
 def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:

@@ -21,7 +21,7 @@ class TrainArgs(ResumableOptions):
     dataset: Path | None = None  # data set to train on instead of simulated touches
     skin_name: str | None = None  # with --dataset: skin to train on, if each touch has readings of several
     objects: tuple[Path, ...] = ()  # with --dataset: mesh files of objects outside the catalogue, for the pad model
-    unit: UnitName | None = None  # unit of the mesh files
+    unit: UnitName | None = None  # unit of the mesh files whose names have none (mug.stl:mm)
     rig: Path | None = None  # with --dataset: description of the lab; object_covariance gives the pose errors
     # sessions: estimate the poses of object and camera in each session, which needs the meshes of all objects; camera:
     # estimate the offset of a single camera from sessions on the training objects, and correct all views

@@ -113,7 +113,7 @@ def read_run(folder: Path) -> FinishedRun:
     if not (folder / TRAINING).is_file():
         raise ValueError(
             f"{folder} is a run of an earlier version, which kept no pad model; make it again: python -m "
-            f"experiments.train --overwrite, with the options in its {CONFIG}"
+            f"experiments.train --overwrite, with the options in its {CONFIG} (--config)"
         )
     try:
         return FinishedRun(folder, **json.loads((folder / TRAINING).read_text()))

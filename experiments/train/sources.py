@@ -16,7 +16,7 @@ from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset
 from i2t.hardware.rig import Rig
 from i2t.objects import Mesh, catalogue
-from i2t.objects.named import read_object
+from i2t.objects.named import read_objects
 from i2t.recognition.recorded import named_surfaces, recorded_touches, with_placement
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import PadAbout, load_pad, load_pad_about, save_pad
@@ -85,7 +85,7 @@ class RecordedSource:
     recording: Path
     skin: str | None  # name of the skin, if each touch has readings of several
     objects: tuple[Path, ...]  # mesh files of objects that are not in the catalogue
-    unit: str | None  # unit of the mesh files
+    unit: str | None  # unit of the mesh files whose names have none
     rig: Path | None  # description of the lab, with the covariance of object poses
     all_touches: bool  # whether the pad model is fitted to all touches instead of the training touches
 
@@ -94,7 +94,7 @@ class RecordedSource:
     def known_objects(self) -> KnownObjects:
         """Read the objects of the mesh files and the rig's placement errors (ValueError: a file cannot be read)."""
         errors = SimulationErrors()
-        meshes = {path.stem: read_object(str(path), self.unit).mesh for path in self.objects}
+        meshes = read_objects(list(map(str, self.objects)), self.unit)
         if self.rig:
             errors = with_placement(errors, Rig.read(self.rig).object_covariance)
         return KnownObjects(meshes, errors)

@@ -64,6 +64,7 @@ def read_options(
     program: str,
     description: str = "",
     config: Sequence[Any] | None = None,
+    default: Options | None = None,
 ) -> Options:
     """Read a command line into a dataclass.
 
@@ -73,6 +74,7 @@ def read_options(
         program: The command as a user types it.
         description: Text of the help; if it is empty, the docstring of the dataclass.
         config: Configuration of tyro. By default, flags that are off have no counterpart that turns them off.
+        default: Options that apply unless the command line gives them; None takes the defaults of the dataclass.
 
     Returns:
         The options as an instance of the dataclass.
@@ -86,7 +88,10 @@ def read_options(
     config = (tyro.conf.FlagCreatePairsOff,) if config is None else config
     try:
         try:
-            return tyro.cli(kind, args=words, prog=program, description=description or None, config=config)
+            text = description or None
+            if default is not None:
+                return tyro.cli(kind, args=words, prog=program, description=text, config=config, default=default)
+            return tyro.cli(kind, args=words, prog=program, description=text, config=config)
         except SystemExit:
             sys.stdout.flush()  # here, where a failure can be handled
             raise

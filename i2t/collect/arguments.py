@@ -12,6 +12,7 @@ from typing import Annotated, ClassVar
 import tyro
 
 from i2t.cli.options import Count, Limits, check_options, require_path
+from i2t.collect.out_folder import check_out
 from i2t.collect.settings import TouchSettings
 from i2t.hardware.limits import SAFETY
 from i2t.hardware.world import WorldArgs
@@ -145,12 +146,11 @@ class CollectArgs:
 
     def check(self) -> None:
         """Refuse options that contradict each other, and missing files; raise a ValueError that names the flag."""
+        check_options(self)
+        check_out(self.out)
         from i2t.hardware.plugins import check_device
         from i2t.objects.named import require_object
 
-        check_options(self)
-        if self.out.exists() and not self.out.is_dir():
-            raise ValueError(f"--out {self.out}: is a file; name a folder")
         require_path("--pad", self.world.pad, "file or folder")
         for part in (self.lab, self.arm, self.camera, self.skin):
             part.check()

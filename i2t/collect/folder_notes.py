@@ -14,6 +14,7 @@ import numpy as np
 
 from i2t.collect.arguments import CollectArgs
 from i2t.collect.devices import configured_skins
+from i2t.collect.out_folder import NOTES_FILE, check_out
 from i2t.collect.recorder import list_touches, site_number_of, touch_time
 from i2t.collect.touch import TOOL, SkinOnTool
 from i2t.dataset import read_touch
@@ -25,8 +26,6 @@ from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 
-# file, in a collection's folder, with the settings that a resumed collection must share
-NOTES_FILE = ".collection.json"
 _SITE_LIMITS_BEFORE = {"half": "half_edge"}  # site limits in notes of earlier versions: old name, present name
 
 
@@ -84,11 +83,11 @@ def resume(args: CollectArgs, name: str, rig: Rig, mesh: Mesh) -> tuple[dict[int
 
     Raises:
         DataError: If a collection with other values was begun in the folder `args.out`, or its notes are damaged.
+        ValueError: If no touches can be collected in the folder (`check_out`).
     """
+    check_out(args.out)
     files = list_touches(args.out) if args.out.is_dir() else []
     notes = read_notes(args.out)
-    if notes is None and files:
-        raise DataError(f"{args.out} holds touches that this command did not collect; choose another --out")
     notes = notes or {"session": f"{name}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC"}
     notes["session"] = args.session or notes["session"]
     if files and "pad-name" not in notes:  # begun by an earlier version

@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Float
 
 from i2t import dataset
+from i2t.collect.out_folder import MIN_FREE_BYTES, TOUCH_FILES
 from i2t.collect.touch import TOOL, Site, SkinTouch, TouchResult
 from i2t.dataset import Dataset, Image, Record, Series
 from i2t.depth.camera import Camera, to_units
@@ -194,7 +195,7 @@ class Recorder:
     """
 
     def __init__(
-        self, folder: str | Path, info: SessionInfo, clock: Clock | None = None, reserve: int = 50 * 2**20
+        self, folder: str | Path, info: SessionInfo, clock: Clock | None = None, reserve: int = MIN_FREE_BYTES
     ) -> None:
         self.folder, self.info = Path(folder), info
         self._clock, self._reserve = clock or MonotonicClock(), reserve
@@ -457,7 +458,7 @@ def list_touches(folder: Path) -> list[Path]:
     Returns:
         Paths of the files; the list may be empty.
     """
-    return sorted(folder.glob("touch-*.h5"))
+    return sorted(folder.glob(TOUCH_FILES))
 
 
 def touch_time(path: Path) -> float:

@@ -4,7 +4,6 @@ The rig and the object are read, the folder is resumed, and the settings are com
 """
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from i2t.errors import printable
 from i2t.hardware.plugins import find_plugin
 from i2t.hardware.rig import Rig
 from i2t.hardware.rig_checks import require_plausible
-from i2t.objects.named import describe_placement, read_object
+from i2t.objects.named import describe_placement, object_name, read_object
 from i2t.objects.solids import Object, highest_point
 
 # Error if a collection with a real arm is started without a rig.
@@ -58,7 +57,7 @@ def begin(args: CollectArgs) -> PreparedCollection:
     target = read_object(args.world.object, args.world.unit, largest_piece=args.world.largest_piece)
     if placement := describe_placement(target):
         print(printable(placement))
-    name = args.name or (target.name if args.world.object == target.name else Path(args.world.object).stem)
+    name = args.name or object_name(args.world.object)
     if not args.lab.accept_unusual_rig and not args.dry_run:
         require_plausible(rig, target.mesh.vertices)
     TouchPath(rig, args.settings, highest_point(target, rig.T_world_object)).check_settings()

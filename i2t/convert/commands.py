@@ -215,7 +215,8 @@ class _FromTable(Recording):
     indenter: str | None = None  # shape of the indenter: sphere:RADIUS or cylinder:RADIUS (mm), or mesh:FILE
     # board of the skin, which determines number, order and rotation of its chips: reskin, anyskin, or grid-RxC
     board: str = "reskin"
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the file in --indenter mesh:FILE; required with it
+    # unit of the file in --indenter mesh:FILE, if its name has none (mesh:tip.stl:mm)
+    unit: Literal["m", "cm", "mm", "inch"] | None = None
 
     def _indenter_options(self, missing: str) -> dict[str, Any]:
         """Return the options of the converter."""

@@ -27,6 +27,7 @@ from i2t.convert.press_table import (
 )
 from i2t.errors import DataError
 from i2t.files.kinds import MESH_SUFFIXES
+from i2t.objects.named import require_object, split_unit
 from i2t.patches.dimensions import PATCH_PIXELS, PATCH_WINDOW, REACH
 from i2t.recordings.columns import (
     FORCE_COLUMN,
@@ -268,7 +269,7 @@ def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Indenter:
     kind, _, value = indenter.partition(":")
     kind = kind.strip().lower()
     if kind == "mesh" and value:
-        return _mesh_tip(Path(value), unit, notes)
+        return _mesh_tip(value, unit, notes)
     if kind == "mesh" or (Path(indenter).suffix.lower() in MESH_SUFFIXES and kind not in validation.ROUND_TIPS):
         raise DataError(
             f"--indenter {indenter}: a mesh is given by its file, as mesh:{'FILE' if kind == 'mesh' else indenter}"
@@ -283,9 +284,12 @@ def _tip(indenter: str, unit: str | None, notes: ReadingLog) -> Indenter:
     return round_tip(f"{shape}:{value.strip()}", {"sphere": sphere, "cylinder": cylinder}[shape](M_PER_MM * radius))
 
 
-def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Indenter:
-    if unit is None:
-        raise DataError(f"--indenter mesh:{file}: its unit is missing; give it, for instance --unit mm")
+def _mesh_tip(name: str, unit: str | None, notes: ReadingLog) -> Indenter:
+    try:
+        require_object(name, unit, flag="--indenter", catalogue=False)
+    except ValueError as error:
+        raise DataError(str(error)) from error
+    file, own_unit = split_unit(name)
     import jax.numpy as jnp
     from jax import jit
 
@@ -293,7 +297,7 @@ def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Indenter:
     from i2t.rendering import render
 
     try:
-        thing, report = read_mesh(file, unit, table=False)
+        thing, report = read_mesh(file, own_unit or unit, table=False)
     except (ValueError, OSError) as error:
         raise DataError(str(error)) from error
     notes.info(str(report))
@@ -309,4 +313,4 @@ def _mesh_tip(file: Path, unit: str | None, notes: ReadingLog) -> Indenter:
         T_o_t[:, :3, 3] = np.column_stack([-x, -y, np.full(len(x), lowest)])
         return np.stack([np.asarray(look(jnp.asarray(T))) for T in T_o_t])
 
-    return Indenter(file.stem, patches, lowest)
+    return Indenter(thing.name, patches, lowest)

@@ -12,6 +12,9 @@ MARK_OF_TOUCHES = b"i2t-touches "  # first bytes of a file of touches (`i2t.data
 GZIP_MARK = b"\x1f\x8b"  # first bytes of a gzip file
 TABLE_SUFFIXES = (".csv", ".tsv", ".txt")  # file name endings of text tables
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".glb", ".gltf")  # file name endings of meshes that can be read
+METRE_SUFFIXES = (".glb", ".gltf")  # of these, formats whose unit is the metre (glTF 2.0, section 3.4)
+# metres per unit in which the vertices of a mesh file may be given
+METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}
 UTF_8, WINDOWS_1252 = "utf-8-sig", "cp1252"  # encodings of text files, tried in this order
 
 

@@ -15,7 +15,7 @@ class WorldArgs:
     FLAT: ClassVar[bool] = True  # flags are --object, not --world.object
 
     object: str = "hexagon"  # name of the object in the catalogue, or a mesh file
-    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file; required for a mesh file
+    unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file, if its name has none (mug.stl:mm)
     largest_piece: bool = False  # touch only the largest piece of a mesh file; the arm avoids the rest
     pad: Path | None = None  # pad file for simulated and emulated skins; by default, a random pad
     seed: Seed = 0  # seed of the sites and of the simulation

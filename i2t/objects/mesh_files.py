@@ -1,6 +1,7 @@
-"""Reading of mesh files with an explicit unit, cleaned, with a report on the cleaning.
+"""Reading of mesh files, cleaned, with a report on the cleaning.
 
-A file does not state its unit reliably, so the caller has to give it. `i2t.objects.formats` reads the triangles.
+STL, OBJ, PLY and OFF files state no unit, so the caller has to give it; glTF files are in metres. `i2t.objects.formats`
+reads the triangles.
 Everything in a file is one object, however many bodies it has (`i2t.objects.mesh_cleaning`). The object's frame stands
 on the table, and `Object.T_file_object` transforms it back to the file's frame.
 """
@@ -9,9 +10,8 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from i2t.files.kinds import MESH_SUFFIXES
+from i2t.files.kinds import MESH_SUFFIXES, METRE_SUFFIXES, METRES_PER_UNIT
 from i2t.files.limits import READ_LIMITS
 from i2t.files.reading import read_bytes
 from i2t.files.writing import as_path
@@ -21,13 +21,12 @@ from i2t.objects.formats.parse import parse_mesh
 from i2t.objects.mesh_cleaning import CleaningReport, clean_mesh
 from i2t.objects.solids import Mesh, Object, table_transform, transform_mesh
 
-# metres per unit in which the vertices of a mesh file may be given
-METRES_PER_UNIT = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "inch": 25.4e-3}
 MIN_SIZE_M, MAX_SIZE_M = 2e-3, 2.0  # m, smallest and largest accepted longest side of an object
+MIN_USUAL_M, MAX_USUAL_M = 5e-3, 1.0  # m, longest sides outside which the unit of a glTF file is doubted in a warning
 
 
 def read_mesh(
-    path: str | Path, unit: str, *, table: bool = True, largest_piece: bool = False, up: str = "z"
+    path: str | Path, unit: str | None = None, *, table: bool = True, largest_piece: bool = False, up: str = "z"
 ) -> tuple[Object, CleaningReport]:
     """Read and clean a mesh file.
 
@@ -35,7 +34,8 @@ def read_mesh(
 
     Args:
         path: The path of an STL, OBJ, PLY, OFF, GLB or glTF file.
-        unit: The unit of the file's coordinates: m, cm, mm or inch.
+        unit: The unit of the file's coordinates: m, cm, mm or inch. It is required unless the file is glTF, which is in
+            metres.
         table: Whether to place the object on the table, with its bounding box centred in x and y and its lowest point
             on z = 0, without turning it. Otherwise it keeps the file's frame.
         largest_piece: Whether only the largest connected piece is touched; `Object.obstacles` holds the others.
@@ -50,15 +50,18 @@ def read_mesh(
     """
     path = as_path("path", path)
     data = _mesh_bytes(path)
-    scale = _metres_per_unit(path, unit)
+    known_unit = _unit_of(path, unit)
     if up not in ("z", "y"):
         raise ValueError(f"{path}: up={up!r} is not known; give up='z' or up='y'")
     vertices, faces, skipped = parse_mesh(path, data)
     if skipped:
         rule = "faces are read, and of several scenes the default one"
         warnings.warn(f"{path}: left out {' and '.join(skipped)}; {rule}", stacklevel=2)
-    vertices = vertices * scale
-    _check_size(path, vertices[faces].reshape(-1, 3), unit)
+    vertices = vertices * METRES_PER_UNIT[known_unit]
+    longest = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
+    _check_size(path, longest, known_unit)
+    if path.suffix.lower() in METRE_SUFFIXES and (doubt := _doubt_unit(longest, unit)):
+        warnings.warn(f"{path}: {doubt}", stacklevel=2)
     T_up_file = np.eye(4)
     if up == "y":
         T_up_file[1:3, 1:3] = [[0, -1], [1, 0]]
@@ -70,12 +73,15 @@ def read_mesh(
     return Object(path.stem, placed, "file", T_file_object, obstacles if len(obstacles.faces) else None), report
 
 
-def load_mesh(path: str | Path, unit: str, *, table: bool = True, largest_piece: bool = False, up: str = "z") -> Mesh:
+def load_mesh(
+    path: str | Path, unit: str | None = None, *, table: bool = True, largest_piece: bool = False, up: str = "z"
+) -> Mesh:
     """Read the mesh in a file, cleaned.
 
     Args:
         path: The path of an STL, OBJ, PLY, OFF, GLB or glTF file.
-        unit: The unit of the file's coordinates: m, cm, mm or inch.
+        unit: The unit of the file's coordinates: m, cm, mm or inch. It is required unless the file is glTF, which is in
+            metres.
         table: Whether to place the mesh on the table, with its bounding box centred in x and y and its lowest point on
             z = 0, without turning it. Otherwise it keeps the file's frame.
         largest_piece: Whether to keep only the largest connected piece; otherwise every body is kept.
@@ -95,12 +101,13 @@ def load_mesh(path: str | Path, unit: str, *, table: bool = True, largest_piece:
     return read_mesh(path, unit, table=table, largest_piece=largest_piece, up=up)[0].mesh
 
 
-def load_object(path: str | Path, unit: str, *, largest_piece: bool = False) -> Object:
+def load_object(path: str | Path, unit: str | None = None, *, largest_piece: bool = False) -> Object:
     """Read the object in a mesh file and place it on the table.
 
     Args:
         path: The path of an STL, OBJ, PLY, OFF, GLB or glTF file.
-        unit: The unit of the file's coordinates: m, cm, mm or inch.
+        unit: The unit of the file's coordinates: m, cm, mm or inch. It is required unless the file is glTF, which is in
+            metres.
         largest_piece: Whether only the largest connected piece is touched; `Object.obstacles` holds the others.
 
     Returns:
@@ -129,18 +136,31 @@ def _mesh_bytes(path: Path) -> bytes:
     return data
 
 
-def _metres_per_unit(path: Path, unit: str) -> float:
-    """Convert the name of a unit to its length (m), or refuse an unknown name."""
+def _unit_of(path: Path, unit: str | None) -> str:
+    """Return the unit of a file, which is the metre by default for glTF; refuse a missing or unknown unit."""
+    if unit is None:
+        if path.suffix.lower() not in METRE_SUFFIXES:
+            raise ValueError(f"{path}: its unit is missing; give it, for instance unit='mm'")
+        return "m"
     if unit not in METRES_PER_UNIT:
         raise ValueError(
             f"{path}: unit {unit!r} is not known; give the unit of its coordinates, one of {', '.join(METRES_PER_UNIT)}"
         )
-    return METRES_PER_UNIT[unit]
+    return unit
 
 
-def _check_size(path: Path, points: NDArray, unit: str) -> None:
-    """Refuse points (m) of a mesh that is too small or too large to touch, and suggest a unit that would fit."""
-    longest = float(np.ptp(points, axis=0).max())
+def _doubt_unit(longest: float, unit: str | None) -> str:
+    """Word a doubt about the unit of a glTF file whose longest side is given (m); empty if there is none."""
+    if unit not in (None, "m"):
+        return f"is read in {unit}, as given, although glTF is in metres by its standard; it is {longest:.3g} m across"
+    if unit is None and not MIN_USUAL_M <= longest <= MAX_USUAL_M:
+        remedy = "give another unit, such as cm" if longest > MAX_USUAL_M else "export it again in metres"
+        return f"is {longest:.3g} m across in metres, the unit of glTF; if that is wrong, {remedy}"
+    return ""
+
+
+def _check_size(path: Path, longest: float, unit: str) -> None:
+    """Refuse a mesh whose longest side (m) is too small or too large to touch, and suggest a unit that would fit."""
     if MIN_SIZE_M <= longest <= MAX_SIZE_M:
         return
     drawn = longest / METRES_PER_UNIT[unit]

@@ -1,25 +1,87 @@
 """Objects by their names on a command line: a name in the catalogue, or a mesh file with its unit.
 
+The unit of a mesh file is that of `--unit`, or ends its name, as in `mug.stl:mm`, which takes precedence. A glTF file,
+such as `mug.glb`, is in metres unless a unit is given.
+
 Modules that load or read meshes are imported inside functions, so that the help of a command appears without delay.
 """
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from i2t.errors import did_you_mean
+from i2t.files.kinds import MESH_SUFFIXES, METRE_SUFFIXES, METRES_PER_UNIT
 
 if TYPE_CHECKING:
-    from i2t.objects.solids import Object
+    from i2t.objects.solids import Mesh, Object
 
 # Remedy in messages about an object name that is not in the catalogue.
 CATALOGUE_HINT = 'see its names with: python -c "import i2t.objects; print(i2t.objects.NAMES)"'
+
+
+def split_unit(name: str) -> tuple[str, str | None]:
+    """Split the name of an object into the name without its unit, and the unit.
+
+    Args:
+        name: A name in the catalogue, or the path of a mesh file, perhaps followed by a colon and the file's unit.
+            Other colons belong to the path, such as those of `C:\\mug.stl` and of an existing file `mug.stl:mm`.
+
+    Returns:
+        The name without unit, and the unit, which is None if the name has none.
+
+    Raises:
+        ValueError: The word after the colon is not a unit.
+    """
+    file, _, unit = name.rpartition(":")
+    if Path(file).suffix.lower() not in MESH_SUFFIXES or not unit.isalpha() or Path(name).is_file():
+        return name, None
+    if unit not in METRES_PER_UNIT:
+        raise ValueError(f"{name}: {unit} is not a unit of length; {did_you_mean(unit, METRES_PER_UNIT)}")
+    return file, unit
+
+
+def object_name(name: str) -> str:
+    """Return the name by which data sets and messages call an object.
+
+    Args:
+        name: The object as a command line names it.
+
+    Returns:
+        Its name in the catalogue, or the name of its file without folder, ending and unit.
+
+    Raises:
+        ValueError: The word after the last colon is not a unit.
+    """
+    return Path(split_unit(name)[0]).stem
+
+
+def units_of(names: Sequence[str], unit: str | None) -> list[str | None]:
+    """Determine which unit `--unit` gives to each of several objects.
+
+    Args:
+        names: The objects as a command line names them.
+        unit: The unit of the files that have none, as `--unit` gives it; None if it was left out.
+
+    Returns:
+        The unit of each object, for `read_object`. A unit in the name of a file stays there. A glTF file keeps its
+        metres if another file needs the unit.
+
+    Raises:
+        ValueError: The word after the last colon of a name is not a unit.
+    """
+    split_names = [split_unit(name) for name in names]
+    suffixes = [Path(file).suffix.lower() if own is None else "" for file, own in split_names]
+    metres = [suffix in METRE_SUFFIXES for suffix in suffixes]
+    needed = any(suffix in MESH_SUFFIXES and not known for suffix, known in zip(suffixes, metres, strict=True))
+    return [None if known and needed else unit for known in metres]
 
 
 def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bool = True) -> None:
     """Refuse a name that is neither an object of the catalogue nor a mesh file with its unit.
 
     Args:
-        name: A name in the catalogue, or the path of a mesh file.
+        name: A name in the catalogue, or the path of a mesh file, perhaps with its unit.
         unit: The unit of the file; None if none was given.
         flag: The option by which the name was given, for messages; empty if there is none.
         catalogue: Whether names in the catalogue are allowed.
@@ -31,7 +93,8 @@ def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bo
 
     if catalogue and name in NAMES:
         return
-    subject, path = f"{flag} {name}".strip(), Path(name)
+    file, own_unit = split_unit(name)
+    subject, path = f"{flag} {file}".strip(), Path(file)
     if not path.is_file():
         what = "is neither a mesh file nor an object of the catalogue" if catalogue else "is not a mesh file"
         if path.is_dir():
@@ -39,16 +102,17 @@ def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bo
         if path.suffix or len(path.parts) > 1:
             raise ValueError(f"{subject}: {what}, as there is no such file; check the name{_folder_hint(path)}")
         raise ValueError(f"{subject}: {what}" + (f"; {did_you_mean(name, NAMES, CATALOGUE_HINT)}" if catalogue else ""))
-    if unit is None:
-        raise ValueError(f"{subject}: its unit is missing; give it, for instance --unit mm")
+    if own_unit is None and unit is None and path.suffix.lower() not in METRE_SUFFIXES:
+        raise ValueError(f"{subject}: its unit is missing; give it, for instance --unit mm or {file}:mm")
 
 
 def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> "Object":
     """Load an object of the catalogue, or read one from a mesh file.
 
     Args:
-        name: A name in the catalogue, or the path of a mesh file.
-        unit: The unit of the mesh file: m, cm, mm or inch. It is ignored for an object of the catalogue.
+        name: A name in the catalogue, or the path of a mesh file, perhaps with its unit.
+        unit: The unit of the mesh file: m, cm, mm or inch. It is ignored for an object of the catalogue and for a file
+            whose name ends in its unit.
         largest_piece: Whether only the largest connected piece of a mesh file is touched.
 
     Returns:
@@ -62,7 +126,27 @@ def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> 
     from i2t.objects.mesh_files import load_object
 
     require_object(name, unit)
-    return make_object(name) if name in NAMES else load_object(name, str(unit), largest_piece=largest_piece)
+    if name in NAMES:
+        return make_object(name)
+    file, own_unit = split_unit(name)
+    return load_object(file, own_unit or unit, largest_piece=largest_piece)
+
+
+def read_objects(names: Sequence[str], unit: str | None) -> "dict[str, Mesh]":
+    """Read the meshes of several objects.
+
+    Args:
+        names: The objects as a command line names them.
+        unit: The unit of the mesh files that have none; see `units_of`.
+
+    Returns:
+        The meshes (m) by `object_name`, standing on the table.
+
+    Raises:
+        ValueError: An object cannot be read, as in `read_object`.
+    """
+    units = units_of(names, unit)
+    return {object_name(name): read_object(name, own).mesh for name, own in zip(names, units, strict=True)}
 
 
 def describe_placement(thing: "Object") -> str:

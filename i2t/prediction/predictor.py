@@ -196,7 +196,7 @@ class Predictor:
         prediction is the reading of a press on what it meets first.
 
         Args:
-            mesh: The object in W: a file (then `unit` is required), which is read as by `i2t.load_mesh`, with its box
+            mesh: The object in W: a file, which is read as by `i2t.load_mesh` with its `unit`, with its box
                 centred in x and y and its lowest point on z = 0; an `i2t.objects.Object`; any mesh with `vertices` and
                 `faces` (m), such as one of trimesh, or with `vertices` and `triangles`, such as one of Open3D; or a
                 prepared `Surface`.
@@ -482,8 +482,6 @@ def _surface_of(mesh: Any, unit: str | None) -> Surface:
     if isinstance(mesh, str | Path):
         from i2t.objects import load_mesh
 
-        if unit is None:
-            raise ValueError(f"{mesh}: its unit is missing; give it, for instance unit='mm'")
         mesh = load_mesh(mesh, unit)
     elif unit is not None:
         raise ValueError("unit is that of a file; vertices of a mesh are in metres: scale them, and omit unit")

@@ -24,7 +24,7 @@ class ViewArgs:
     mesh: str | None = None
     """Object: its name in the catalogue, or a mesh file. By default, the object that the touches name."""
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    """Unit of the mesh file; required for a mesh file."""
+    """Unit of the mesh file, if its name has none (mug.stl:mm); glTF is in metres."""
     touches: Count | None = None
     """Maximum number of touches to show; the first ones are shown. By default, all."""
     skin_name: str | None = None

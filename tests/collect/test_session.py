@@ -18,6 +18,7 @@ from i2t import dataset
 from i2t.collect import command, folder_notes, recorder, session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import Devices
+from i2t.collect.out_folder import NOTES_FILE
 from i2t.collect.site_plan import SiteSampler
 from i2t.collect.start import begin
 from i2t.collect.touch import SkinOnTool, UnreachableError
@@ -105,7 +106,7 @@ def test_a_collection_is_plausible_and_can_be_resumed(tmp_path, rig, capsys):
     code, output = run("--object", "star", touches=2)
     assert code == 2
     assert "begun with another object" in output
-    (tmp_path / "set" / folder_notes.NOTES_FILE).unlink()
+    (tmp_path / "set" / NOTES_FILE).unlink()
     code, output = run(touches=2)
     assert code == 2
     assert "holds touches that this command did not collect" in output

@@ -1,11 +1,13 @@
 """Mesh files: units, frames, bodies, and one clear sentence for each kind of bad file."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
 
+from i2t.files.kinds import METRES_PER_UNIT
 from i2t.objects import load_object, read_mesh
-from i2t.objects.mesh_files import METRES_PER_UNIT
 from i2t.objects.solids import Mesh, transform_mesh
 
 BOX = (0.06, 0.04, 0.02)  # m
@@ -21,7 +23,7 @@ def whole(mesh: Mesh) -> trimesh.Trimesh:
 
 @pytest.mark.parametrize("unit", list(METRES_PER_UNIT))
 def test_units_and_formats(tmp_path, unit):
-    for suffix in ("stl", "obj", "ply", "glb", "STL"):
+    for suffix in ("stl", "obj", "ply", "STL", *(["glb"] if unit == "m" else [])):
         path = tmp_path / f"part.{suffix}"
         box(1 / METRES_PER_UNIT[unit]).export(path, file_type=suffix.lower())
         thing, report = read_mesh(path, unit)
@@ -98,6 +100,31 @@ def test_bad_files_get_one_sentence(tmp_path, name, data, unit, words):
         read_mesh(path, unit)
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_gltf_is_in_metres_and_an_unusual_size_or_unit_is_doubted(tmp_path):
+    path = tmp_path / "part.glb"
+    for scale, unit, warning in (
+        (1.0, None, None),
+        (1.0, "m", None),
+        (1e3, "mm", "is read in mm, as given, although glTF is in metres by its standard; it is 0.06 m across"),
+        (25.0, None, "is 1.5 m across in metres, the unit of glTF; if that is wrong, give another unit, such as cm"),
+        (0.05, None, "is 0.003 m across in metres, the unit of glTF; if that is wrong, export it again in metres"),
+        (25.0, "m", None),
+    ):
+        box(scale).export(path)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            thing = read_mesh(path, unit)[0]
+        assert [str(item.message) for item in caught] == ([f"{path}: {warning}"] if warning else [])
+        longest = BOX[0] * scale * METRES_PER_UNIT[unit or "m"]
+        np.testing.assert_allclose(np.ptp(thing.mesh.vertices, 0)[0], longest, rtol=1e-6)
+    box(1e3).export(path)
+    with pytest.raises(ValueError, match=r"too large to touch, 60 m across .*; perhaps its unit is cm or mm"):
+        read_mesh(path)
+    box().export(tmp_path / "part.stl")
+    with pytest.raises(ValueError, match=r"part.stl: its unit is missing; give it, for instance unit='mm'"):
+        read_mesh(tmp_path / "part.stl")
 
 
 def test_every_body_is_kept_but_a_stray_facet_is_dropped(tmp_path):
