@@ -84,7 +84,7 @@ def with_pressure(
 ) -> Prepared:
     """Add the predicted contact pressures, unless less than a share of those for training are positive."""
     split, dataset, notes = prepared.split, prepared.touches.dataset, prepared.notes
-    print("predicting contact pressures")
+    print(f"predicting the contact pressures of {len(dataset)} touches", flush=True)
     force = np.full(len(dataset), ASSUMED_FORCE_N, np.float32) if load.constant else dataset.touches.force
     pressure = predict_pressures(model, views_of(dataset), force, dataset.touches.travel)
     total = np.asarray(pressure.pressure)[split.train].sum((1, 2))

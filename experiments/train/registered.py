@@ -65,7 +65,7 @@ def register_known_objects(
     Raises:
         ValueError: No session can be registered.
     """
-    print("registering sessions")
+    print("registering sessions", flush=True)
     dataset, corrected = corrected_dataset(dataset)
     surfaces = known_surfaces(dataset.objects, objects.meshes)
     if not surfaces:

@@ -60,6 +60,7 @@ from i2t.recognition.recorded import describe
 from i2t.skin_models.pad_model import KnownPad
 
 CEILING = "ceiling: GP without camera and arm errors"
+DURATIONS = {"debug": "about half a minute", "paper": "one to two minutes"}  # by preset, on two quiet cores
 
 
 def run(args: TrainArgs) -> dict[str, Any]:
@@ -68,6 +69,8 @@ def run(args: TrainArgs) -> dict[str, Any]:
     sources = sources_of(args, cfg)
     seeds = range(args.seed, args.seed + cfg.seeds)
     begin(args, cfg)
+    if args.preset in DURATIONS and args.dataset is None and cfg == configure(TrainArgs(preset=args.preset)):
+        print(f"this takes {DURATIONS[args.preset]} on two quiet cores, longest the first time", flush=True)
     tasks: list[Task] = []
     for source in sources:
         for seed in seeds:
@@ -116,12 +119,15 @@ def run_pad(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
         prepared = prepare(dataset, cfg, cfg.split, seed, cfg.softness)
     else:
         prepared, objects, other_views = prepare_registered(dataset, objects, cfg, seed)
-    print(describe_split(prepared))
+    print(describe_split(prepared), flush=True)
     touches, split = prepared.touches, prepared.split
     touches = replace(touches, paper=cfg.paper, training=cfg.training)
 
     methods, fitted = find_methods(cfg.methods), {}
+    print(f"fitting {len(methods)} methods, {sum(method.baseline for method in methods)} of them baselines", flush=True)
     for method in methods:
+        if not method.baseline:
+            print(printable(f"fitting {method.title}"), flush=True)
         predictor = method.fit(jax.random.key(seed), touches, split)
         if predictor is not None:
             fitted[method.title] = predictor
@@ -130,6 +136,7 @@ def run_pad(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
         print(printable(f"note: {note}"))
         prepared = prepared._replace(notes=(*prepared.notes, note))
 
+    print(f"scoring the methods on {split.test.sum()} test touches", flush=True)
     by_position = {} if source.recording is None else position_readings(touches.dataset, split, seed)
     evaluation = evaluate(prepared, methods, fitted, by_position)
     if touches.dataset.touches.truth is not None and touches.pressure_model is not None:
@@ -142,6 +149,7 @@ def run_pad(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
     ]
     baselines = [method.title for method in methods if method.baseline]
     about = {"seed": seed, "pad": source.pad, "notes": notes, "baselines": baselines}
+    print("fitting the pad model, for recognition", flush=True)
     pad_model = fit_or_explain(partial(source.pad_model, pad_model_seed, touches.dataset, split.train, objects))
     report(out, prepared, evaluation, pad_model, about=about, started=started)
 

@@ -38,6 +38,7 @@ def simulated_dataset(cfg: Simulation, pad: Pad, path: Path, *, seed: int, name:
     """
     if path.exists():
         return data.load_dataset(path)
+    print(f"simulating {sum(cfg.counts())} touches of {len(cfg.objects)} objects", flush=True)
     surfaces = [prepare_surface(catalogue.make_object(name).mesh) for name in cfg.objects]
     key, T_t_camera = jax.random.key(seed), None
     if cfg.same_camera:

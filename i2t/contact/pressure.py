@@ -259,6 +259,6 @@ _nominal_pad = cache(nominal_pad)  # making it takes a fifth of the time of a pr
 
 
 @jax.jit
-@compiles_slowly("the prediction of contact pressure", seconds=5)
+@compiles_slowly("the prediction of contact pressure", seconds=2)
 def _pressures(cfg: PressureModelConfig, pad: Pad, views: Array, force: Array, travel: Array) -> ContactPressure:
     return jax.vmap(partial(predict_pressure, cfg, pad))(views, force, travel)

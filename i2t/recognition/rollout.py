@@ -35,7 +35,7 @@ from i2t.recognition.policy import choose_site, draw_site, expected_information_
 from i2t.recognition.site_pool import SitePool
 from i2t.recognition.touch_table import environment_params
 from i2t.runtime.batching import filled_batches, map_batches, map_on_devices, select_rows
-from i2t.runtime.compiling import jit_by_amount, jit_quickly
+from i2t.runtime.compiling import compiles_slowly, jit_by_amount, jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.types import Pad, Surface
 
@@ -366,6 +366,7 @@ def _touch(
     yield from zip(batches, map_on_devices(touch, map(call, batches), shared=shared), strict=True)
 
 
+@compiles_slowly("the simulation of episodes", seconds=4)
 def _touch_many(
     keys: Array,
     states: EpisodeState,

@@ -26,7 +26,7 @@ from i2t.recognition.outcomes import PredictedTouch
 from i2t.rendering.ops import element
 from i2t.rendering.render import prepare_surface, stack_surfaces
 from i2t.runtime.batching import filled_batches, map_on_devices
-from i2t.runtime.compiling import jit_quickly
+from i2t.runtime.compiling import compiles_slowly, jit_quickly
 from i2t.runtime.progress import Progress, progress
 from i2t.simulation import sites as touch_sites
 from i2t.simulation.touches import SimulationErrors
@@ -265,6 +265,7 @@ def _predict_on_layer(
 
 
 @jax.jit
+@compiles_slowly("the prediction of touches", seconds=3)
 def _predict_touches(
     surface: Surface, T_w_site: Array, twist: Array, reading_models: list[LinearReadingModel], overtravel: Array
 ) -> list[PredictedTouch]:

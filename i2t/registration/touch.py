@@ -118,7 +118,7 @@ def register_by_touch(
     return register(key, surface, T_w_o, T_w_contact, weight, *stds, config=config)
 
 
-@compiles_slowly("registration by touch", seconds=10)
+@compiles_slowly("registration by touch", seconds=4)
 @full_precision
 def _register(
     key: Key[Array, ""],

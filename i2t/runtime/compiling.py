@@ -129,7 +129,7 @@ def compiles_slowly(purpose: str, *, seconds: float) -> Callable[[Function], Fun
 
     Args:
         purpose: What the function is for, such as "the simulation of touches".
-        seconds: Measured duration of the compilation in s, on a CPU with two cores.
+        seconds: Measured duration of the compilation in s, on two cores without other load.
 
     Returns:
         A decorator that returns the function unchanged.
@@ -143,7 +143,7 @@ def compiles_slowly(purpose: str, *, seconds: float) -> Callable[[Function], Fun
 
 
 def _announce(purpose: str, seconds: float) -> None:
-    duration = f", about {seconds:g} s on two cores" if jax.default_backend() == "cpu" else ""
+    duration = f", about {seconds:g} s on two quiet cores" if jax.default_backend() == "cpu" else ""
     once = ", only the first time" if jax.config.jax_compilation_cache_dir else ""
     log.info("compiling %s%s%s", purpose, duration, once)
 

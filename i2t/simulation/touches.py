@@ -354,7 +354,7 @@ def _along_z(distance: Float[Array, ""]) -> Float[Array, "4 4"]:
     return jnp.eye(4).at[2, 3].set(distance)
 
 
-@compiles_slowly("the simulation of touches", seconds=20)
+@compiles_slowly("the simulation of touches", seconds=8)
 @geometry.full_precision
 def _simulate_session(
     key: Key[Array, ""],

@@ -56,8 +56,11 @@ def test_an_arm_is_written_in_25_lines_and_a_skin_in_15(acme):
 
 
 @pytest.mark.full
-def test_a_set_is_collected_with_the_example_devices(acme, tmp_path, capsys):
+def test_a_set_is_collected_with_the_example_devices(acme, monkeypatch, tmp_path, capsys):
     """A board of four chips gives twelve values from the device to the data set."""
+    import acme_devices
+
+    monkeypatch.setattr(acme_devices.AcmeArm, "state_timeout", 3.0)  # s; other tests may keep the processor busy
     Rig().write(tmp_path / "lab.toml")
     shared = ["--skip-first-touch", "--touches", "1", "--rig", str(tmp_path / "lab.toml"), "--no-pose-error",
               "--settings.approach", "0.04", "--settings.press", "0.005", "--settings.settle", "0.02"]  # fmt: skip

@@ -77,7 +77,7 @@ def test_a_slow_compilation_is_announced_once_it_has_lasted_a_while(timers, capl
     (timer,) = timers  # of no other program
     assert timer.cancelled  # at the end
     timer.ring()
-    assert caplog.messages == ["compiling a sum, about 20 s on two cores, only the first time"]
+    assert caplog.messages == ["compiling a sum, about 20 s on two quiet cores, only the first time"]
     jax.jit(slow_sum)(X)  # is compiled already
     assert len(timers) == 1
 
