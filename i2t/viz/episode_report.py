@@ -5,7 +5,7 @@ there, and the belief after each touch.
     paths = write_episode_report(record, Path("runs/episode"))
 
 writes `story.png`, a page with a row for each touch. If the machine can draw in three dimensions off screen, which
-needs pyvista (`pip install "imagine2touch[notebooks]"`), the page also shows the object with its touches.
+needs pyvista (extra `notebooks`), the page also shows the object with its touches.
 """
 
 import logging

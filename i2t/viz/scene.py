@@ -1,6 +1,6 @@
 """Three-dimensional scenes: objects with their touches.
 
-Scenes need pyvista (`pip install "imagine2touch[notebooks]"`) and a machine that can draw off screen. Drawing is first
+Scenes need pyvista (extra `notebooks`) and a machine that can draw off screen. Drawing is first
 tried in a separate process, because VTK ends with a segmentation fault without EGL or OSMesa.
 """
 
@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib import colormaps
 
+from i2t.installation import extra_advice
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.types import Array
 from i2t.viz.style import MM_PER_M, Picture, titled
@@ -31,7 +32,8 @@ NO_GL = (
 def explain_no_scene() -> str:
     """Explain in one sentence why 3D scenes cannot be drawn in this environment; an empty string if they can."""
     if find_spec("pyvista") is None:
-        return 'There is no 3-D picture, because pyvista is missing: pip install "imagine2touch[notebooks]".'
+        advice = extra_advice("notebooks", "pyvista")
+        return f"There is no 3-D picture, because pyvista is missing: {advice}."
     try:
         attempt = subprocess.run([sys.executable, "-c", PROBE], capture_output=True, timeout=120)
     except subprocess.TimeoutExpired:

@@ -41,7 +41,13 @@ from i2t.hardware.guarded import BRAKING_SIGNALS, PolledArm
 from i2t.hardware.limits import SAFETY, range_of
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState
-from i2t.hardware.ur.access import LIBRARY_REMEDY, check_controller, controller_serial, take_lock, tool_pose
+from i2t.hardware.ur.access import (
+    check_controller,
+    controller_serial,
+    explain_missing_library,
+    take_lock,
+    tool_pose,
+)
 from i2t.hardware.ur.rtde_link import RtdeConnection
 from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
@@ -85,7 +91,7 @@ class UrArm(PolledArm):
                     f"The {name.replace('_', ' ')} {value:g} {unit} is outside {low:g} to {high:g} {unit}."
                 )
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
-            raise DeviceError(LIBRARY_REMEDY)
+            raise DeviceError(explain_missing_library())
         super().__init__(limits)
         self.connection, self.state_timeout = RtdeConnection(host, state_timeout, watchdog_rate), state_timeout
         self.name, self.host, self.tool, self.payload = f"UR at {host}", host, tool, payload
