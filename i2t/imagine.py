@@ -40,9 +40,9 @@ class ImagineArgs:
     """Unit of the mesh file; required for a mesh file."""
     model: str = "nominal"
     """Predictor: the name of the ready model, or the folder in which a predictor was trained."""
+    # board of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml);
+    # by default, the board that the model was trained on
     board: str | None = None
-    """Board of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml);
-    by default, the board that the model was trained on."""
     force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] = 1.0
     """Force (N) of the press along the tool's z axis."""
     sites: Count = 4

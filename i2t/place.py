@@ -42,9 +42,9 @@ class PlaceArgs:
     rig: tyro.conf.Positional[Path]  # the lab's calibration file
     object: str  # name of the object in the catalogue, or a mesh file
     unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file; required for a mesh file
+    # arm whose pose is read; the arm is not moved; give ur, a name that another package registers, or
+    # package.module:Class
     arm: str = UR
-    """Arm whose pose is read; the arm is not moved. Give ur, a name that another package
-    registers, or package.module:Class."""
     host: str | None = None  # address of the arm's controller; required for a UR arm
     # pose of the tool in the base, used instead of an arm: position (m) and rotation vector (rad), as on the pendant
     tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None
