@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 from i2t._version import __version__
-from i2t.cli.exit_codes import Command, exit_code_of
+from i2t.cli.exit_codes import CommandLine, exit_code_of
 from i2t.cli.options import read_options
 from i2t.cli.pipes import ExitCode
 from i2t.errors import did_you_mean
@@ -94,7 +94,7 @@ def main(argv: Sequence[str] | None = None, *, program: str = "i2t") -> int:
     return code
 
 
-def command_of(name: str) -> Command:
+def command_of(name: str) -> CommandLine:
     """Import a sub-command.
 
     Args:
@@ -103,7 +103,7 @@ def command_of(name: str) -> Command:
     Returns:
         The sub-command, which is called with the words after its name.
     """
-    command: Command = pkgutil.resolve_name(f"{COMMANDS[name].module}:main")
+    command: CommandLine = pkgutil.resolve_name(f"{COMMANDS[name].module}:main")
     return command
 
 

@@ -73,7 +73,7 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
 
 
 @dataclass(frozen=True)
-class Command:
+class CommandLine:
     """A command line, which reads options, checks their numbers and does its work when it is called.
 
     Args:
@@ -119,7 +119,7 @@ def command(
     program: str,
     description: str | None = "",
     interrupted: str | Callable[[Any], str] = "interrupted",
-) -> Command:
+) -> CommandLine:
     """Make the `main` function of a command.
 
     Args:
@@ -134,7 +134,7 @@ def command(
         A callable that takes the words after the program's name, by default those of `sys.argv`, and returns the exit
         code.
     """
-    return Command(kind, work, program, description or "", interrupted)
+    return CommandLine(kind, work, program, description or "", interrupted)
 
 
 def _sentence(error: Exception) -> str:
