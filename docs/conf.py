@@ -1,4 +1,4 @@
-"""Configuration of the site: python -m sphinx -W -c docs . build/site (pip install "imagine2touch[docs]").
+"""Configuration of the site: python -m sphinx -W -c docs . build/site (pip install -e ".[docs]").
 
 The pages are Markdown files of this folder, of the root and of the examples. Two pages are generated while the site is
 built: the commands with their options, from their help, and the names of the library, from their docstrings. A link,
@@ -118,12 +118,14 @@ def _wrapped(paragraph: re.Match[str]) -> str:
 def commands_page() -> str:
     """Page of all commands with their options."""
     lines = ["# Commands and their options", "", "The `--help` of each command."]
-    for title, commands in (("The library", COMMANDS), ("The experiments", EXPERIMENTS)):
+    library = {f"i2t {name}": command.purpose for name, command in COMMANDS.items()}
+    experiments = {f"python -m {name}": purpose for name, purpose in EXPERIMENTS.items()}
+    for title, commands in (("The library", library), ("The experiments", experiments)):
         lines += ["", f"## {title}"]
         for command, summary in commands.items():
             end = "" if summary.endswith("?") else "."
-            lines += ["", f"### python -m {command}", "", f"{summary[0].upper()}{summary[1:]}{end}", ""]
-            lines += ["````text", help_of(command).rstrip(), "````"]
+            lines += ["", f"### {command}", "", f"{summary[0].upper()}{summary[1:]}{end}", ""]
+            lines += ["````text", help_of(command.removeprefix("python -m ")).rstrip(), "````"]
     return "\n".join(lines) + "\n"
 
 

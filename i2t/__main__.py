@@ -1,8 +1,8 @@
-"""`python -m i2t`."""
+"""`python -m i2t`, which is the command `i2t`."""
 
 import sys
 
 from i2t.cli.commands import main
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(program="python -m i2t"))

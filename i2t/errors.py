@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from importlib.util import find_spec
 from typing import NamedTuple
 
+from i2t.installation import extra_advice
+
 # Operating-system errors that mean that the user gave a wrong path, not that the system failed.
 WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
 MIN_SIMILARITY = 0.7  # smallest similarity ratio by `difflib` at which a name counts as a misspelling of another
@@ -115,7 +117,7 @@ def explain_missing_extra(module: str, need: str) -> str:
     if find_spec(module) is not None:
         return ""
     package, extra = EXTRAS[module]
-    return f"{need} needs {package}, which is missing: pip install 'imagine2touch[{extra}]'"
+    return f"{need} needs {package}, which is missing: {extra_advice(extra, package)}"
 
 
 def require_extra(module: str, need: str) -> None:

@@ -1,8 +1,8 @@
-"""Predict touches: `python -m i2t.imagine` draws the readings of a skin where it would touch an object.
+"""Predict touches: `i2t imagine` draws the readings of a skin where it would touch an object.
 
-    python -m i2t.imagine                                the hammer of the catalogue, by the ready model
-    python -m i2t.imagine mug.stl --unit mm              an object of your own
-    python -m i2t.imagine star --model runs/train        a predictor of your own
+    i2t imagine                                the hammer of the catalogue, by the ready model
+    i2t imagine mug.stl --unit mm              an object of your own
+    i2t imagine star --model runs/train        a predictor of your own
 
 Safe sites on the object are drawn at random. The patch in front of the skin is rendered there, and a trained predictor
 computes readings and their standard deviations from patch and force. The ready model was trained on a simulated pad
@@ -21,6 +21,7 @@ import tyro
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Limits, Seed, docstring_of, require_writable
 from i2t.files.checkpoints import is_checkpoint
+from i2t.installation import training_command
 from i2t.models import READY_MODELS, ready_hint, ready_path
 from i2t.objects.named import read_object
 from i2t.patches.dimensions import MAX_SKIN_FORCE_N
@@ -43,10 +44,10 @@ class ImagineArgs:
     unit: Literal["m", "cm", "mm", "inch"] | None = None
     """Unit of the mesh file, if its name has none (mug.stl:mm); glTF is in metres."""
     model: str = "nominal"
-    """Predictor: the name of the ready model, or the folder of a finished run of experiments.train."""
+    """Predictor: the name of the ready model, or the folder in which a predictor was trained."""
+    # board of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml);
+    # by default, the board that the model was trained on
     board: str | None = None
-    """Board of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml).
-    By default, the board that the model was trained on."""
     force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] = 1.0
     """Force (N) of the press along the tool's z axis."""
     sites: Count = 4
@@ -96,7 +97,7 @@ def _check(args: ImagineArgs) -> None:
     folder = ready_path(args.model, "predictor")
     if not any(is_checkpoint(folder / part) for part in ("", "checkpoint/predictor")):
         raise ValueError(
-            f"--model {args.model}: holds no predictor; name the folder that `python -m experiments.train` wrote"
+            f"--model {args.model}: holds no predictor; name the folder that `{training_command()}` wrote"
             + ready_hint(args.model, "predictor")
         )
     if args.board is not None:

@@ -1,11 +1,11 @@
 """Find the pose of an object from a depth view of it, and write it to the lab's calibration file.
 
-    python -m i2t.place lab.toml --object mug.stl --unit mm --host 192.168.0.2 --write    # a RealSense on the arm
-    python -m i2t.place lab.toml --object mug.stl --unit mm --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
+    i2t place lab.toml --object mug.stl --unit mm --host 192.168.0.2 --write    # a RealSense on the arm
+    i2t place lab.toml --object mug.stl --unit mm --views DIR --tool 0.41 -0.12 0.25 2.5 0 0 --write
 
 Look at the object obliquely, 25 to 55 degrees from the vertical: from above, a flat top does not show its lateral
 position. The search begins at the rig's T_world_object, which must be correct within centimetres and some degrees. The
-camera must be calibrated (`python -m i2t.hardware.hand_eye`). The method is `i2t.registration.register_by_depth`. The
+camera must be calibrated (`i2t hand-eye`). The method is `i2t.registration.register_by_depth`. The
 reported error is due to noise; it does not include a constant error of the camera or of its calibration.
 """
 
@@ -42,9 +42,9 @@ class PlaceArgs:
     rig: tyro.conf.Positional[Path]  # the lab's calibration file
     object: str  # name of the object in the catalogue, or a mesh file
     unit: Literal["m", "cm", "mm", "inch"] | None = None  # unit of the mesh file, if its name has none (mug.stl:mm)
+    # arm whose pose is read; the arm is not moved; give ur, a name that another package registers, or
+    # package.module:Class
     arm: str = UR
-    """Arm whose pose is read; the arm is not moved. Give ur, the name that another package registers, or
-    package.module:Class."""
     host: str | None = None  # address of the arm's controller; required for a UR arm
     # pose of the tool in the base, used instead of an arm: position (m) and rotation vector (rad), as on the pendant
     tool: Annotated[PoseVector | None, tyro.conf.arg(metavar="X Y Z RX RY RZ")] = None

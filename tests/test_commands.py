@@ -1,38 +1,168 @@
-"""Commands that installing i2t puts on the path, and the list of those to run from the checkout."""
+"""The command `i2t` with its sub-commands, the other commands that installing puts on the path, and the experiments."""
 
 import importlib
 import platform
 import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 
-from i2t.cli.commands import COMMANDS, COMMON_COMMANDS, EXPERIMENTS, main
+from i2t import installation
+from i2t.cli.commands import COMMANDS, EXPERIMENTS, main
+from i2t.convert.commands import main as convert
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 
-def test_every_experiment_is_listed():
+def test_every_experiment_is_listed_and_every_command_of_developers_is_in_contributing():
     commands = {
         ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__main__")
         for pattern in ("experiments/*/__main__.py", "tools/*/__main__.py", "tools/*.py", "tests/*/__main__.py")
         for path in ROOT.glob(pattern)
         if path.name != "__init__.py"
     }
-    assert commands == set(EXPERIMENTS)
+    assert {name for name in commands if name.startswith("experiments.")} == set(EXPERIMENTS)
+    contributing = (ROOT / "CONTRIBUTING.md").read_text()
+    assert [name for name in commands - set(EXPERIMENTS) if f"`python -m {name}`" not in contributing] == []
 
 
-def test_ten_commands_are_listed_by_default_and_all_on_request(capsys):
-    def listed(*words):
+def test_the_list_has_the_purpose_of_each_sub_command_and_on_request_of_each_experiment(capsys):
+    sub_commands = [f"i2t {name} {command.purpose}" for name, command in COMMANDS.items()]
+    experiments = [f"python -m {name} {purpose}" for name, purpose in EXPERIMENTS.items()]
+    assert _listed(capsys) == sub_commands
+    assert _listed(capsys, "--all") == sub_commands + experiments
+    assert main([], program="python -m i2t") == 0
+    assert "\npython -m i2t imagine " in capsys.readouterr().out
+
+
+def test_a_wheel_lists_only_what_it_has(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(installation, "ROOT", tmp_path)
+    for words in ([], ["--all"]):
         assert main(words) == 0
-        return [line.split()[2] for line in capsys.readouterr().out.splitlines() if line.startswith("python")]
+        printed = capsys.readouterr().out
+        assert "experiment" not in printed
+        assert "--all" not in printed
+    assert main(["train"]) == 2
+    assert capsys.readouterr().err.startswith("error: train is not a command; i2t lists the commands")
 
-    assert len(COMMON_COMMANDS) == 10
-    assert sorted(listed()) == sorted(COMMON_COMMANDS)
-    assert listed("--all") == [*COMMANDS, *EXPERIMENTS]
+
+def _listed(capsys, *words):
+    """The lines of the list with single spaces, without the sentences around it."""
+    assert main(words) == 0
+    _, *parts = capsys.readouterr().out.split("\n\n")
+    tables = [part for part in parts if part.startswith(("i2t ", "python -m "))]
+    return [" ".join(line.split()) for table in tables for line in table.splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("imagne mug.stl", "imagne is not a command; did you mean imagine?"),
+        ("hand_eye", "hand_eye is not a command; did you mean hand-eye?"),
+        ("--version", "--version is not a command; did you mean --versions?"),
+        ("--all of them", "--all takes no other words; leave out of them"),
+        ("train", "train is not a command of i2t but an experiment; run python -m experiments.train"),
+        ("experiments.studies", "experiments.studies is not a command of i2t but an experiment; "),
+        ("nothing", "nothing is not a command; i2t lists the commands, and each has its own --help"),
+        ("--tyro-write-completion bash", "--tyro-write-completion takes a shell and a file; "),
+        ("--tyro-write-completion csh file", "--tyro-write-completion takes a shell and a file; give bash or zsh"),
+    ],
+)
+def test_a_wrong_word_is_answered_with_the_right_one(words, sentence, capsys):
+    assert main(words.split()) == 2
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert printed.err.startswith(f"error: {sentence}")
+    assert printed.err.count("\n") == 1
+
+
+def test_a_sub_command_ends_as_its_module_does_and_has_the_name_by_which_it_was_called(capsys):
+    for words in (["summary", "nowhere"], ["summary"], ["nothing"]):
+        ended = []
+        for run in (lambda words=words: main(["convert", *words]), lambda words=words: convert(words)):
+            try:
+                code = run()
+            except SystemExit as exit_:
+                code = exit_.code
+            printed = capsys.readouterr()
+            ended.append((code, printed.out, re.sub(r"[^\w.]+", " ", printed.err)))
+        (code, out, error), (code_of_module, out_of_module, error_of_module) = ended
+        assert code == code_of_module == 2
+        assert out == out_of_module == ""
+        assert error.replace("i2t convert", "python m i2t.convert") == error_of_module
+    for words, program, usage in (
+        (["imagine", "--help"], "i2t", "usage: i2t imagine "),
+        (["collect", "--help"], "python -m i2t", "usage: python -m i2t collect "),
+    ):
+        with pytest.raises(SystemExit) as ended_by_help:
+            main(words, program=program)
+        assert ended_by_help.value.code in (0, None)
+        assert usage in capsys.readouterr().out
+
+
+def test_a_device_in_the_working_folder_is_found(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    Path("lab_devices.py").write_text("")
+    assert main(["collect", "--arm", "lab_devices:Arm", "--out", "touches"]) == 2
+    assert "lab_devices has no Arm" in capsys.readouterr().err
+
+
+DRIVE = """
+source "$1"
+complete -p i2t
+for words in "${@:2}"; do
+    COMP_WORDS=(i2t $words ""); [[ $words == *- ]] && COMP_WORDS=(i2t $words)
+    COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMPREPLY=()
+    _tyro_i2t
+    echo "$words=${COMPREPLY[*]}"
+done
+"""
+WRITE = """
+import sys
+from i2t.cli.commands import main
+try:
+    main(["--tyro-write-completion", *sys.argv[1:]])
+finally:
+    sys.exit("jax" in sys.modules)
+"""
+
+
+@pytest.mark.full
+@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
+def test_the_completions_of_bash_are_the_sub_commands_and_their_options(tmp_path):
+    script = tmp_path / "new" / "i2t"
+    subprocess.run([sys.executable, "-c", WRITE, "bash", str(script)], cwd=ROOT, check=True)  # without JAX
+    subprocess.run(["bash", "-n", str(script)], check=True)
+    options = {"imagine": "--sites", "convert presses": "--indenter", "hand-eye capture": "--host", "place": "--arm"}
+    typed = ["", "convert", *(f"{words} --" for words in options)]
+    done = subprocess.run(
+        ["bash", "-c", DRIVE, "bash", str(script), *typed], capture_output=True, text=True, check=True
+    )
+    first, *lines = done.stdout.splitlines()
+    assert first == "complete -F _tyro_i2t i2t"
+    completions = dict(line.split("=", 1) for line in lines)
+    assert list(completions) == typed
+    assert set(completions[""].split()) == {"-h", "--help", *COMMANDS}
+    assert {"presses", "stream"} < set(completions["convert"].split())
+    for words, option in options.items():
+        assert option in completions[f"{words} --"].split()
+    # After a line break, a description would be offered as words to type.
+    assert "\\n" not in next(line for line in script.read_text().splitlines() if line.startswith("COMPLETION_SPEC"))
+
+
+def test_the_completions_of_zsh_are_written(tmp_path):
+    with pytest.raises(SystemExit):
+        main(["--tyro-write-completion", "zsh", str(tmp_path / "_i2t")])
+    script = (tmp_path / "_i2t").read_text()
+    assert script.startswith("#compdef i2t")
+    assert "--indenter" in script
 
 
 def test_versions_name_python_and_each_installed_package_that_is_required(capsys):
@@ -48,11 +178,12 @@ def test_versions_name_python_and_each_installed_package_that_is_required(capsys
 
 
 def test_an_installed_command_prints_its_usage(capsys, monkeypatch):
-    assert list(PROJECT["scripts"]) == ["i2t-collect", "i2t-convert", "i2t-reskin", "i2t-view"]
+    assert list(PROJECT["scripts"]) == ["i2t", "i2t-collect", "i2t-convert", "i2t-reskin", "i2t-view"]
     for name, entry in PROJECT["scripts"].items():
         monkeypatch.setattr("sys.argv", [name, "--help"])
         module, function = entry.split(":")
         with pytest.raises(SystemExit) as ended:
             getattr(importlib.import_module(module), function)()
         assert ended.value.code in (0, None)
-        assert "usage: python -m i2t." in capsys.readouterr().out
+        printed = capsys.readouterr().out
+        assert ("usage: python -m i2t." if name != "i2t" else "\ni2t imagine ") in printed

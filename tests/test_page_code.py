@@ -123,7 +123,7 @@ def test_code_of_a_tutorial_runs_as_printed_on_the_data_of_the_examples(page, tm
     shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")  # and leaves nothing in the checkout
     monkeypatch.chdir(tmp_path)
     text = (DOCS / f"{page}.md").read_text()
-    for command in re.findall(r"python -m i2t\.convert (presses [^`\n]*)", text):
+    for command in re.findall(r"(?:python -m i2t\.|i2t )convert (presses [^`\n]*)", text):
         assert convert(command.split()) == 0
     names: Names = {}
     for block in BLOCK.findall(text):

@@ -39,7 +39,7 @@ ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
 # text.txt, empty/ (a folder), one/ (presses of one shape).
 COMMANDS = [
     ("i2t nonsense", "is not a command"),
-    ("i2t colect", "did you mean i2t.collect?"),
+    ("i2t colect", "did you mean collect?"),
     ("i2t.collect --object hamer", "did you mean hammer?"),
     ("i2t.collect --rig mesh.stl", "is the mesh of an object, not a text file"),
     ("i2t.collect --arm emulatd", "--arm emulatd is not known; did you mean emulated?"),
@@ -168,7 +168,7 @@ def test_wrong_commands_are_answered_in_one_sentence_before_jax_is_imported_and_
     assert contents(folder) == before
 
 
-HELPED = ("i2t", "i2t.collect", "i2t.convert", "experiments.train", "experiments.recognize", "experiments.studies",
+HELPED = ("i2t", "i2t collect", "i2t convert", "experiments.train", "experiments.recognize", "experiments.studies",
           "experiments.calibrate", "experiments.fidelity", "experiments.tsne")  # fmt: skip
 
 

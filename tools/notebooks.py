@@ -3,7 +3,7 @@
     python -m tools.notebooks                          all notebooks, to runs/notebooks
     python -m tools.notebooks skin_physics --debug     one notebook, in the size of the tests
 
-Requires `pip install "imagine2touch[notebooks]"`. The notebooks themselves are stored without outputs and stay
+Requires `pip install -e ".[notebooks]"`. The notebooks themselves are stored without outputs and stay
 unchanged.
 """
 

@@ -1,4 +1,4 @@
-"""Third-party arm, skin and depth camera for `python -m i2t.collect --arm acme --skin acme --camera acme`.
+"""Third-party arm, skin and depth camera for `i2t collect --arm acme --skin acme --camera acme`.
 
 Each wraps its manufacturer's library, here `acme_sdk`, and converts its units to those of i2t.
 """

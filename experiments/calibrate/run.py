@@ -10,7 +10,7 @@
     python -m experiments.calibrate --dataset DIR --save-pad FILE           fit a pad to the presses, for --pad FILE
     python -m experiments.calibrate --dataset DIR --targets position force  heads that predict these from readings
 
-DIR is any recording of one tip on one skin (see python -m i2t.convert). All draws hold out the same presses: 1000 at
+DIR is any recording of one tip on one skin (see i2t convert). All draws hold out the same presses: 1000 at
 random (a quarter of fewer than 4000), and whole blocks of 6 mm. Nothing is chosen by held-out presses. All methods use
 the same presses, so differences are paired. Intervals are over draws. Because neighbouring presses are not independent,
 `i2t.calibrate` also has intervals over 6 mm blocks of the held-out presses. `experiments.fidelity` measures the value

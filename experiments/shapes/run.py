@@ -2,7 +2,7 @@
 
     python -m experiments.shapes                     three simulated skins, 1280 presses each, in about 15 minutes
     python -m experiments.shapes --preset debug      a few presses, too few for meaningful results
-    python -m experiments.shapes --dataset DIR       recorded presses (python -m i2t.convert; docs/data.md)
+    python -m experiments.shapes --dataset DIR       recorded presses (i2t convert; docs/data.md)
     python -m experiments.shapes --readings TABLE --label COLUMN [--ignore COLUMN ...] [--samples N]
                                                      any table of labelled readings (docs/shapes.md)
 

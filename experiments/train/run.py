@@ -8,7 +8,7 @@
     python -m experiments.train --pad FILE           a pad fitted to a real skin instead of a random pad
     python -m experiments.train --registered sessions    views rendered at poses estimated in each session
     python -m experiments.train --registered camera  views corrected by a camera offset estimated on training objects
-    python -m experiments.train --dataset DIR        any recorded or converted set (see python -m i2t.convert)
+    python -m experiments.train --dataset DIR        any recorded or converted set (see i2t convert)
     python -m experiments.train --methods gp ridge --method my_package.module:Mine    two methods and one of your own
     python -m experiments.train --paper.bottleneck 16 --paper.auxiliary-weight 0.1    another network and loss
 

@@ -15,10 +15,12 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from types import FrameType
 from typing import Any
 
-from i2t.cli.options import check_options, read_options
+from i2t.cli.options import check_options, read_options, refuse_renamed
 from i2t.cli.pipes import ExitCode, output_is_closed
 from i2t.errors import WRONG_PATH_ERRORS, DeviceError, FullDiskError, printable
 from i2t.runtime.compile_cache import use_compile_cache
@@ -70,39 +72,69 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
         warnings.showwarning = show_warning
 
 
+@dataclass(frozen=True)
+class CommandLine:
+    """A command line, which reads options, checks their numbers and does its work when it is called.
+
+    Args:
+        kind: The dataclass of options, or a union of those of the sub-commands.
+        work: Function that takes the options. If it returns an int, that is the exit code.
+        program: The command as a user types it, unless the call names it.
+        description: Text of the help, as in `read_options`.
+        interrupted: The sentence to print after Ctrl-C, or a function that takes the options and returns it.
+    """
+
+    kind: Any
+    work: Callable[[Any], Any]
+    program: str
+    description: str
+    interrupted: str | Callable[[Any], str]
+
+    def __call__(self, words: Sequence[str] | None = None, *, program: str = "") -> int:
+        """Run the command line.
+
+        Args:
+            words: The words after the program's name; by default, those of `sys.argv`.
+            program: The command as the user typed it; by default, `self.program`.
+
+        Returns:
+            The exit code.
+        """
+        if code := exit_code_of(partial(refuse_renamed, self.kind, words)):
+            return code
+        options = read_options(self.kind, words, program=program or self.program, description=self.description)
+
+        def checked() -> Any:
+            check_options(options)
+            return self.work(options)
+
+        sentence = self.interrupted
+        return exit_code_of(checked, sentence if isinstance(sentence, str) else sentence(options))
+
+
 def command(
     kind: Any,
     work: Callable[[Any], Any],
     *,
     program: str,
     description: str | None = "",
-    interrupted: str = "interrupted",
-) -> Callable[..., int]:
-    """Make the `main` function of a command, which reads options, checks their numbers and does the work.
+    interrupted: str | Callable[[Any], str] = "interrupted",
+) -> CommandLine:
+    """Make the `main` function of a command.
 
     Args:
-        kind: A dataclass of options, or a union of those of the sub-commands.
+        kind: A dataclass of options, or a union of those of the sub-commands. Its `FORMER_NAMES`, if it has them, are
+            refused as in `refuse_renamed`.
         work: Function that takes the options. If it returns an int, that is the exit code.
-        program: The command as a user types it.
+        program: The command as a user types it, unless a call names it.
         description: Text of the help, as in `read_options`.
-        interrupted: The sentence to print after Ctrl-C.
+        interrupted: The sentence to print after Ctrl-C, or a function that takes the options and returns it.
 
     Returns:
-        A function that takes the words after the program's name, by default those of `sys.argv`, and returns the exit
+        A callable that takes the words after the program's name, by default those of `sys.argv`, and returns the exit
         code.
     """
-
-    def main(arguments: Sequence[str] | None = None) -> int:
-        """Run the command line."""
-        options = read_options(kind, arguments, program=program, description=description or "")
-
-        def checked() -> Any:
-            check_options(options)
-            return work(options)
-
-        return exit_code_of(checked, interrupted)
-
-    return main
+    return CommandLine(kind, work, program, description or "", interrupted)
 
 
 def _sentence(error: Exception) -> str:

@@ -1,4 +1,4 @@
-"""Exit codes of commands, and output pipes whose reader has ended, as in `python -m i2t.place --help | head -1`."""
+"""Exit codes of commands, and output pipes whose reader has ended, as in `i2t place --help | head -1`."""
 
 import os
 import select

@@ -1,4 +1,4 @@
-"""Collect touches: `python -m i2t.collect --help`."""
+"""Collect touches: `i2t collect --help`."""
 
 import sys
 

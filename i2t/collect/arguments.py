@@ -101,7 +101,7 @@ class LabArgs:
 
     FLAT: ClassVar[bool] = True
 
-    # the lab's calibration file (python -m i2t.hardware.rig); required for a real arm; by default, that of the emulated
+    # the lab's calibration file (i2t rig); required for a real arm; by default, that of the emulated
     # lab
     rig: Path | None = None
     # pose of the object in the world: x y z in m, then rotations about x y z in degrees; by default, that of the rig

@@ -47,9 +47,7 @@ from i2t.simulation.sites import is_above_table
 from i2t.types import Array
 
 # Remedy if the camera's depth contradicts the object's registered pose.
-CHECK_CAMERA_ADVICE = (
-    "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (python -m i2t.place)"
-)
+CHECK_CAMERA_ADVICE = "check T_tool_camera, T_flange_tool and the camera's lens, and register the object (i2t place)"
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,7 @@ class TouchSettings:
 
     # distance (m) before the site from which the tool approaches it
     prepare: Annotated[float, Limits(2e-3, 0.3)] = 40e-3
-    # distance (m) before the site at which the fast approach ends and the ambient field is measured; the paper uses
-    # 0.01
+    # distance (m) before the site at which the fast approach ends and the ambient field is measured; 0.01 in the paper
     near: Annotated[float, Limits(2e-4, 0.3)] = 5e-3
     # distance (m) past the site at which a press ends without contact
     overtravel: Annotated[float, Limits(1e-4, 0.1)] = 6e-3

@@ -21,9 +21,7 @@ from i2t.objects.named import describe_placement, object_name, read_object
 from i2t.objects.solids import Object, highest_point
 
 # Error if a collection with a real arm is started without a rig.
-MISSING_RIG_MESSAGE = (
-    "a real arm needs the calibration of its lab; write a rig (python -m i2t.hardware.rig) and pass --rig"
-)
+MISSING_RIG_MESSAGE = "a real arm needs the calibration of its lab; write a rig (i2t rig) and pass --rig"
 
 
 class PreparedCollection(NamedTuple):

@@ -1,4 +1,4 @@
-"""Convert recordings: `python -m i2t.convert --help`."""
+"""Convert recordings: `i2t convert --help`."""
 
 import sys
 

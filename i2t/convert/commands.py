@@ -2,13 +2,13 @@
 
 Examples:
 
-    python -m i2t.convert summary DATA
-    python -m i2t.convert imagine2touch RECORDINGS DATA
-    python -m i2t.convert eflesh RECORDINGS DATA --tip-radius-mm 4
-    python -m i2t.convert presses TABLE.csv DATA --indenter sphere:4.0
-    python -m i2t.convert stream LOG.csv DATA --indenter sphere:4.0
-    python -m i2t.convert pack DATA PACKED                touches of several skins: --skin-name NAME
-    python -m i2t.convert lerobot DATA LEROBOT
+    i2t convert summary DATA
+    i2t convert imagine2touch RECORDINGS DATA
+    i2t convert eflesh RECORDINGS DATA --tip-radius-mm 4
+    i2t convert presses TABLE.csv DATA --indenter sphere:4.0
+    i2t convert stream LOG.csv DATA --indenter sphere:4.0
+    i2t convert pack DATA PACKED                touches of several skins: --skin-name NAME
+    i2t convert lerobot DATA LEROBOT
 
 DATA is a folder. Converters write one packed file in it and refuse a folder that is not empty; --overwrite replaces an
 earlier conversion. Unusable input is refused with one sentence on the error stream and the exit code 2; with --skip-
@@ -19,14 +19,13 @@ import json as json_text
 import math
 import sys
 import warnings
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
-from i2t.cli.exit_codes import exit_code_of
+from i2t.cli.exit_codes import command
 from i2t.cli.options import require_writable
 from i2t.convert import EFLESH_TIP_RADIUS_M, EFLESH_WINDOW_M, PAPER_CAMERA_OFFSET_M
 from i2t.errors import DataError, printable, require_extra
@@ -304,46 +303,35 @@ class ToLeRobot(WriteCommand):
         print(f"wrote {len(dataset)} touches to {lerobot.write(self.target, dataset)}")
 
 
-# Subcommands of python -m i2t.convert.
-COMMANDS: dict[str, Callable[..., ReadCommand]] = {
-    "summary": Summary,
-    "imagine2touch": FromImagine2touch,
-    "eflesh": FromEflesh,
-    "presses": FromPresses,
-    "stream": FromStream,
-    "pack": Pack,
-    "lerobot": ToLeRobot,
-}
+ConvertArgs = (
+    Annotated[Summary, tyro.conf.subcommand(name="summary")]
+    | Annotated[FromImagine2touch, tyro.conf.subcommand(name="imagine2touch")]
+    | Annotated[FromEflesh, tyro.conf.subcommand(name="eflesh")]
+    | Annotated[FromPresses, tyro.conf.subcommand(name="presses")]
+    | Annotated[FromStream, tyro.conf.subcommand(name="stream")]
+    | Annotated[Pack, tyro.conf.subcommand(name="pack")]
+    | Annotated[ToLeRobot, tyro.conf.subcommand(name="lerobot")]
+)
 
 
-def main(args: Sequence[str] | None = None) -> int:
-    """Run one command of `python -m i2t.convert`.
-
-    Args:
-        args: Arguments without the program's name; by default, those of `sys.argv`.
-
-    Returns:
-        The exit code, as in `i2t.cli.exit_codes`: 2 if a recording cannot be used.
-    """
-    command: ReadCommand = tyro.extras.subcommand_cli_from_dict(
-        COMMANDS,
-        args=args,
-        prog="python -m i2t.convert",
-        description=__doc__,
-        config=(tyro.conf.FlagCreatePairsOff,),
-    )
-    return exit_code_of(lambda: _run(command), "interrupted; nothing was written")
-
-
-def _run(command: ReadCommand) -> None:
+def _run(args: ReadCommand) -> None:
     """Run one command, and print its warnings afterwards."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)  # `BadFileWarning` is one
         try:
-            command.run()
+            args.run()
         finally:
             for warning in caught:
                 print(printable(warning.message), file=sys.stderr)
+
+
+main = command(
+    ConvertArgs,
+    _run,
+    program="python -m i2t.convert",
+    description=__doc__,
+    interrupted="interrupted; nothing was written",
+)
 
 
 def _board(name: str) -> "Board":

@@ -208,9 +208,7 @@ class _Inspection:
 def _header(path: Path, block: bytes) -> str:
     match = re.fullmatch(rb"i2t-touches ([1-9][0-9]*) sha256 ([0-9a-f]{64})\n\0+", block)
     if match is None or len(block) != HEADER_BYTES:
-        raise DataError(
-            f"{path}: not an {SCHEMA} file; move it out of the data set, or convert it with python -m i2t.convert"
-        )
+        raise DataError(f"{path}: not an {SCHEMA} file; move it out of the data set, or convert it with i2t convert")
     if int(match[1]) > SCHEMA_VERSION:
         raise DataError(
             f"{path}: written in schema version {int(match[1])}, but this program reads at most {SCHEMA_VERSION}; "

@@ -303,9 +303,7 @@ def _with_all_chips(path: Path, dataset: Dataset, skip_bad: bool) -> Dataset:
     counts = ", ".join(f"chip {chip} in {count}" for chip, count in enumerate(silent.sum(0)) if count)
     problem = f"{path}: chips did not answer in {incomplete.sum()} of {len(dataset)} touches ({counts})"
     if not skip_bad or incomplete.all():
-        raise DataError(
-            f"{problem}, but methods need all chips; python -m i2t.convert pack --skip-bad leaves such touches out"
-        )
+        raise DataError(f"{problem}, but methods need all chips; i2t convert pack --skip-bad leaves such touches out")
     warnings.warn(f"{problem}; these touches were left out", BadFileWarning, stacklevel=3)
     return dataset.select(~incomplete)
 
@@ -323,7 +321,7 @@ def _files(path: Path) -> list[Path]:
         and not any(part.startswith(".") for part in file.relative_to(path).parts)
     ]
     if not files:
-        raise DataError(f"{path}: holds no touches; record touches, or convert a data set with python -m i2t.convert")
+        raise DataError(f"{path}: holds no touches; record touches, or convert a data set with i2t convert")
     return files
 
 
@@ -384,7 +382,7 @@ def _selected_skin(names: tuple[str, ...], requested: str | None) -> str:
     if requested is None:
         raise SkinChoiceError(
             f"holds touches of {len(names)} skins, {listed}; name one with --skin-name (skin= of load_dataset; "
-            "python -m i2t.convert pack --skin-name makes a set of one skin)"
+            "i2t convert pack --skin-name makes a set of one skin)"
         )
     if requested not in names or not requested:
         has = f"the skin {listed}" if names != ("",) else "one skin without a name"

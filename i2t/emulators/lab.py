@@ -1,7 +1,7 @@
 """An emulated lab in its own processes: a UR controller whose tool touches an object, and the boards of its skins.
 
-    python -m i2t.emulators.lab --host 127.0.0.9 --link /tmp/skin --object hexagon
-    python -m i2t.collect --arm emulated --host 127.0.0.9 --skin emulated --port /tmp/skin --object hexagon
+    i2t lab --host 127.0.0.9 --link /tmp/skin --object hexagon
+    i2t collect --arm emulated --host 127.0.0.9 --skin emulated --port /tmp/skin --object hexagon
 
 The lab is the controller of `i2t.emulators.ur_controller`, with its faults on demand. It starts a board of
 `i2t.emulators.reskin_board` for each skin. The pose of the object is that in the rig's file. The force, its centre and
@@ -9,7 +9,7 @@ the readings follow from i2t's own contact mechanics. They are computed along th
 still for some ticks, which takes hundredths of a second, longer than the 2 ms of a tick; a motion waits for it. The
 reading of a skin goes to its board over UDP on this machine whenever it changes, at each tick of 2 ms. The board sends
 the newest one, with ambient field, noise and steps, in its next frame, 2.5 ms after the last. A reading is therefore
-about 5 ms late if the machine is not busy. `python -m i2t.collect --arm emulated --skin emulated` starts its own lab.
+about 5 ms late if the machine is not busy. `i2t collect --arm emulated --skin emulated` starts its own lab.
 """
 
 import subprocess

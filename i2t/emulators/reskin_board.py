@@ -1,7 +1,7 @@
 """An emulated ReSkin, AnySkin or eFlesh board: a pseudo-terminal that sends the board's frames, with or without faults.
 
     python -m i2t.emulators.reskin_board --link /tmp/skin
-    python -m i2t.hardware.reskin --port /tmp/skin
+    i2t skin --port /tmp/skin
 
 The first line of output is the port's path (the link, if there is one). With `--field`, the second line is the address
 for fields. Like a real board, it waits until the port is opened. At rest, it sends a uniform ambient field in the

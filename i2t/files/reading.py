@@ -74,8 +74,8 @@ def explain_no_dataset(path: Path) -> str:
     if path.suffix.lower() in MESH_SUFFIXES:
         return f"{path}: is the mesh of an object, not a data set; name the folder or file of the touches"
     if path.suffix.lower() in TABLE_SUFFIXES:
-        return f"{path}: is a table, not yet a data set; convert it with python -m i2t.convert"
-    return f"{path}: is not a data set; name a folder or file of touches, or convert it with python -m i2t.convert"
+        return f"{path}: is a table, not yet a data set; convert it with i2t convert"
+    return f"{path}: is not a data set; name a folder or file of touches, or convert it with i2t convert"
 
 
 def read_bytes(path: str | Path, max_bytes: int = READ_LIMITS.file_bytes) -> bytes:

@@ -5,7 +5,7 @@
 
     [skins.right]                    # a further skin, such as that of a gripper's other jaw
     T_tool_skin = [...]              # its frame in the tool (origin at its centre, z out of it)
-    device = "reskin"                # as --skin of python -m i2t.collect
+    device = "reskin"                # as --skin of i2t collect
     serial_number = "E6612483CB"     # or address = "/dev/ttyACM1": its port
     board = "anyskin"                # as --board
     pad = "right pad, July"          # as --pad-name

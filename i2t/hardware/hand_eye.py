@@ -1,8 +1,8 @@
 """Pose of the camera in the tool, from about 15 views of a printed board at different tilts.
 
-    python -m i2t.hardware.hand_eye board board.png                    # print it at 100 %, measure a square
-    python -m i2t.hardware.hand_eye capture DIR --host 192.168.0.2     # move the arm by hand, press Enter, repeat
-    python -m i2t.hardware.hand_eye estimate DIR --square 0.0152 --rig lab.toml --write
+    i2t hand-eye board board.png                    # print it at 100 %, measure a square
+    i2t hand-eye capture DIR --host 192.168.0.2     # move the arm by hand, press Enter, repeat
+    i2t hand-eye estimate DIR --square 0.0152 --rig lab.toml --write
 
 The board is a ChArUco board of OpenCV (`--dictionary APRILTAG_36h11` makes one of AprilTags). `capture` reads a
 RealSense's colour image and the arm's pose, without controlling the arm; the TCP set on the pendant must be the rig's

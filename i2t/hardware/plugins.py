@@ -5,7 +5,7 @@ A package registers a class under a name in its `pyproject.toml`,
     [project.entry-points."i2t.arms"]
     acme = "acme_devices:AcmeArm"
 
-(likewise `i2t.skins`, `i2t.cameras`), after which `python -m i2t.collect --arm acme` finds it. The class is called with
+(likewise `i2t.skins`, `i2t.cameras`), after which `i2t collect --arm acme` finds it. The class is called with
 one `DeviceSetup` and must implement the protocol of its kind (`i2t.hardware.protocols`; `GuardedArm` for an arm). A
 skin has an attribute `board` that describes its chips (a further skin of a rig may leave that to `skins.NAME.board`).
 Instead of the class, the entry point may name a `DevicePlugin`, which lists further options of the device; i2t's own

@@ -1,7 +1,7 @@
 """A RealSense depth camera over pyrealsense2, or a file that it recorded: depth in metres, colour of the same pixels.
 
-    python -m i2t.hardware.realsense                        # the only camera that is plugged in: model, lens, range
-    python -m i2t.hardware.realsense --save DIR --count 5   # save views for `i2t.hardware.camera_folder`
+    i2t camera                        # the only camera that is plugged in: model, lens, range
+    i2t camera --save DIR --count 5   # save views for `i2t.hardware.camera_folder`
 
 The lens, with its distortion, is that of the depth image as the device reports it; images are not undistorted. A view
 is exposed after the call if the camera's clock is the computer's (global or system time, the default on Linux and
@@ -37,6 +37,7 @@ from i2t.geometry import transform
 from i2t.hardware import camera_folder
 from i2t.hardware.base import CameraBase
 from i2t.hardware.protocols import CameraFeatures, ColourImage, View
+from i2t.installation import extra_advice
 from i2t.types import Array
 
 # pixels, widths and heights of depth images that RealSense cameras offer
@@ -118,7 +119,7 @@ class RealSense(CameraBase):
         try:
             import pyrealsense2
         except ImportError as error:
-            raise DeviceError("a RealSense needs pyrealsense2: pip install 'imagine2touch[hardware]'") from error
+            raise DeviceError(f"a RealSense needs pyrealsense2: {extra_advice('hardware', 'pyrealsense2')}") from error
         self._rs: Any = pyrealsense2
         self._serial, self._size, self._rate, self._distance = serial, size, rate, distance
         self._file = Path(file) if file is not None else None

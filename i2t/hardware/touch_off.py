@@ -1,6 +1,6 @@
 """Pose of the skin in the tool, found by touching a flat with each corner of the skin.
 
-    python -m i2t.hardware.touch_off --host 192.168.0.2 --rig lab.toml --height 0.012 --at 0.4 0.1 --write
+    i2t touch-off --host 192.168.0.2 --rig lab.toml --height 0.012 --at 0.4 0.1 --write
 
 WARNING: The command moves the arm. Set the speed slider to a fifth and keep a hand on the emergency stop.
 

@@ -3,7 +3,7 @@
 The catalogue's meshes are read from a file of this package. A primitive has the default lengths of its function in
 `i2t.objects.primitives`, and a square is 50 mm wide. A stamp is a relief 3.5 mm high, within a square of 10 mm, on a
 square base. A tool has the size of a real one and lies along x. Drawing random objects needs manifold3d
-(`pip install "imagine2touch[shapes]"`).
+(extra `shapes`).
 """
 
 from collections.abc import Sequence

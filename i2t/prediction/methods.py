@@ -24,6 +24,7 @@ from jaxtyping import Array, Key
 
 from i2t.contact.pressure import ContactPressure, PressureModelConfig
 from i2t.dataset import Dataset, Split
+from i2t.installation import checkout
 from i2t.paper.config import PaperOptions
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_disk
@@ -268,8 +269,8 @@ def fit_predictor(
     predictor = chosen.fit(key, touches, split)
     if predictor is None:
         raise ValueError(
-            f"method: {chosen.title} needs more than the patches of the touches; choose another method, or train by "
-            "python -m experiments.train"
+            f"method: {chosen.title} needs more than the patches of the touches; choose another method"
+            + (", or train by python -m experiments.train" if checkout() else "")
         )
     return predictor
 

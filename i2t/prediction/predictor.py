@@ -29,6 +29,7 @@ from i2t.contact.pressure import PressureModelConfig
 from i2t.errors import CheckpointError
 from i2t.files.archives import max_unpacked_size
 from i2t.files.checkpoints import custom_metadata
+from i2t.installation import training_command
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.models import ready_hint, ready_path
 from i2t.patches.dimensions import PATCH_PIXELS
@@ -379,13 +380,12 @@ def _description(directory: Path, hint: str) -> dict[str, Any]:
         version = about["version"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CheckpointError(
-            f"{directory} holds no predictor of this i2t; name the folder that `python -m experiments.train` wrote"
-            + hint
+            f"{directory} holds no predictor of this i2t; name the folder that `{training_command()}` wrote{hint}"
         ) from error
     if version not in READ_VERSIONS:
         raise CheckpointError(
             f"{directory} holds a predictor of version {version}, but this i2t reads version {PREDICTOR_VERSION}; use "
-            "the i2t that wrote it, or train again: python -m experiments.train"
+            f"the i2t that wrote it, or train again: {training_command()}"
         )
     if version == 4 and "default_depth" in about:
         about["default_travel"] = about.pop("default_depth")
@@ -421,7 +421,7 @@ def _drop_conventions(directory: Path, about: dict[str, Any]) -> None:
         raise CheckpointError(
             f"the predictor in {directory} was trained on forces or travels as its recording counted them (a pressing "
             "force negative, or a travel from another height than first contact), which this i2t corrects before "
-            "training; train again: python -m experiments.train --dataset DATA"
+            f"training; train again: {training_command()}"
         )
 
 

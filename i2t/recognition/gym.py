@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from i2t.installation import extra_advice
 from i2t.recognition.environment import (
     EnvironmentObservation,
     EnvironmentParams,
@@ -24,7 +25,7 @@ try:
     import gymnasium
     from gymnasium import spaces
 except ImportError as error:
-    raise ImportError("i2t.recognition.gym needs Gymnasium; run pip install 'imagine2touch[environments]'") from error
+    raise ImportError(f"i2t.recognition.gym needs Gymnasium: {extra_advice('environments')}") from error
 
 
 class SingleTouchEnv(gymnasium.Env):

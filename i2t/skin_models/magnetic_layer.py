@@ -198,7 +198,7 @@ class RoundTip:
 
 
 def parse_tip(text: str) -> RoundTip:
-    """Parse a tip's name, as `python -m i2t.convert presses --indenter` writes it.
+    """Parse a tip's name, as `i2t convert presses --indenter` writes it.
 
     Args:
         text: `sphere:RADIUS` or `cylinder:RADIUS`, the radius in mm.

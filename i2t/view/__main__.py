@@ -1,4 +1,4 @@
-"""`python -m i2t.view`."""
+"""`i2t view`."""
 
 import sys
 

@@ -1,4 +1,4 @@
-"""Command line of `python -m i2t.view`."""
+"""Command line of `i2t view`."""
 
 import sys
 from dataclasses import dataclass

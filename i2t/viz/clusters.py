@@ -4,7 +4,7 @@ A view is a patch as the model sees it, by default the paper's binary contact ma
 computed on principal components, which keep nearly all of the variance and are fast.
 
 Sources: t-SNE, van der Maaten and Hinton (JMLR 9, 2008); adjusted Rand index, Hubert and Arabie (J. Classif. 2, 1985).
-The module needs NumPy and scikit-learn (`pip install "imagine2touch[notebooks]"`), which runs on one thread, because a
+The module needs NumPy and scikit-learn (extra `notebooks`), which runs on one thread, because a
 few thousand touches gain nothing from more.
 """
 

@@ -2,7 +2,7 @@
 
 A mistake is tried against a lab that is as the right file says: is it refused, or shown? The arm reports its tool by
 the wrong TCP and carries a payload of another weight than it was told; camera, skin and object are where they really
-are. As in `python -m i2t.collect` the file is read, checked for plausibility (`i2t.hardware.rig_checks`), compared with
+are. As in `i2t collect` the file is read, checked for plausibility (`i2t.hardware.rig_checks`), compared with
 the camera's lens, and then the first looks and the first slow touches are made.
 
 Sites are drawn on the surface by trimesh, with normals that point up, sideways and a little down. After each press a

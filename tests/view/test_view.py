@@ -114,7 +114,7 @@ def test_a_missing_rerun_is_reported_with_what_to_install(session, tmp_path, cap
     assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().err.strip()
     assert said == rerun_file.explain_no_recording()
-    assert "pip install 'imagine2touch[view]'" in said
+    assert 'pip install -e ".[view]"' in said
     assert (tmp_path / "out" / "session.html").exists()
 
 

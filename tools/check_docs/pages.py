@@ -8,16 +8,18 @@ import json
 import re
 import shlex
 import tomllib
-from collections.abc import Iterator
-from functools import cache
+from collections.abc import Callable, Iterator
+from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
 import i2t
+from i2t.cli.commands import COMMANDS, command_of
 from tools.reproduce.steps import STEPS
 from tools.reproduce.tables import LIMITS_TABLE, MARK, README_TABLE, table
 
 ROOT = Path(__file__).parents[2]
+PRINTED = re.compile(r"python -m (?:i2t|experiments|tools|tests)[^`\n]*|(?<!\S)i2t [a-z-][^`\n]*")
 BLOCK = re.compile(r"^```([a-z]*)\n(.*?)^```", re.M | re.S)
 
 
@@ -87,30 +89,46 @@ def printed_commands(text: str) -> list[tuple[int, list[str]]]:
         text: Text of the page.
 
     Returns:
-        Line number of each command, and its words after `python -m`.
+        Line number of each command, and its words: `i2t imagine` or the module after `python -m`, then the others.
     """
     places = [(match.start(2), match[2]) for match in BLOCK.finditer(text) if match[1] in ("", "bash", "sh", "console")]
     prose = BLOCK.sub(blank, text)
-    places += [(match.start(1), match[1]) for match in re.finditer(r"^ {4,}(?:\$ )?(python -m .*)$", prose, re.M)]
-    places += [(match.start(1), " ".join(match[1].split())) for match in re.finditer(r"`(python -m [^`]+)`", prose)]
+    places += [
+        (match.start(1), match[1]) for match in re.finditer(r"^ {4,}(?:\$ )?((?:python -m|i2t) .*)$", prose, re.M)
+    ]
+    places += [
+        (match.start(1), " ".join(match[1].split())) for match in re.finditer(r"`((?:python -m|i2t)\s[^`]+)`", prose)
+    ]
     commands = []
     for position, block in places:
-        for match in re.finditer(r"python -m (?:i2t|experiments|tools|tests)[^`\n]*", block.replace("\\\n", "  ")):
+        for match in PRINTED.finditer(block.replace("\\\n", "  ")):
             words = shlex.split(re.split(r"&&|;|\||  #", match[0])[0], comments=True)
-            commands.append((_line(text, position) + block.count("\n", 0, match.start()), words[2:]))
+            words = words[2:] if words[0] == "python" else words
+            if words[0] == "i2t" and len(words) > 1 and not words[1].startswith("-"):
+                words = [" ".join(words[:2]), *words[2:]]
+            commands.append((_line(text, position) + block.count("\n", 0, match.start()), words))
     return commands
+
+
+def _main_of(name: str) -> Callable[[list[str]], int] | None:
+    if name.startswith("i2t "):
+        sub_command = name.removeprefix("i2t ")
+        return partial(command_of(sub_command), program=name) if sub_command in COMMANDS else None
+    try:
+        package = importlib.util.find_spec(name)
+    except ModuleNotFoundError:
+        package = None
+    if package is None:
+        return None
+    return importlib.import_module(f"{name}.__main__" if package.submodule_search_locations else name).main
 
 
 @cache
 def help_of(module: str, part: str = "") -> str:
-    """Help text of a command; empty if the command does not exist."""
-    try:
-        package = importlib.util.find_spec(module)
-    except ModuleNotFoundError:
-        package = None
-    if package is None:
+    """Help text of a command, named as in `printed_commands`; empty if the command does not exist."""
+    main = _main_of(module)
+    if main is None:
         return ""
-    main = importlib.import_module(f"{module}.__main__" if package.submodule_search_locations else module).main
     printed = io.TextIOWrapper(io.BytesIO(), encoding="utf-8")
     with (
         contextlib.redirect_stdout(printed),
@@ -181,7 +199,7 @@ def advice(page: Path, text: str) -> Iterator[PageProblem]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     for match in re.finditer(r"""pip install -?e? ?["'](\.|[\w.-]+)\[([\w,]+)\]""", text):
         extras_exist = set(match[2].split(",")) <= project["optional-dependencies"].keys()
-        if match[1] not in (".", project["name"]) or not extras_exist:
+        if match[1] != "." or not extras_exist:  # the distribution is not on the package index
             yield PageProblem(page, _line(text, match.start()), f"{match[0]} names an unknown package or extra")
 
 

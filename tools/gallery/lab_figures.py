@@ -81,7 +81,7 @@ def rig(story: Story) -> Figure:
 
 
 def monitor(story: Story) -> Figure:
-    """Output of `python -m i2t.hardware.reskin` for an emulated board during a press."""
+    """Output of `i2t skin` for an emulated board during a press."""
     with reskin_board.run_board("--press", "1", "--seed", "0") as (port, _), ReSkin(port) as skin:
         time.sleep(2.3)  # until the emulated board is at rest
         rest = skin.read(skin_monitor.REST_SAMPLES).reading.mean(0)
@@ -89,7 +89,7 @@ def monitor(story: Story) -> Figure:
         shown = skin.since(int(skin.latest().number[-1]) - skin_monitor.SHOWN_SAMPLES)
         lines = skin_monitor.table(skin.counters, shown, rest)
     figure = Figure(figsize=(8.6, 2.4), facecolor="#101418")
-    title = titled("$ python -m i2t.hardware.reskin", True)
+    title = titled("$ i2t skin", True)
     text = "\n".join([title, "", *lines])
     figure.text(0.02, 0.98, text, family="monospace", fontsize=9, color="#e6e6e6", va="top", linespacing=1.25)
     return figure

@@ -1,4 +1,4 @@
-"""Watch, record or list boards: `python -m i2t.hardware.reskin --help`."""
+"""Watch, record or list boards: `i2t skin --help`."""
 
 import sys
 

@@ -1,6 +1,6 @@
 """ReSkin, AnySkin and eFlesh boards on a serial port.
 
-`python -m i2t.hardware.reskin` shows the readings of a board.
+`i2t skin` shows the readings of a board.
 
 with ReSkin("/dev/ttyACM0") as skin:
     ambient = skin.read(10).reading.mean(axis=0)
@@ -25,6 +25,7 @@ from i2t.hardware.reskin.frames import Decoder, Frame
 from i2t.hardware.reskin.layouts import DEFAULT_CHIPS, Format
 from i2t.hardware.serial_port import COMMON_PORT_USERS, explain_no_access, other_users, set_exclusive, users_of
 from i2t.hardware.skin_stream import Measurement, StreamConfig, StreamedSkin
+from i2t.installation import extra_advice
 
 # Vendors, by USB vendor number, of boards that run the skin's firmware.
 VENDORS = {0x239A: "Adafruit", 0x1B4F: "SparkFun", 0x2341: "Arduino", 0x2886: "Seeed"}
@@ -86,7 +87,7 @@ class ReSkin(StreamedSkin):
             import serial
             from serial.tools import list_ports
         except ImportError as error:
-            raise DeviceError("pyserial is missing; install it with: pip install 'imagine2touch[hardware]'") from error
+            raise DeviceError(f"the skin needs pyserial: {extra_advice('hardware', 'pyserial')}") from error
         self._serial, self._comports = serial.Serial, list_ports.comports
         self._requested_port, self._requested_serial, self._baud = port, serial_number, baud
         self._search = search

@@ -1,4 +1,4 @@
-"""The text tool `python -m i2t.hardware.reskin`: ports, each chip's change, rate, losses and health, and a table.
+"""The text tool `i2t skin`: ports, each chip's change, rate, losses and health, and a table.
 
 `--record TABLE.csv` keeps every sample:
 

@@ -1,7 +1,7 @@
 """Calibration of a lab: the poses of its devices and the limits of its arm, in one readable TOML file.
 
-    python -m i2t.hardware.rig lab.toml --example    # write an example to start from
-    python -m i2t.hardware.rig lab.toml              # check the file and explain what it means
+    i2t rig lab.toml --example    # write an example to start from
+    i2t rig lab.toml              # check the file and explain what it means
 
 Frames: W world (z up, its origin on the table), B robot base, F flange, T tool (the skin: origin at its centre, z out
 of it), C camera (z forward), O object; `T_a_b` maps points in b to a. Metres, kilograms, newtons. A file holds every
@@ -157,7 +157,7 @@ class Rig:
             ValueError: The file cannot be read, or a value in it is invalid; the message names file and field.
             FileNotFoundError: The file does not exist.
         """
-        remedy = f"write one to start from with python -m i2t.hardware.rig {path} --example"
+        remedy = f"write one to start from with i2t rig {path} --example"
         try:
             tables = read_toml(Path(path))
         except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Check a lab's calibration and explain what it means: `python -m i2t.hardware.rig --help`."""
+"""Check a lab's calibration and explain what it means: `i2t rig --help`."""
 
 import sys
 from dataclasses import dataclass

@@ -16,10 +16,17 @@ from typing import IO
 from i2t.errors import DeviceError
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.ur.ports import DASHBOARD, RTDE, SCRIPT, Answer, Port, explain_no_answer, probe
+from i2t.installation import extra_advice
 from i2t.types import Array
 
-# Remedy if the library of a UR arm is missing.
-LIBRARY_REMEDY = "a UR arm needs ur_rtde: pip install 'imagine2touch[hardware]' on Python 3.11 or 3.12"
+
+def explain_missing_library() -> str:
+    """Explain how to install the library of UR arms.
+
+    Returns:
+        One sentence with the remedy.
+    """
+    return f"a UR arm needs ur_rtde: {extra_advice('hardware', 'ur-rtde')} on Python 3.11 or 3.12"
 
 
 def is_on_this_machine(host: str) -> bool:
@@ -188,7 +195,7 @@ def tool_pose(host: str) -> Array:
 
         receiver = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
     except ImportError as error:
-        raise DeviceError(LIBRARY_REMEDY) from error
+        raise DeviceError(explain_missing_library()) from error
     except RuntimeError as error:
         raise DeviceError(f"The controller at {host} sends no states: {error}.") from error
     try:

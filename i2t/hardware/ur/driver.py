@@ -42,9 +42,9 @@ from i2t.hardware.limits import SAFETY, range_of
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState
 from i2t.hardware.ur.access import (
-    LIBRARY_REMEDY,
     check_controller,
     controller_serial,
+    explain_missing_library,
     is_on_this_machine,
     take_lock,
     tool_pose,
@@ -92,7 +92,7 @@ class UrArm(PolledArm):
                     f"The {name.replace('_', ' ')} {value:g} {unit} is outside {low:g} to {high:g} {unit}."
                 )
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
-            raise DeviceError(LIBRARY_REMEDY)
+            raise DeviceError(explain_missing_library())
         super().__init__(limits)
         self.name, self.host, self.tool, self.payload = f"UR at {host}", host, tool, payload
         self.source = source or ("emulated" if is_on_this_machine(host) else "real")
