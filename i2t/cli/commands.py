@@ -42,7 +42,7 @@ EXPERIMENTS = {
     "experiments.registration": "compare patches of real depth images with rendered ones",
     "tools.gallery": "draw the figures of the documentation",
     "tools.ready_models": "train the models that come with the package",
-    "tools.notebooks": "convert notebooks to HTML",
+    "tools.snippets": "run the snippets of the pages and write their output",
     "experiments.reconstruct": "reconstruct shapes from one or many touches",
     "experiments.active_touch": "learn which site to touch next",
     "experiments.benchmark": "measure speeds and compare with other libraries",
