@@ -1,9 +1,9 @@
 """Configuration of the site: python -m sphinx -W -c docs . build/site (pip install "imagine2touch[docs]").
 
-The pages are Markdown files of this folder, of the root and of the examples, and the notebooks. Generated while the site
-is built are a page for each command, from its help, in docs/commands, and the page of the names of the library, from
-their docstrings. A link, an anchor or a name of i2t without a target is a warning. The build needs no network;
-`-b linkcheck` tests external links and needs one.
+The pages are Markdown files of this folder, of the root and of the examples, and the notebooks. The build generates a
+page for each command in docs/commands, from its help, and the page of the names of the library, from their docstrings.
+A link, an anchor or a name of i2t without a target is a warning. The build needs no network; `-b linkcheck` tests
+external links and needs one.
 
 The notebooks run during the build, which takes minutes (docs/testing.md); their outputs are cached in build/ until a
 notebook changes. `-D nb_execution_mode=off` shows them without outputs.
