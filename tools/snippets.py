@@ -6,7 +6,8 @@
 
 A snippet is a block of Python, or of commands (language `bash`, or none). Its output is the block of the language
 `output` below it. The snippets of a page run in order as cells of one notebook, in a temporary folder with a copy of
-examples/. Standard output and the value of the last expression are shown; progress and notes on standard error are not.
+examples/. Standard output and the value of the last expression are shown, without the
+timestamps in names of files; progress and notes on standard error are not.
 
 A comment directly above a snippet exempts it: `<!-- not run: REASON -->` always, and `<!-- slow: DURATION -->` unless
 --all is given. Until then, the stored output of a slow snippet is that of the last run with --all --write.
@@ -169,7 +170,7 @@ def _shown(outputs: Sequence[dict]) -> str:
             text += output["text"]
         elif output["output_type"] == "execute_result":
             text += "\n" * (bool(text) and not text.endswith("\n")) + output["data"]["text/plain"] + "\n"
-    return "".join(f"{line.rstrip()}\n" for line in TIMESTAMP.sub("...", text).strip("\n").splitlines())
+    return "".join(f"{line.rstrip()}\n" for line in TIMESTAMP.sub("TIME", text).strip("\n").splitlines())
 
 
 def agree(stored: str, printed: str) -> bool:
