@@ -1,9 +1,12 @@
 """Configuration of the site: python -m sphinx -W -c docs . build/site (pip install -e ".[docs]").
 
-The pages are Markdown files of this folder, of the root and of the examples. Two pages are generated while the site is
-built: the commands with their options, from their help, and the names of the library, from their docstrings. A link,
-an anchor or a name of i2t without a target is a warning. The build needs no network; `-b linkcheck` tests external
-links and needs one.
+The pages are Markdown files of this folder, of the root and of the examples, and the notebooks. The build generates a
+page for each command in docs/commands, from its help, and the page of the names of the library, from their docstrings.
+A link, an anchor or a name of i2t without a target is a warning. The build needs no network; `-b linkcheck` tests
+external links and needs one.
+
+The notebooks run during the build, which takes minutes (docs/testing.md); their outputs are cached in build/ until a
+notebook changes. `-D nb_execution_mode=off` shows them without outputs.
 """
 
 import ast
@@ -18,7 +21,9 @@ import textwrap
 from functools import cache
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
+import imagesize
 from docutils import nodes
 from docutils.utils.math import MathError
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -27,7 +32,9 @@ from sphinx.errors import ExtensionError
 DOCS = Path(__file__).parent
 sys.path.insert(0, str(DOCS.parent))
 os.environ["COLUMNS"] = "88"  # width of the commands' help, which fits the page
-os.environ.setdefault("JAX_PLATFORMS", "cpu")  # the build computes nothing
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+os.environ["PYTHONPATH"] = str(DOCS.parent)  # notebooks run with this checkout
+os.environ["TQDM_DISABLE"] = "1"  # else their pages show every step of a progress bar
 
 import i2t
 from i2t.cli.commands import COMMANDS, EXPERIMENTS
@@ -36,7 +43,7 @@ from tools.check_docs import pages
 project = "i2t"
 author = project_copyright = "The i2t maintainers"
 release = version = i2t.__version__
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_copybutton"]
 html_theme = "furo"
 html_title = f"i2t {release}"
 html_static_path = ["_static"]
@@ -45,7 +52,10 @@ html_show_sphinx = False
 html_copy_source = False
 html_extra_path = ["_static/index.html"]  # redirects to the first page
 root_doc = "docs/index"
-include_patterns = ["README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/*.md", "examples/*/README.md"]
+include_patterns = [
+    "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/*.md", "docs/commands/*.md", "examples/*/README.md",
+    "notebooks/*.ipynb",
+]  # fmt: skip
 exclude_patterns = [".*", "build", "runs", "data"]
 nitpicky = True
 nitpick_ignore = [("py:class", "numpy.ndarray")]  # its inventory needs a network
@@ -59,7 +69,14 @@ myst_heading_anchors = 4
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 html_math_renderer = "mathml"  # browsers draw it without a script or a network
 highlight_language = "bash"  # language of blocks without one, which hold commands
-nb_execution_mode = "off"
+nb_execution_mode = "cache"
+nb_execution_in_temp = True  # leaves the checkout unchanged
+nb_execution_timeout = 900  # s for each cell
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+nb_output_stderr = "remove"
+copybutton_selector = "div:not(.highlight-output):not(.highlight-text) > div.highlight > pre"
+copybutton_exclude = ".linenos, .gp, .go"  # prompts and output of a console are not copied
 autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings already state shapes and units
 napoleon_google_docstring = True
@@ -87,15 +104,10 @@ MODULES = (
     "i2t.dataset.splits",
     "i2t.errors",
 )  # modules whose members are all documented
+WIDE = 1.6  # width / height from which a figure scrolls on narrow screens
 GENERATED = {"docs/reference_commands": "commands_page", "docs/reference_api": "api_page"}
 CODE = re.compile(r"^(`{3,})[^`].*?^\1$|^#.*?$", re.M | re.S)  # code blocks, and headings: a link would change anchors
 NAME = re.compile(r"(?<!\[)`(((?:i2t|experiments|tools)(?:\.\w+)+)(?:\([^`]*\))?)`")
-
-
-def help_of(command: str) -> str:
-    """Help of a command, followed by the help of its subcommands."""
-    text = _help(command)
-    return "\n".join([text, *(_help(command, name) for name in subcommands_of(text))])
 
 
 def subcommands_of(text: str) -> list[str]:
@@ -115,18 +127,55 @@ def _wrapped(paragraph: re.Match[str]) -> str:
     return textwrap.fill(paragraph[0], int(os.environ["COLUMNS"]), break_on_hyphens=False)
 
 
+def listed_commands() -> dict[str, dict[str, str]]:
+    """Commands for users with their purposes, as they are typed, under the title of their group."""
+    return {
+        "The library": {f"i2t {name}": command.purpose for name, command in COMMANDS.items()},
+        "The experiments, which need a checkout": {
+            f"python -m {name}": purpose for name, purpose in EXPERIMENTS.items()
+        },
+    }
+
+
+def page_name(command: str) -> str:
+    """Name of the page of a command."""
+    return re.sub(r"\W+", "-", command.removeprefix("python -m "))
+
+
 def commands_page() -> str:
-    """Page of all commands with their options."""
-    lines = ["# Commands and their options", "", "The `--help` of each command."]
-    library = {f"i2t {name}": command.purpose for name, command in COMMANDS.items()}
-    experiments = {f"python -m {name}": purpose for name, purpose in EXPERIMENTS.items()}
-    for title, commands in (("The library", library), ("The experiments", experiments)):
-        lines += ["", f"## {title}"]
-        for command, summary in commands.items():
-            end = "" if summary.endswith("?") else "."
-            lines += ["", f"### {command}", "", f"{summary[0].upper()}{summary[1:]}{end}", ""]
-            lines += ["````text", help_of(command.removeprefix("python -m ")).rstrip(), "````"]
-    return "\n".join(lines) + "\n"
+    """Page that lists all commands with their purposes."""
+    lines = ["# Commands and their options", "", "Each command has a page with its `--help`.", ""]
+    for title, commands in listed_commands().items():
+        lines += [f"## {title}", ""]
+        lines += [f"- [`{name}`](commands/{page_name(name)}.md): {purpose}" for name, purpose in commands.items()]
+        lines += ["", "```{toctree}", ":hidden:", *(f"commands/{page_name(name)}" for name in commands), "```", ""]
+    return "\n".join(lines)
+
+
+def command_page(command: str, purpose: str) -> str:
+    """Page of a command: the help of the command and of each of its subcommands."""
+    typed = command.removeprefix("python -m ")
+    lines = [f"# {command}", "", f"{purpose[0].upper()}{purpose[1:]}{'' if purpose.endswith('?') else '.'}", ""]
+    lines += ["````text", _help(typed).rstrip(), "````", ""]
+    for name in subcommands_of(_help(typed)):
+        lines += [f"## {name}", "", "````text", _help(typed, name).rstrip(), "````", ""]
+    return "\n".join(lines)
+
+
+def write_command_pages(app: Any) -> None:
+    """Write the pages of the commands, which git ignores, and remove those of commands that no longer exist."""
+    docs = Path(app.srcdir) / "docs"
+    if not (docs / "reference_commands.md").exists():
+        return
+    folder = docs / "commands"
+    folder.mkdir(exist_ok=True)
+    commands = {name: purpose for group in listed_commands().values() for name, purpose in group.items()}
+    pages = {folder / f"{page_name(name)}.md": command_page(name, purpose) for name, purpose in commands.items()}
+    for path, text in pages.items():
+        if not path.exists() or path.read_text() != text:  # unchanged pages are not built again
+            path.write_text(text)
+    for path in set(folder.glob("*.md")) - pages.keys():
+        path.unlink()
 
 
 def api_page() -> str:
@@ -221,7 +270,7 @@ def linked(text: str) -> str:
 
 
 def setup(app: Any) -> None:
-    """Generate pages while they are read, without writing into the checkout, and prepare docstrings for Sphinx."""
+    """Generate pages, and prepare docstrings for Sphinx."""
 
     def outdated(app: Any, env: Any, added: set[str], changed: set[str], removed: set[str]) -> list[str]:
         return [name for name in GENERATED if name in env.found_docs]
@@ -229,10 +278,11 @@ def setup(app: Any) -> None:
     def read(app: Any, docname: str, content: list[str]) -> None:
         if docname in GENERATED:
             content[0] = globals()[GENERATED[docname]]()
-        elif docname != "CHANGELOG":  # it names what no longer exists
+        elif docname != "CHANGELOG" and not docname.startswith("notebooks/"):  # one names the past, others are JSON
             content[0] = linked(content[0])
 
     app.add_html_math_renderer("mathml", inline_renderers=(draw_inline, None), block_renderers=(draw_block, None))
+    app.connect("builder-inited", write_command_pages)
     app.connect("env-get-outdated", outdated)
     app.connect("source-read", read)
     app.connect("autodoc-process-docstring", literal_code, priority=100)  # before napoleon
@@ -253,7 +303,16 @@ def keep_together(app: Any, pagename: str, template: str, context: dict[str, Any
     ):
         body = re.sub(words, r'<span class="together">\g<0></span>', body, flags=re.S)
     body = re.sub(r"\[[-+\d][^\]<]*, [^\]<]*\](?=[^<]*</p></td>)", r'<span class="interval">\g<0></span>', body)
-    context["body"] = re.sub(r'<img [^>]*src="([^"]+)"[^>]*>', r'<a href="\1">\g<0></a>', body)
+    sizes = {name: Path(app.srcdir) / path for path, name in app.builder.images.items()}
+
+    def linked_image(image: re.Match[str]) -> str:
+        """Link an image to its file. Wide ones scroll on narrow screens, where they would be unreadable."""
+        path = sizes.get(unquote(image[1].rpartition("/")[2]))
+        width, height = imagesize.get(path) if path and path.exists() else (0, 1)
+        kind = "figure wide" if width > WIDE * height else "figure"
+        return f'<a class="{kind}" href="{image[1]}">{image[0]}</a>'
+
+    context["body"] = re.sub(r'<img [^>]*src="([^"]+)"[^>]*>', linked_image, body)
 
 
 def _code_lines(block: re.Match[str]) -> str:

@@ -92,8 +92,6 @@ EXTRAS = {
     "gymnasium": Extra("Gymnasium", "environments"),
     "manifold3d": Extra("manifold3d", "shapes"),
     "open3d": Extra("Open3D", "bench"),
-    "nbconvert": Extra("Jupyter", "notebooks"),
-    "ipykernel": Extra("Jupyter", "notebooks"),
     "pyarrow": Extra("pyarrow", "lerobot"),
     "pyvista": Extra("pyvista", "notebooks"),
     "rerun": Extra("rerun-sdk", "view"),

@@ -21,7 +21,7 @@ def test_every_extra_is_one_of_the_distribution_and_brings_its_package():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     for package, extra in EXTRAS.values():
         words = " ".join(extras[extra]).lower()
-        assert package.lower() in words or (package, extra) == ("Jupyter", "notebooks"), f"{extra} lacks {package}"
+        assert package.lower() in words, f"{extra} lacks {package}"
 
 
 def test_an_experiment_looks_for_its_extra_before_it_works(tmp_path, monkeypatch):

@@ -1,13 +1,14 @@
 """The Python code of the pages runs as printed. Blocks of a page share their names.
 
+`tools.snippets` runs the README, the start page and the tutorials as they are, and compares their outputs. Here are the
+pages that use names of the reader's own.
+
 A page may use names that are the reader's own, such as recorded presses: the set-up of its test makes them, small and
 simulated, in an empty folder. Sizes that would take minutes are replaced by others before the code runs. Code that
 compiles for a minute or moves an arm is not run here: the tests of its package do, and `tools.check_docs` checks
 what it calls.
 """
 
-import re
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,23 +21,14 @@ from helpers.skin_presses import presses_of_a_skin
 from PIL import Image
 
 import i2t
-from i2t.convert.commands import main as convert
 from i2t.dataset import save_dataset
 from i2t.heads.heads import fit_head
 from i2t.heads.regression import HeadBudget
+from tools import snippets
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
-BLOCK = re.compile(r"^```python\n(.*?)^```", re.M | re.S)
-TUTORIALS = ("../README", "tutorial_own_camera", "tutorial_own_object")
-NOT_RUN = (
-    "environments",
-    "hardware",
-    "local_shape",
-    "registration",
-    "tutorial_own_skin",
-    "tutorial_recognise",
-)
+NOT_RUN = ("environments", "hardware", "local_shape", "registration")
 
 Names = dict[str, Any]
 
@@ -87,12 +79,9 @@ def _a_robot() -> Names:
 
 SET_UPS: dict[str, Callable[[], Names]] = {
     "analysis": _recorded, "calibration": _pressed, "data": _a_data_set, "depth": _a_depth_image, "fidelity": _a_head,
-    "model_card": dict, "reconstruction": _a_robot, "tutorial_touch_to_shape": dict,
+    "model_card": dict, "reconstruction": _a_robot,
 }  # fmt: skip
-IN_PLACE: dict[str, dict[str, str]] = {
-    "reconstruction": {"range(20)": "range(2)"},
-    "tutorial_touch_to_shape": {"range(1, 21)": "range(1, 4)", "across=32": "across=20", "range(8)": "range(2)"},
-}
+IN_PLACE: dict[str, dict[str, str]] = {"reconstruction": {"range(20)": "range(2)"}}
 
 
 @pytest.fixture(autouse=True)
@@ -103,33 +92,16 @@ def _compiled_quickly():
 
 def test_the_code_of_every_page_is_run_or_known_to_be_slow():
     with_code = {path.stem for path in DOCS.glob("*.md") if "```python" in path.read_text()}
-    assert with_code == {*SET_UPS, *TUTORIALS[1:], *NOT_RUN}
+    assert with_code - snippets.pages_of(ROOT).keys() == {*SET_UPS, *NOT_RUN}
 
 
 @pytest.mark.parametrize("page", SET_UPS)
 def test_code_of_a_page_runs(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code = "\n".join(BLOCK.findall((DOCS / f"{page}.md").read_text()))
+    blocks = snippets.snippets_of((DOCS / f"{page}.md").read_text())
+    code = "\n".join(block.code for block in blocks if block.language == "python")
     for printed, instead in IN_PLACE.get(page, {}).items():
         assert printed in code, f"{page} no longer says {printed}"
         code = code.replace(printed, instead)
     names = SET_UPS[page]() | {"__name__": "__main__"}
     exec(compile(code, f"{page}.md", "exec"), names)
-
-
-@pytest.mark.full
-@pytest.mark.parametrize("page", TUTORIALS)
-def test_code_of_a_tutorial_runs_as_printed_on_the_data_of_the_examples(page, tmp_path, monkeypatch):
-    shutil.copytree(ROOT / "examples" / "data", tmp_path / "examples" / "data")  # and leaves nothing in the checkout
-    monkeypatch.chdir(tmp_path)
-    text = (DOCS / f"{page}.md").read_text()
-    for command in re.findall(r"(?:python -m i2t\.|i2t )convert (presses [^`\n]*)", text):
-        assert convert(command.split()) == 0
-    names: Names = {}
-    for block in BLOCK.findall(text):
-        exec(block, names)
-    results = names.keys() & {"reading", "std", "mean"}
-    assert results
-    for name in results:
-        assert np.shape(names[name])[-1] == 15
-        assert np.isfinite(names[name]).all()

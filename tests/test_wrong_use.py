@@ -65,7 +65,7 @@ COMMANDS = [
     ("experiments.registration frames --data empty", "is missing"),
     ("experiments.benchmark --sections speed", "speed"),
     ("tools.reproduce --only nothing", "there is no step nothing"),
-    ("tools.notebooks nothing", "no notebook is called nothing"),
+    ("tools.snippets READNE", "there is no page READNE; did you mean README?"),
     ("i2t.imagine --board grid-2x2", "name the board that it was trained on"),
     ("i2t.imagine --board anyskin", "differs from the board of the predictor of nominal, reskin"),
     ("i2t.imagine --model nowhere", "holds no predictor"),

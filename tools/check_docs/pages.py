@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import i2t
 from i2t.cli.commands import COMMANDS, command_of
+from tools import snippets
 from tools.reproduce.steps import STEPS
 from tools.reproduce.tables import LIMITS_TABLE, MARK, README_TABLE, table
 
@@ -203,6 +204,13 @@ def advice(page: Path, text: str) -> Iterator[PageProblem]:
             yield PageProblem(page, _line(text, match.start()), f"{match[0]} names an unknown package or extra")
 
 
+def outputs(page: Path, text: str) -> Iterator[PageProblem]:
+    """Find snippets of the README, the start page and the tutorials that show no output; the tests compare outputs."""
+    if page in snippets.pages_of(ROOT).values():
+        for line, sentence in snippets.without_output(text):
+            yield PageProblem(page, line, sentence)
+
+
 def notebook(path: Path, text: str) -> Iterator[PageProblem]:
     """Find notebooks that are stored with outputs or import anything but the package."""
     for cell in json.loads(text)["cells"]:
@@ -213,4 +221,4 @@ def notebook(path: Path, text: str) -> Iterator[PageProblem]:
             yield PageProblem(path, 1, "it imports experiments, which is not installed")
 
 
-CHECKS = (files, figures, tests, commands, tables, advice)
+CHECKS = (files, figures, tests, commands, tables, advice, outputs)
