@@ -24,12 +24,15 @@ def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
     return cell(sum(scores[key]) / len(scores[key]), decimals)
 
 
+LARGEST = "fitted to the largest: "  # begins the columns of this temperature in the table of stopping
+
+
 METHOD_HEAD = (
-    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "[95 %] for similar objects",
+    "method", "after 1", "after 10 [95 %]", "[95 %] for similar objects",
     "mean over 1 to 10 touches [95 %]", "ECE", "log loss",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
-    *(lambda scores, touch=touch: cell(at(scores["accuracy"], touch)["mean"], 2) for touch in (1, 3, 5)),
+    lambda scores: cell(at(scores["accuracy"], 1)["mean"], 2),
     last,
     lambda scores: cell(scores["last_other_objects"], 2).partition(" ")[2],
     lambda scores: cell(scores["mean"], 2),
@@ -60,7 +63,7 @@ def paper_methods(measured: Measured) -> str:
     chance_of_all = len(sets) / sum(1 / chance for chance in chances)
     rows.append(["chance", *(cell(chance, 2) for chance in (*chances, chance_of_all))])
     for method in means:
-        if shown(method, "measured force"):
+        if shown(method, "measured force", "median force, product", "constant reading, product"):
             rows.append([method, *(last(entry["methods"][method]) for entry in sets.values()), cell(means[method])])
     return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
 
@@ -82,22 +85,20 @@ def mark_significant(
 
 def paper_differences(measured: Measured, hidden: Sequence[str] = ()) -> str:
     """Paired differences on the paper's two sets and of the means over all objects, without pairs whose name contains a
-    hidden word. The number after the semicolon is how many pads would resolve a difference of three points.
+    hidden word.
     """
     sets, means = measured["sets"], measured["differences of these means"]
     rows, pairs = [], [pair for pair in next(iter(sets.values()))["paired"] if shown(pair, *hidden)]
     differences = [[*(entry["paired"][pair]["last"] for entry in sets.values()), means[pair]] for pair in pairs]
     marked = iter(mark_significant([item for row in differences for item in row], measured, primary=len(sets)))
     for pair in pairs:
-        *parts, mean = islice(marked, len(sets) + 1)
-        needed = [entry["paired"][pair]["pads_needed"] for entry in sets.values()]
-        cells = [f"{part}; {pads}" for part, pads in zip(parts, needed, strict=True)]
+        cells = islice(marked, len(sets) + 1)
         _, _, rule = pair.rpartition(", ")
         brief = re.sub(r"Imagine2touch \(paper's network, (.*?)\)", r"\1", pair)
         brief = re.sub(r"paper's network and measured force, (\w+)", r"\1 and force", brief)
         brief = re.sub(f"same rules, |, {rule}", "", brief)
-        rows.append([f"{brief} ({rule})", *cells, mean])
-    head = ["difference after 10 touches", *(f"{name} [95 %]; pads needed" for name in sets), "mean of the five [95 %]"]
+        rows.append([f"{brief} ({rule})", *cells])
+    head = ["difference after 10 touches", *(f"{name} [95 %]" for name in sets), "mean of the five [95 %]"]
     return markdown(head, rows)
 
 
@@ -129,8 +130,8 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
 
 
 def physics_by_touches(evidence: str) -> Table:
-    """Table with a row for each physics and a column for each number of touches of the skin: mean accuracy over touches
-    from one kind of evidence, and its difference from the matched physics.
+    """Table with a row for each physics and a column for each number of touches of the skin, without the oracle: mean
+    accuracy over touches from one kind of evidence, and its difference from the matched physics.
     """
 
     def render(measured: Measured) -> str:
@@ -140,11 +141,24 @@ def physics_by_touches(evidence: str) -> Table:
             rows_of, mark_significant([row[4] for row in rows_of], measured), strict=True
         ):
             cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {lost}"
-        columns = max(cells.values(), key=len)
+        columns = [touches for touches in max(cells.values(), key=len) if touches != "oracle"]
         rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
         return markdown([f"{evidence}; touches of this skin", *columns], rows)
 
     return render
+
+
+def stopping_errors(measured: Measured) -> str:
+    """Episodes stopped early and their error rates by placement error and requested error, with the temperature fitted
+    to the largest placement errors and without the smallest placement errors, at which hardly any decision is wrong.
+    """
+    table = measured["tables"]["errors"]
+    names = [column["name"] for column in table["columns"]]
+    start = next(i for i, name in enumerate(names) if name.startswith(LARGEST))
+    rows = [[*row[:2], *row[start:]] for row in table["rows"]]
+    stopped = table["columns"][start] | {"name": names[start].removeprefix(LARGEST)}
+    columns = [*table["columns"][:2], stopped, *table["columns"][start + 1 :]]
+    return study_table("errors", hidden=("half",))({"tables": {"errors": {"columns": columns, "rows": rows}}})
 
 
 def policies(measured: Measured) -> str:
@@ -164,12 +178,12 @@ def rules_of_readings(measured: Measured) -> str:
     rows = []
     for name, result in entry["methods"].items():
         accuracy, error = result["accuracy"], result["calibration_error"]
-        cells = [cell(at(accuracy, min(touch, last))["mean"], 2) for touch in (1, 3, 5)]
+        cells = [cell(at(accuracy, 1)["mean"], 2)]
         scores = [mean_of("mean", 2, result["log_loss"]), f"{cell(error['error'])} ({cell(error['chance'])})"]
         others = random["methods"][name]["accuracy"]
         at_random = f"{cell(at(others, 1)['mean'], 2)}, {cell(at(others, -1)['mean'], 2)}"
         rows.append([name, *cells, cell(at(accuracy, -1), 2), *scores, at_random])
-    head = ["after 1", "after 3", "after 5", f"after {last} [95 %]", "log loss", "ECE (expected by chance)"]
+    head = ["after 1", f"after {last} [95 %]", "log loss", "ECE (expected by chance)"]
     return markdown(["rule", *head, f"random split: after 1, {last}"], rows)
 
 
@@ -220,4 +234,4 @@ TABLES: dict[str, dict[str, Table]] = {
 }
 TABLES["mismatch"]["settings"] = settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "hysteresis"))
 TABLES["physics"] |= {evidence: physics_by_touches(evidence) for evidence in ("readings", "fused")}
-TABLES["stopping"]["errors"] = study_table("errors", hidden=("half",))
+TABLES["stopping"]["errors"] = stopping_errors
