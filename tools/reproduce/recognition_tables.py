@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.cells import Cell, Measured, Table, at, percent, rows_over, shown
+from experiments.common.cells import Cell, Measured, Table, at, rows_over, shown
 from experiments.common.tables import cell, markdown
 from experiments.studies.tables import study_table
 from i2t.intervals import COVERAGE, Estimate, holm, p_values
@@ -129,23 +129,23 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
     return render
 
 
-def physics_by_touches(evidence: str) -> Table:
-    """Table with a row for each physics and a column for each number of touches of the skin, without the oracle: mean
-    accuracy over touches from one kind of evidence, and its difference from the matched physics.
+def physics_by_touches(measured: Measured) -> str:
+    """Table with a row for each physics and a column for each evidence and number of touches of the skin: mean accuracy
+    over touches, and its difference from the matched physics with all touches.
     """
-
-    def render(measured: Measured) -> str:
-        cells: dict[str, dict[str, str]] = {}
+    shown_columns = [(evidence, touches) for evidence in ("readings", "fused") for touches in ("none", "20", "200")]
+    cells: dict[str, dict[tuple[str, str], str]] = {}
+    for evidence in ("readings", "fused"):
         rows_of = [row for row in measured["tables"]["methods"]["rows"] if row[1] == evidence]
         for (physics, _, touches, mean, *_), lost in zip(
             rows_of, mark_significant([row[4] for row in rows_of], measured), strict=True
         ):
-            cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {lost}"
-        columns = [touches for touches in max(cells.values(), key=len) if touches != "oracle"]
-        rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
-        return markdown([f"{evidence}; touches of this skin", *columns], rows)
-
-    return render
+            cells.setdefault(physics, {})[evidence, touches] = f"{cell(mean['mean'], 2)}: {lost}"
+    rows = [[physics, *(row.get(column, "-") for column in shown_columns)] for physics, row in cells.items()]
+    head = [f"{evidence}, {touches}" for evidence, touches in shown_columns]
+    matched = next(iter(cells.values()))
+    whole = ", ".join(f"{evidence} {matched[evidence, 'all'].partition(':')[0]}" for evidence in ("readings", "fused"))
+    return markdown([f"touches of this skin (bonded layer, all: {whole})", *head], rows)
 
 
 def stopping_errors(measured: Measured) -> str:
@@ -187,32 +187,6 @@ def rules_of_readings(measured: Measured) -> str:
     return markdown(["rule", *head, f"random split: after 1, {last}"], rows)
 
 
-BELIEF, NOVELTY = "calibrated belief", "distance to the training readings"
-
-
-def stopping_on_readings(measured: Measured) -> str:
-    """Shares of episodes that the belief and the product stop early, and their error rates, by requested error."""
-    methods = measured["splits"][IN_FILE_ORDER]["methods"]
-    rules = BELIEF, "product"
-    rows = [
-        [
-            f"{100 * pair[0]['requested_error']:.0f} %",
-            *(text for rates in pair for text in (percent(rates["stopped"], 0), percent(rates["stopped_error"]))),
-        ]
-        for pair in zip(*(methods[rule]["stopping"] for rule in rules), strict=True)
-    ]
-    head = [f"{rule}: {title} [95 %]" for rule in rules for title in ("stopped early", "wrong when stopped")]
-    return markdown(["requested error", *head], rows)
-
-
-def unknown_in_readings(measured: Measured) -> str:
-    """Detection of unknown objects by the belief and by the distance to the training readings."""
-    unknown = measured["unknown"]
-    touches = unknown["touches"][0], unknown["touches"][-1]
-    rows = [[name, *(cell(at(unknown[name], touch), 2) for touch in (1, -1))] for name in (BELIEF, NOVELTY)]
-    return markdown(["AUROC for unknown objects [95 %]", *(f"after {touch}" for touch in touches)], rows)
-
-
 STUDY_TABLES = {
     "mismatch": ("methods",),
     "open_set": ("auroc", "accuracy"),
@@ -229,9 +203,9 @@ TABLES: dict[str, dict[str, Table]] = {
         "sets of the paper": sets_of_the_paper,
     },
     "active_touch": {"policies": policies},
-    "grasps": {"rules": rules_of_readings, "stopping": stopping_on_readings, "unknown": unknown_in_readings},
+    "grasps": {"rules": rules_of_readings},
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
 }
 TABLES["mismatch"]["settings"] = settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "hysteresis"))
-TABLES["physics"] |= {evidence: physics_by_touches(evidence) for evidence in ("readings", "fused")}
+TABLES["physics"]["by touches"] = physics_by_touches
 TABLES["stopping"]["errors"] = stopping_errors

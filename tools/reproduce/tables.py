@@ -13,13 +13,11 @@ from experiments.common.cells import AVERAGE_SUFFIX, Measured, Table
 from tools.reproduce import recognition_tables as recognition
 from tools.reproduce import shape_tables as shapes
 from tools.reproduce import skin_tables as skins
-from tools.reproduce.limits_table import safety_limits
 from tools.reproduce.readme_table import overview, summary
 
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 ALL_STEPS = "all"
 TABLES_OF_ALL_STEPS: dict[str, Table] = {"overview": overview, "summary": summary}
-LIMITS_TABLE = ("safety", "limits")  # from i2t/hardware/limits.py
 
 
 def write_tables(docs: Path) -> list[str]:
@@ -68,8 +66,6 @@ def table(docs: Path, step: str, name: str, page: str = "") -> str:
         return TABLES_OF_ALL_STEPS[name](
             {path.stem: json.loads(path.read_text()) for path in (docs / "results").glob("*.json")}
         )
-    if (step, name) == LIMITS_TABLE:
-        return safety_limits()
     if name not in TABLES.get(step, {}):
         raise ValueError(f"{page}: there is no table {name!r} of {step}; there are {', '.join(TABLES.get(step, {}))}")
     path = docs / "results" / f"{step}.json"
