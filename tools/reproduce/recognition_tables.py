@@ -28,11 +28,10 @@ LARGEST = "fitted to the largest: "  # begins the columns of this temperature in
 
 
 METHOD_HEAD = (
-    "method", "after 1", "after 10 [95 %]", "[95 %] for similar objects",
+    "method", "after 10 [95 %]", "[95 %] for similar objects",
     "mean over 1 to 10 touches [95 %]", "ECE", "log loss",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
-    lambda scores: cell(at(scores["accuracy"], 1)["mean"], 2),
     last,
     lambda scores: cell(scores["last_other_objects"], 2).partition(" ")[2],
     lambda scores: cell(scores["mean"], 2),

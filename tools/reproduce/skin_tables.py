@@ -226,8 +226,10 @@ TABLES: dict[str, dict[str, Table]] = {
             *numbers_of(ERRORS),
         )
     },
-    "train_blocks": {"predictors": predictors_on_recording("blocks")},
-    "train_time": {"predictors": predictors_on_recording("groups of 20 presses", hidden=("ridge", "paper's"))},
+    "train_blocks": {"predictors": predictors_on_recording("blocks", hidden=("ridge",))},
+    "train_time": {
+        "predictors": predictors_on_recording("groups of 20 presses", hidden=("ridge", "paper's", "mean reading"))
+    },
     "study": {
         "predictors": rows_over(
             "over_pads",
