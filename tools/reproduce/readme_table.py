@@ -78,14 +78,13 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
             f"{r2_of(2, by_position)}; from an image {r2_of(2, from_image)}; best baseline {r2_of(2, baseline)}",
             f"six unseen objects: {cell(pads[GP]['r2'], 2)}, best baseline {cell(baseline_on_pads, 2)}; "
             f"[registered](#the-same-objects-registered) {cell(registered[GP]['r2'], 2)}",
-            "errors of camera and arm cost half of what could be explained; "
-            f"`{CALIBRATED}` was partly tuned on that skin",
+            f"errors of camera and arm cost half; `{CALIBRATED}` was partly tuned on that skin",
         ],
         [
             "[calibrate](calibration.md) a skin from 20 presses, R²",
             f"one eFlesh skin, blocks held out: {cell(press, 2)}, plain GP {cell(plain, 2)}",
             "better than a plain GP",
-            "partly tuned on that skin; the layer's physics failed on it",
+            "partly tuned on that skin",
         ],
     ]
 
@@ -100,8 +99,7 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "the paper's [recognition](recognition.md), mean of its five objects, chance .40",
             NOT_DONE,
             f"{votes}; the paper's real skin .58, proprioception .46",
-            "masks do worse than proprioception on tools; depths, which the paper describes, are not shown to beat "
-            "proprioception by votes",
+            "masks do worse than proprioception on tools; depths are not shown to do better on the mean",
         ],
         [
             "recognition by the belief, ten touches, chance .20",
@@ -134,9 +132,9 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             f"{cell(best['accuracy'], 2)}, lead {cell(best[LEAD], 2)}",
             f"stamps: predicted touch {stamps['predicted touch']}, paper's classifier {of_paper}, a tuned one with "
             f"pose and force {with_pose}",
-            "each digit is one recording, so the ambient field identifies it: without subtracting that field, the best "
-            f"baseline reaches {cell(with_ambient['accuracy'][0], 2)}; samples at rest alone, with the median "
-            f"subtracted, reach {cell(at_rest['accuracy'][0], 2)}",
+            "each digit is one recording, which the ambient field identifies: with it, the best baseline reaches "
+            f"{cell(with_ambient['accuracy'][0], 2)}; samples at rest, median subtracted, reach "
+            f"{cell(at_rest['accuracy'][0], 2)}",
         ],
         [
             "patches from [depth images](depth.md)",

@@ -1,6 +1,6 @@
 """Tables of surfaces from touches, patches below single presses, and recognised shapes."""
 
-from experiments.common.cells import Measured, Table, span
+from experiments.common.cells import Measured, Table, shown, span
 from experiments.common.tables import cell, markdown
 from experiments.reconstruct.tables import conditions, conditions_and_goals, hidden, policies, savings
 
@@ -79,7 +79,7 @@ def stamps(measured: Measured) -> str:
 
 
 def strokes(measured: Measured) -> str:
-    """Accuracy and calibration of every method on later strokes."""
+    """Accuracy and calibration of methods on later strokes."""
     rows = [
         [
             name,
@@ -88,6 +88,7 @@ def strokes(measured: Measured) -> str:
             cell(scores[LEAD], 2, signed=True) if LEAD in scores else "",
         ]
         for name, scores in measured["splits"]["in file order"]["methods"].items()
+        if shown(name, "logistic", "paper's classifier, raw")
     ]
     goal = ["goal", "0.95", "0.030", ""]
     head = ["method", "accuracy on later strokes [95 %]", "calibration error (expected by chance)", LEAD]

@@ -18,7 +18,7 @@ def r2_over(scores: Mapping[str, Any]) -> str:
     return cell(scores["r2"], 2)
 
 
-ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma", "cosine"), ("RMSE µT", "RMSE / sigma", "median cosine")
+ERRORS, ERROR_TITLES = ("rmse", "rmse_sigma"), ("RMSE µT", "RMSE / sigma")
 
 
 def predictors_on_recording(over: str, hidden: Sequence[str] = ()) -> Table:
@@ -233,9 +233,9 @@ TABLES: dict[str, dict[str, Table]] = {
     "study": {
         "predictors": rows_over(
             "over_pads",
-            ("method ({source}, six unseen objects)", "R² [95 % over pads]", *ERROR_TITLES[:2]),
+            ("method ({source}, six unseen objects)", "R² [95 % over pads]", *ERROR_TITLES),
             r2_over,
-            *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS[:2]),
+            *(lambda scores, key=key: cell(scores[key][0], 2) for key in ERRORS),
         ),
         "choice": choice_on_validation,
     },
