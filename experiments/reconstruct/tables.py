@@ -21,7 +21,8 @@ def conditions(measured: Measured) -> str:
 def conditions_and_goals(measured: Measured) -> str:
     """Main scores of every condition, with the goals in the last row."""
     head, rows = _surfaces(measured)
-    return _main_columns(head, [*rows, ["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]])
+    goals = ["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]
+    return _main_columns(head, [*rows, goals], "10 touches")
 
 
 def _main_columns(head: list[str], rows: list[list[str]], *others: str) -> str:

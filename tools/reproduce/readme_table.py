@@ -137,12 +137,6 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             f"{cell(at_rest['accuracy'][0], 2)}",
         ],
         [
-            "patches from [depth images](depth.md)",
-            "frames of YCB-Video and APC",
-            "against the mesh",
-            "sharp ridges appear too deep",
-        ],
-        [
             "touch to [shape](reconstruction.md)",
             f"position of a tip, not a shape: median error {cell(tip, 1)} mm ([heads](fidelity.md#heads))",
             f"{rebuilt['test_objects']} unseen objects: {cell(read['ratio'], 2)} of the distance left after 5 touches "

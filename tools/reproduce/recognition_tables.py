@@ -29,14 +29,13 @@ LARGEST = "fitted to the largest: "  # begins the columns of this temperature in
 
 METHOD_HEAD = (
     "method", "after 10 [95 %]", "[95 %] for similar objects",
-    "mean over 1 to 10 touches [95 %]", "ECE", "log loss",
+    "mean over 1 to 10 touches [95 %]", "ECE",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
     last,
     lambda scores: cell(scores["last_other_objects"], 2).partition(" ")[2],
     lambda scores: cell(scores["mean"], 2),
     partial(mean_of, "calibration_error", 2),
-    partial(mean_of, "log_loss", 2),
 )
 
 
@@ -110,17 +109,17 @@ def sets_of_the_paper(measured: Measured) -> str:
 
 
 def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
-    """Table with a row for each setting of a study: accuracy over all touches, difference from the first setting, and
-    log loss, for some kinds of evidence.
+    """Table with a row for each setting of a study: accuracy over all touches and difference from the first setting,
+    for some kinds of evidence.
     """
 
     def render(measured: Measured) -> str:
         table = measured["tables"]["methods"]
-        names = [column["name"] for column in table["columns"]][4:]
+        names = [column["name"] for column in table["columns"]][4:6]
         by_setting: dict[str, list[str]] = {}
-        for setting, evidence, _, _, whole, less, log_loss in table["rows"]:
+        for setting, evidence, _, _, whole, less, _ in table["rows"]:
             if evidence in kinds and shown(setting, *hidden):
-                cells = [cell(whole, 2), cell(less, 2, signed=True), cell(log_loss, 2)]
+                cells = [cell(whole, 2), cell(less, 2, signed=True)]
                 by_setting.setdefault(setting, []).extend(cells)
         head = [f"{kind}: {name}" for kind in kinds for name in names]
         return markdown(["setting", *head], [[setting, *cells] for setting, cells in by_setting.items()])
