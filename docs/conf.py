@@ -39,6 +39,7 @@ os.environ["TQDM_DISABLE"] = "1"  # else their pages show every step of a progre
 import i2t
 from i2t.cli.commands import COMMANDS, EXPERIMENTS
 from tools.check_docs import pages
+from tools.reproduce.limits_table import safety_limits
 
 project = "i2t"
 author = project_copyright = "The i2t maintainers"
@@ -198,7 +199,8 @@ def api_page() -> str:
         shown = [name for name in face_names() if getattr(i2t, name).__module__ == module]  # documented above
         lines += [f"## {module}", "", "```{eval-rst}", f".. automodule:: {module}", "   :members:"]
         lines += [f"   :exclude-members: {', '.join(shown)}", "```", ""]
-    lines += ["## Other names on these pages", "", "```{eval-rst}", ".. py:currentmodule:: None"]
+    lines += ["## Safety limits", "", "The table of `i2t.hardware.limits`, with the test of each limit.", ""]
+    lines += [safety_limits(), "", "## Other names on these pages", "", "```{eval-rst}", ".. py:currentmodule:: None"]
     others = other_names()
     for name in sorted(others, key=lambda name: (inspect.ismodule(others[name]), name)):
         lines += ["", f".. {_directive(others[name])}:: {name}"]

@@ -14,18 +14,19 @@ def reconstructions(measured: Measured) -> str:
 
 
 def conditions(measured: Measured) -> str:
-    """Main scores of every condition."""
-    return _main_columns(*_surfaces(measured))
+    """Distances and coverage of every condition."""
+    return _main_columns(*_surfaces(measured), "IoU", "90 % half-width, mm")
 
 
 def conditions_and_goals(measured: Measured) -> str:
     """Main scores of every condition, with the goals in the last row."""
     head, rows = _surfaces(measured)
-    return _main_columns(head, [*rows, ["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]])
+    goals = ["goal", *(SURFACE_GOALS.get(column, "") for column in head[1:])]
+    return _main_columns(head, [*rows, goals], "10 touches")
 
 
-def _main_columns(head: list[str], rows: list[list[str]]) -> str:
-    columns = [i for i, column in enumerate(head) if column not in ("1 touch", "F-score")]
+def _main_columns(head: list[str], rows: list[list[str]], *others: str) -> str:
+    columns = [i for i, column in enumerate(head) if column not in ("1 touch", "F-score", *others)]
     return markdown([head[i] for i in columns], [[row[i] for i in columns] for row in rows])
 
 

@@ -2,7 +2,7 @@
 (docs/data.md describes it).
 
 Columns, by name: x_mm, y_mm (the indenter's axis from the skin's centre, along the skin's edges), travel_mm (past first
-contact; also travel_mm) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
+contact) or z_mm (the tip's height), the values of the board's chips b0x_uT, b0y_uT, b0z_uT, b1x_uT ...
 (to b4z_uT for five chips); optionally force_N (empty = not measured), a0x_uT ... (ambient, subtracted), time_s, pad and
 session (names; a session may be called run), and source (real, as by default, or simulated). Travel may be missing if
 there are forces.

@@ -17,7 +17,7 @@ import i2t
 from i2t.cli.commands import COMMANDS, command_of
 from tools import snippets
 from tools.reproduce.steps import STEPS
-from tools.reproduce.tables import LIMITS_TABLE, MARK, README_TABLE, table
+from tools.reproduce.tables import ALL_STEPS, MARK, table
 
 ROOT = Path(__file__).parents[2]
 PRINTED = re.compile(r"python -m (?:i2t|experiments|tools|tests)[^`\n]*|(?<!\S)i2t [a-z-][^`\n]*")
@@ -163,7 +163,7 @@ def _mentions(help_text: str, word: str) -> bool:
 def tables(page: Path, text: str) -> Iterator[PageProblem]:
     """Find tables that differ from docs/results, and tables on pages that do not print their command."""
     printed = {step.name: f"python {step.command}" for step in STEPS}
-    printed |= dict.fromkeys((README_TABLE[0], LIMITS_TABLE[0]), "")  # tables without a command of their own
+    printed[ALL_STEPS] = ""  # tables without a command of their own
     for match in MARK.finditer(text):
         line, step = _line(text, match.start()), match[2]
         if step not in printed:

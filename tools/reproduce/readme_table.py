@@ -1,4 +1,4 @@
-"""Table of the README: results on real data and in simulation, and limits."""
+"""Tables over all steps: the small one of the README, and the longer one at the top of docs/results.md."""
 
 import re
 from collections.abc import Mapping
@@ -10,6 +10,7 @@ from tools.reproduce.skin_tables import r2_of
 
 GP = "Gaussian process on predicted contact pressure"
 CALIBRATED = "i2t.calibrate"
+NOT_DONE = "not done"
 VOTES = {
     "masks": "Imagine2touch (paper's network, mask), votes",
     "depths": "Imagine2touch (paper's network, depth), votes",
@@ -17,21 +18,56 @@ VOTES = {
 }
 
 
+def overview(results: Mapping[str, Measured]) -> str:
+    """Table of the README: at most one number in a cell, from real devices or recordings and from simulation."""
+    real, _ = _real_presses(results)
+    bonded = results["calibrate_simulated"]["cases"]["bonded, travel"]["r2"][CALIBRATED]["100"]
+    pads = results["study"]["over_pads"][GP]["r2"]
+    fused = at(results["recognize"]["sets"]["all"]["methods"]["fused"]["accuracy"], -1)
+    read, posed = _with_and_without_readings(results["reconstruct_baselines"])
+    rows = [
+        [
+            "held-out presses of one skin, R²",
+            f"one eFlesh skin, 1000 presses: {r2_of(2, real)}",
+            f"bonded skins, 100 presses: {cell(bonded, 2)}",
+        ],
+        ["touches of objects not trained on, R²", NOT_DONE, f"six objects: {cell(pads, 2)}"],
+        ["one of five objects recognised (chance .20)", NOT_DONE, f"ten touches: {cell(fused, 2)}"],
+        [
+            f"share left of the distance to an unseen shape (without readings {cell(posed['ratio'][0], 2)})",
+            NOT_DONE,
+            f"five touches: {cell(read['ratio'], 2)}",
+        ],
+        ["ReSkin board, UR arm, RealSense camera", NOT_DONE, "emulators of their protocols"],
+    ]
+    return _short(markdown(["question", "real devices or recordings", "simulated"], rows))
+
+
 def summary(results: Mapping[str, Measured]) -> str:
     """Table with a row for each function of i2t and links to the sources of its numbers; `results` is by step."""
     rows = [*_skins(results), *_objects(results), *_others(results)]
-    table = markdown(["task", "real data", "simulated", "limits"], rows)
-    return re.sub(r"\b0(?=\.\d\d\b)", "", table)  # .94 in place of 0.94
+    return _short(markdown(["task", "real data", "simulated", "limits"], rows))
+
+
+def _short(table: str) -> str:
+    """Write .94 in place of 0.94."""
+    return re.sub(r"\b0(?=\.\d\d\b)", "", table)
+
+
+def _real_presses(results: Mapping[str, Measured]) -> tuple[Measured, Measured]:
+    """Scores of `i2t.calibrate` and of the best baseline on held-out blocks of a real skin."""
+    blocks = results["train_blocks"]
+    methods = blocks["methods"]
+    by_position = next(scores for name, scores in methods.items() if name.startswith(CALIBRATED))
+    baselines = (methods[name] for name in (*blocks["baselines"], "tuned GP on position and load"))
+    return by_position, max(baselines, key=lambda scores: scores["r2"])
 
 
 def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
-    blocks, study, calibrate = results["train_blocks"], results["study"], results["calibrate"]
-    real, pads, registered = blocks["methods"], study["over_pads"], results["train_registered"]["over_pads"]
-    by_position = next(scores for name, scores in real.items() if name.startswith(CALIBRATED))
-    baseline = max(
-        (real[name] for name in (*blocks["baselines"], "tuned GP on position and load")),
-        key=lambda scores: scores["r2"],
-    )
+    study, calibrate = results["study"], results["calibrate"]
+    by_position, baseline = _real_presses(results)
+    from_image = results["train_blocks"]["methods"][GP]
+    pads, registered = study["over_pads"], results["train_registered"]["over_pads"]
     baseline_on_pads = max((pads[name]["r2"] for name in study["baselines"]), key=lambda r2: r2[0])
     press = calibrate["calibrate_over_blocks"]["blocks of 6 mm"]["r2"]["20"]
     plain = calibrate["r2"]["blocks of 6 mm"]["plain Gaussian process"]["20"]["mean"]
@@ -39,21 +75,16 @@ def _skins(results: Mapping[str, Measured]) -> list[list[str]]:
         [
             "predict readings, R²",
             f"one eFlesh skin and tip, blocks held out: `{CALIBRATED}`, given the tip's position, "
-            f"{r2_of(2, by_position)}; from an image {r2_of(2, real[GP])}; best baseline {r2_of(2, baseline)} "
-            "([results](docs/results.md#real-presses-whole-blocks-held-out))",
+            f"{r2_of(2, by_position)}; from an image {r2_of(2, from_image)}; best baseline {r2_of(2, baseline)}",
             f"six unseen objects: {cell(pads[GP]['r2'], 2)}, best baseline {cell(baseline_on_pads, 2)}; "
-            "[registered](docs/registration.md#object-and-camera-from-one-session) with known meshes "
-            f"{cell(registered[GP]['r2'], 2)} "
-            "([results](docs/results.md#simulated-objects-that-were-never-touched))",
-            "errors of camera and arm cost half of what could be explained; "
-            f"`{CALIBRATED}` was partly tuned on that skin",
+            f"[registered](#the-same-objects-registered) {cell(registered[GP]['r2'], 2)}",
+            f"errors of camera and arm cost half; `{CALIBRATED}` was partly tuned on that skin",
         ],
         [
-            "calibrate a skin from 20 presses, R²",
-            f"one eFlesh skin, blocks held out: {cell(press, 2)}, plain GP {cell(plain, 2)} "
-            "([calibration](docs/calibration.md))",
-            "better than a plain GP ([calibration](docs/calibration.md))",
-            "partly tuned on that skin; the layer's physics failed on it",
+            "[calibrate](calibration.md) a skin from 20 presses, R²",
+            f"one eFlesh skin, blocks held out: {cell(press, 2)}, plain GP {cell(plain, 2)}",
+            "better than a plain GP",
+            "partly tuned on that skin",
         ],
     ]
 
@@ -63,34 +94,19 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
     votes = ", ".join(f"{name} {cell(paper[method]['mean'], 2)}" for name, method in VOTES.items())
     fused, readings_alone = (at(belief[evidence]["accuracy"], -1) for evidence in ("fused", "readings"))
     _, _, others = cell(belief["fused"]["last_other_objects"], 2).partition(" ")
-    rows = results["physics"]["tables"]["methods"]["rows"]
-    means = {tuple(row[:3]): cell(row[3]["mean"], 2) for row in rows}
-    readings, readings_own, belief_none, belief_own = (
-        " / ".join(
-            means[name, evidence, touches]
-            for name in ("free side faces", "soft compressible layer", "Winkler foundation")
-        )
-        for evidence in ("readings", "fused")
-        for touches in ("none", "200")
-    )
-    matched, both = (means["bonded layer", evidence, "all"] for evidence in ("readings", "fused"))
     return [
         [
-            "the paper's recognition, mean of its five objects, chance .40",
-            "not yet",
-            f"{votes}; the paper's real skin .58, proprioception .46 ([recognition](docs/recognition.md))",
-            "masks do worse than proprioception on tools; depths, which the paper describes, are not shown to beat "
-            "proprioception by votes",
+            "the paper's [recognition](recognition.md), mean of its five objects, chance .40",
+            NOT_DONE,
+            f"{votes}; the paper's real skin .58, proprioception .46",
+            "masks do worse than proprioception on tools; depths are not shown to do better on the mean",
         ],
         [
             "recognition by the belief, ten touches, chance .20",
-            "not yet",
+            NOT_DONE,
             f"{cell(fused, 2)} on six pads; interval for similar objects {others}; from readings alone "
-            f"{cell(readings_alone['mean'], 2)} ([recognition](docs/recognition.md))",
-            f"skins with free sides / a soft layer / springs, mean over all touches: readings alone {readings} "
-            f"instead of {matched} without touches of that skin, {readings_own} with 200; fused {belief_none} instead "
-            f"of {both} without, "
-            f"{belief_own} with 200",
+            f"{cell(readings_alone['mean'], 2)}",
+            "less on [skins of other physics](recognition.md#a-skin-of-other-physics)",
         ],
     ]
 
@@ -111,36 +127,28 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
     of_paper, with_pose = stamps["paper's classifier"], stamps["classifier with pose"]
     return [
         [
-            "recognise shapes",
+            "recognise [shapes](shapes.md)",
             f"digits drawn on one skin, later strokes, chance .10: {cell(warped['accuracy'], 2)}, best baseline "
-            f"{cell(best['accuracy'], 2)}, lead {cell(best[LEAD], 2)} "
-            "([shapes](docs/shapes.md#on-a-real-skin))",
+            f"{cell(best['accuracy'], 2)}, lead {cell(best[LEAD], 2)}",
             f"stamps: predicted touch {stamps['predicted touch']}, paper's classifier {of_paper}, a tuned one with "
             f"pose and force {with_pose}",
-            "each digit is one recording, so the ambient field identifies it: without subtracting that field, the best "
-            f"baseline reaches {cell(with_ambient['accuracy'][0], 2)}; samples at rest alone, with the median "
-            f"subtracted, reach {cell(at_rest['accuracy'][0], 2)}",
+            "each digit is one recording, which the ambient field identifies: with it, the best baseline reaches "
+            f"{cell(with_ambient['accuracy'][0], 2)}; samples at rest, median subtracted, reach "
+            f"{cell(at_rest['accuracy'][0], 2)}",
         ],
         [
-            "patches from depth images",
-            "frames of YCB-Video and APC ([depth](docs/depth.md))",
-            "against the mesh ([depth](docs/depth.md))",
-            "sharp ridges appear too deep",
-        ],
-        [
-            "touch to shape",
-            f"position of a tip, not a shape: median error {cell(tip, 1)} mm ([heads](docs/fidelity.md#heads))",
+            "touch to [shape](reconstruction.md)",
+            f"position of a tip, not a shape: median error {cell(tip, 1)} mm ([heads](fidelity.md#heads))",
             f"{rebuilt['test_objects']} unseen objects: {cell(read['ratio'], 2)} of the distance left after 5 touches "
             f"({cell(read['chamfer_mm'][0], 1)} mm), without readings {cell(posed['ratio'], 2)} "
-            f"({cell(posed['chamfer_mm'][0], 1)} mm) "
-            "([reconstruction](docs/reconstruction.md))",
+            f"({cell(posed['chamfer_mm'][0], 1)} mm)",
             f"pad fitted from 300 presses, pose known to 3 mm and 5 degrees: {cell(fitted_read['ratio'][0], 2)}, "
             f"without readings {cell(fitted_posed['ratio'][0], 2)}; needs a library of similar objects",
         ],
         [
-            "drivers: ReSkin, UR arm, RealSense",
-            "**not yet**",
-            "emulators of the devices' protocols ([hardware](docs/hardware.md))",
+            "[drivers](hardware.md): ReSkin, UR arm, RealSense",
+            f"**{NOT_DONE}**",
+            "emulators of the devices' protocols",
             "no real device has been tried",
         ],
     ]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.common.cells import Cell, Measured, Table, at, percent, rows_over, shown
+from experiments.common.cells import Cell, Measured, Table, at, rows_over, shown
 from experiments.common.tables import cell, markdown
 from experiments.studies.tables import study_table
 from i2t.intervals import COVERAGE, Estimate, holm, p_values
@@ -24,17 +24,18 @@ def mean_of(key: str, decimals: int, scores: Mapping[str, Any]) -> str:
     return cell(sum(scores[key]) / len(scores[key]), decimals)
 
 
+LARGEST = "fitted to the largest: "  # begins the columns of this temperature in the table of stopping
+
+
 METHOD_HEAD = (
-    "method", "after 1", "after 3", "after 5", "after 10 [95 %]", "[95 %] for similar objects",
-    "mean over 1 to 10 touches [95 %]", "ECE", "log loss",
+    "method", "after 10 [95 %]", "[95 %] for similar objects",
+    "mean over 1 to 10 touches [95 %]", "ECE",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
-    *(lambda scores, touch=touch: cell(at(scores["accuracy"], touch)["mean"], 2) for touch in (1, 3, 5)),
     last,
     lambda scores: cell(scores["last_other_objects"], 2).partition(" ")[2],
     lambda scores: cell(scores["mean"], 2),
     partial(mean_of, "calibration_error", 2),
-    partial(mean_of, "log_loss", 2),
 )
 
 
@@ -60,7 +61,7 @@ def paper_methods(measured: Measured) -> str:
     chance_of_all = len(sets) / sum(1 / chance for chance in chances)
     rows.append(["chance", *(cell(chance, 2) for chance in (*chances, chance_of_all))])
     for method in means:
-        if shown(method, "measured force"):
+        if shown(method, "measured force", "median force, product", "constant reading, product"):
             rows.append([method, *(last(entry["methods"][method]) for entry in sets.values()), cell(means[method])])
     return markdown(["after 10 touches [95 %], {source}".format_map(measured), *sets, "mean of the five"], rows)
 
@@ -82,22 +83,20 @@ def mark_significant(
 
 def paper_differences(measured: Measured, hidden: Sequence[str] = ()) -> str:
     """Paired differences on the paper's two sets and of the means over all objects, without pairs whose name contains a
-    hidden word. The number after the semicolon is how many pads would resolve a difference of three points.
+    hidden word.
     """
     sets, means = measured["sets"], measured["differences of these means"]
     rows, pairs = [], [pair for pair in next(iter(sets.values()))["paired"] if shown(pair, *hidden)]
     differences = [[*(entry["paired"][pair]["last"] for entry in sets.values()), means[pair]] for pair in pairs]
     marked = iter(mark_significant([item for row in differences for item in row], measured, primary=len(sets)))
     for pair in pairs:
-        *parts, mean = islice(marked, len(sets) + 1)
-        needed = [entry["paired"][pair]["pads_needed"] for entry in sets.values()]
-        cells = [f"{part}; {pads}" for part, pads in zip(parts, needed, strict=True)]
+        cells = islice(marked, len(sets) + 1)
         _, _, rule = pair.rpartition(", ")
         brief = re.sub(r"Imagine2touch \(paper's network, (.*?)\)", r"\1", pair)
         brief = re.sub(r"paper's network and measured force, (\w+)", r"\1 and force", brief)
         brief = re.sub(f"same rules, |, {rule}", "", brief)
-        rows.append([f"{brief} ({rule})", *cells, mean])
-    head = ["difference after 10 touches", *(f"{name} [95 %]; pads needed" for name in sets), "mean of the five [95 %]"]
+        rows.append([f"{brief} ({rule})", *cells])
+    head = ["difference after 10 touches", *(f"{name} [95 %]" for name in sets), "mean of the five [95 %]"]
     return markdown(head, rows)
 
 
@@ -110,17 +109,17 @@ def sets_of_the_paper(measured: Measured) -> str:
 
 
 def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
-    """Table with a row for each setting of a study: accuracy over all touches, difference from the first setting, and
-    log loss, for some kinds of evidence.
+    """Table with a row for each setting of a study: accuracy over all touches and difference from the first setting,
+    for some kinds of evidence.
     """
 
     def render(measured: Measured) -> str:
         table = measured["tables"]["methods"]
-        names = [column["name"] for column in table["columns"]][4:]
+        names = [column["name"] for column in table["columns"]][4:6]
         by_setting: dict[str, list[str]] = {}
-        for setting, evidence, _, _, whole, less, log_loss in table["rows"]:
+        for setting, evidence, _, _, whole, less, _ in table["rows"]:
             if evidence in kinds and shown(setting, *hidden):
-                cells = [cell(whole, 2), cell(less, 2, signed=True), cell(log_loss, 2)]
+                cells = [cell(whole, 2), cell(less, 2, signed=True)]
                 by_setting.setdefault(setting, []).extend(cells)
         head = [f"{kind}: {name}" for kind in kinds for name in names]
         return markdown(["setting", *head], [[setting, *cells] for setting, cells in by_setting.items()])
@@ -128,23 +127,36 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
     return render
 
 
-def physics_by_touches(evidence: str) -> Table:
-    """Table with a row for each physics and a column for each number of touches of the skin: mean accuracy over touches
-    from one kind of evidence, and its difference from the matched physics.
+def physics_by_touches(measured: Measured) -> str:
+    """Table with a row for each physics and a column for each evidence and number of touches of the skin: mean accuracy
+    over touches, and its difference from the matched physics with all touches.
     """
-
-    def render(measured: Measured) -> str:
-        cells: dict[str, dict[str, str]] = {}
+    shown_columns = [(evidence, touches) for evidence in ("readings", "fused") for touches in ("none", "20", "200")]
+    cells: dict[str, dict[tuple[str, str], str]] = {}
+    for evidence in ("readings", "fused"):
         rows_of = [row for row in measured["tables"]["methods"]["rows"] if row[1] == evidence]
         for (physics, _, touches, mean, *_), lost in zip(
             rows_of, mark_significant([row[4] for row in rows_of], measured), strict=True
         ):
-            cells.setdefault(physics, {})[touches] = f"{cell(mean['mean'], 2)}: {lost}"
-        columns = max(cells.values(), key=len)
-        rows = [[physics, *(row.get(touches, "-") for touches in columns)] for physics, row in cells.items()]
-        return markdown([f"{evidence}; touches of this skin", *columns], rows)
+            cells.setdefault(physics, {})[evidence, touches] = f"{cell(mean['mean'], 2)}: {lost}"
+    rows = [[physics, *(row.get(column, "-") for column in shown_columns)] for physics, row in cells.items()]
+    head = [f"{evidence}, {touches}" for evidence, touches in shown_columns]
+    matched = next(iter(cells.values()))
+    whole = ", ".join(f"{evidence} {matched[evidence, 'all'].partition(':')[0]}" for evidence in ("readings", "fused"))
+    return markdown([f"touches of this skin (bonded layer, all: {whole})", *head], rows)
 
-    return render
+
+def stopping_errors(measured: Measured) -> str:
+    """Episodes stopped early and their error rates by placement error and requested error, with the temperature fitted
+    to the largest placement errors and without the smallest placement errors, at which hardly any decision is wrong.
+    """
+    table = measured["tables"]["errors"]
+    names = [column["name"] for column in table["columns"]]
+    start = next(i for i, name in enumerate(names) if name.startswith(LARGEST))
+    rows = [[*row[:2], *row[start:]] for row in table["rows"]]
+    stopped = table["columns"][start] | {"name": names[start].removeprefix(LARGEST)}
+    columns = [*table["columns"][:2], stopped, *table["columns"][start + 1 :]]
+    return study_table("errors", hidden=("half",))({"tables": {"errors": {"columns": columns, "rows": rows}}})
 
 
 def policies(measured: Measured) -> str:
@@ -164,39 +176,13 @@ def rules_of_readings(measured: Measured) -> str:
     rows = []
     for name, result in entry["methods"].items():
         accuracy, error = result["accuracy"], result["calibration_error"]
-        cells = [cell(at(accuracy, min(touch, last))["mean"], 2) for touch in (1, 3, 5)]
+        cells = [cell(at(accuracy, 1)["mean"], 2)]
         scores = [mean_of("mean", 2, result["log_loss"]), f"{cell(error['error'])} ({cell(error['chance'])})"]
         others = random["methods"][name]["accuracy"]
         at_random = f"{cell(at(others, 1)['mean'], 2)}, {cell(at(others, -1)['mean'], 2)}"
         rows.append([name, *cells, cell(at(accuracy, -1), 2), *scores, at_random])
-    head = ["after 1", "after 3", "after 5", f"after {last} [95 %]", "log loss", "ECE (expected by chance)"]
+    head = ["after 1", f"after {last} [95 %]", "log loss", "ECE (expected by chance)"]
     return markdown(["rule", *head, f"random split: after 1, {last}"], rows)
-
-
-BELIEF, NOVELTY = "calibrated belief", "distance to the training readings"
-
-
-def stopping_on_readings(measured: Measured) -> str:
-    """Shares of episodes that the belief and the product stop early, and their error rates, by requested error."""
-    methods = measured["splits"][IN_FILE_ORDER]["methods"]
-    rules = BELIEF, "product"
-    rows = [
-        [
-            f"{100 * pair[0]['requested_error']:.0f} %",
-            *(text for rates in pair for text in (percent(rates["stopped"], 0), percent(rates["stopped_error"]))),
-        ]
-        for pair in zip(*(methods[rule]["stopping"] for rule in rules), strict=True)
-    ]
-    head = [f"{rule}: {title} [95 %]" for rule in rules for title in ("stopped early", "wrong when stopped")]
-    return markdown(["requested error", *head], rows)
-
-
-def unknown_in_readings(measured: Measured) -> str:
-    """Detection of unknown objects by the belief and by the distance to the training readings."""
-    unknown = measured["unknown"]
-    touches = unknown["touches"][0], unknown["touches"][-1]
-    rows = [[name, *(cell(at(unknown[name], touch), 2) for touch in (1, -1))] for name in (BELIEF, NOVELTY)]
-    return markdown(["AUROC for unknown objects [95 %]", *(f"after {touch}" for touch in touches)], rows)
 
 
 STUDY_TABLES = {
@@ -215,9 +201,9 @@ TABLES: dict[str, dict[str, Table]] = {
         "sets of the paper": sets_of_the_paper,
     },
     "active_touch": {"policies": policies},
-    "grasps": {"rules": rules_of_readings, "stopping": stopping_on_readings, "unknown": unknown_in_readings},
+    "grasps": {"rules": rules_of_readings},
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
 }
 TABLES["mismatch"]["settings"] = settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "hysteresis"))
-TABLES["physics"] |= {evidence: physics_by_touches(evidence) for evidence in ("readings", "fused")}
-TABLES["stopping"]["errors"] = study_table("errors", hidden=("half",))
+TABLES["physics"]["by touches"] = physics_by_touches
+TABLES["stopping"]["errors"] = stopping_errors

@@ -1,11 +1,11 @@
 """Tables of surfaces from touches, patches below single presses, and recognised shapes."""
 
-from experiments.common.cells import Measured, Table, span
+from experiments.common.cells import Measured, Table, shown, span
 from experiments.common.tables import cell, markdown
 from experiments.reconstruct.tables import conditions, conditions_and_goals, hidden, policies, savings
 
 PATCH_SCORES = (
-    ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"), ("contact_iou", "contact IoU"),
+    ("mask_iou", "mask IoU"), ("mask_skill", "mask skill"),
     ("centre_mm_median", "median centre error, mm"), ("coverage_90", "90 % coverage"), ("crps_mm", "CRPS, mm"),
     ("crps_ratio", "CRPS / CRPS of the prior"),
 )  # fmt: skip
@@ -79,24 +79,19 @@ def stamps(measured: Measured) -> str:
 
 
 def strokes(measured: Measured) -> str:
-    """Accuracy, log loss and calibration of every method on later strokes, and accuracy on random strokes."""
-    order, drawn = (split["methods"] for split in measured["splits"].values())
+    """Accuracy and calibration of methods on later strokes."""
     rows = [
         [
             name,
             cell(scores["accuracy"], 2),
-            cell(scores["log_loss"][0], 2),
             f"{cell(scores['calibration']['error'])} ({cell(scores['calibration']['chance'])})",
             cell(scores[LEAD], 2, signed=True) if LEAD in scores else "",
-            cell(drawn[name]["accuracy"], 2),
         ]
-        for name, scores in order.items()
+        for name, scores in measured["splits"]["in file order"]["methods"].items()
+        if shown(name, "logistic", "paper's classifier, raw")
     ]
-    goal = ["goal", "0.95", "", "0.030", "", ""]
-    head = [
-        "method", "accuracy on later strokes [95 %]", "log loss", "calibration error (expected by chance)", LEAD,
-        "accuracy, random split [95 %]",
-    ]  # fmt: skip
+    goal = ["goal", "0.95", "0.030", ""]
+    head = ["method", "accuracy on later strokes [95 %]", "calibration error (expected by chance)", LEAD]
     return markdown(head, [*rows, goal])
 
 

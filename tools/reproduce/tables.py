@@ -13,12 +13,11 @@ from experiments.common.cells import AVERAGE_SUFFIX, Measured, Table
 from tools.reproduce import recognition_tables as recognition
 from tools.reproduce import shape_tables as shapes
 from tools.reproduce import skin_tables as skins
-from tools.reproduce.limits_table import safety_limits
-from tools.reproduce.readme_table import summary
+from tools.reproduce.readme_table import overview, summary
 
 MARK = re.compile(r"(<!-- table: (\w+) ([^>]+?) -->\n).*?(<!-- end of table -->)", re.DOTALL)
-README_TABLE = ("all", "summary")  # from the results of all steps
-LIMITS_TABLE = ("safety", "limits")  # from i2t/hardware/limits.py
+ALL_STEPS = "all"
+TABLES_OF_ALL_STEPS: dict[str, Table] = {"overview": overview, "summary": summary}
 
 
 def write_tables(docs: Path) -> list[str]:
@@ -63,10 +62,10 @@ def table(docs: Path, step: str, name: str, page: str = "") -> str:
     Raises:
         ValueError: The table is unknown, or the step has no results.
     """
-    if (step, name) == README_TABLE:
-        return summary({path.stem: json.loads(path.read_text()) for path in (docs / "results").glob("*.json")})
-    if (step, name) == LIMITS_TABLE:
-        return safety_limits()
+    if step == ALL_STEPS and name in TABLES_OF_ALL_STEPS:
+        return TABLES_OF_ALL_STEPS[name](
+            {path.stem: json.loads(path.read_text()) for path in (docs / "results").glob("*.json")}
+        )
     if name not in TABLES.get(step, {}):
         raise ValueError(f"{page}: there is no table {name!r} of {step}; there are {', '.join(TABLES.get(step, {}))}")
     path = docs / "results" / f"{step}.json"
