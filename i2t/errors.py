@@ -93,7 +93,6 @@ EXTRAS = {
     "nbconvert": Extra("Jupyter", "notebooks"),
     "ipykernel": Extra("Jupyter", "notebooks"),
     "pyarrow": Extra("pyarrow", "lerobot"),
-    "pyvista": Extra("pyvista", "notebooks"),
     "rerun": Extra("rerun-sdk", "view"),
     "torch": Extra("torch", "bench"),
     "skfem": Extra("scikit-fem", "test"),
