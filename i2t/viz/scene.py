@@ -121,7 +121,7 @@ def draw_object(
     picture = _shade(z)
     if colours is not None:
         hit = np.isfinite(z)
-        picture[hit] *= np.asarray(colours)[KDTree(vertices).query(view.points(z)[hit])[1]]
+        picture[hit] *= np.asarray(colours)[KDTree(vertices).query(view.seen_points(z)[hit])[1]]
     touched = touch_colours(len(T_o_t))
     for T, colour in zip(T_o_t, touched, strict=True):
         visible, edge = _square(view, z, T)
@@ -189,10 +189,10 @@ class _View(NamedTuple):
         width, height = np.ptp(vertices @ self.rotation.T, axis=0)[:2]
         return float(min(aspect / max(width, 1e-9), 1 / max(height, 1e-9)))
 
-    def points(self, heights: np.ndarray) -> np.ndarray:
-        """Points (m) in the object's frame that the pixels show."""
+    def seen_points(self, heights: np.ndarray) -> np.ndarray:
+        """Points (m) in the object's frame that the pixels show, at a finite depth where they show none."""
         at = (np.arange(PIXELS) + 0.5) / PIXELS - 0.5
-        seen = np.stack([*np.meshgrid(at, at), heights], axis=-1)
+        seen = np.stack([*np.meshgrid(at, at), np.where(np.isfinite(heights), heights, 0)], axis=-1)
         return (seen - self.shift) / self.scale @ self.rotation
 
     def to_pixels(self, points: np.ndarray) -> np.ndarray:

@@ -40,9 +40,7 @@ def overview(story: Story) -> Figure:
         for x, w in ((0.0, 1.75), (1.95, edge), (3.52, 0.1), (4.15, edge), (5.75, edge), (7.85, 0.75))
     )
     mesh = record.meshes[record.truth]
-    viz.draw_object(
-        left, mesh.vertices, mesh.faces, (inverse(touches.T_w_o[row]) @ touches.T_w_t[row])[None], numbers=False
-    )
+    viz.draw_object(left, mesh.vertices, mesh.faces, story.typical_pose[None], numbers=False)
     image = viz.draw_patch(patch, touches.patch[row])
     figure.colorbar(image, cax=bar).set_label("depth (mm)", fontsize=10)
     _outline(patch, np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
