@@ -93,6 +93,7 @@ EXTRAS = {
     "manifold3d": Extra("manifold3d", "shapes"),
     "open3d": Extra("Open3D", "bench"),
     "pyarrow": Extra("pyarrow", "lerobot"),
+    "pyvista": Extra("pyvista", "notebooks"),
     "rerun": Extra("rerun-sdk", "view"),
     "torch": Extra("torch", "bench"),
     "skfem": Extra("scikit-fem", "test"),

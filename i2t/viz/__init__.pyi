@@ -5,6 +5,7 @@ from .cluster_map import plot_clusters as plot_clusters
 from .episode_report import EpisodeRecord as EpisodeRecord
 from .episode_report import plot_episode as plot_episode
 from .episode_report import write_episode_report as write_episode_report
+from .interactive import object_plotter as object_plotter
 from .patches import draw_length as draw_length
 from .patches import draw_map as draw_map
 from .patches import draw_patch as draw_patch
