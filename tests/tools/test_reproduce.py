@@ -15,7 +15,9 @@ from tools.reproduce import __main__ as reproduce
 from tools.reproduce.shape_tables import PATCH_SCORES
 from tools.reproduce.skin_tables import CALIBRATED, GAIN, NEIGHBOURS, PLAIN, SESSIONS
 from tools.reproduce.steps import STEPS
-from tools.reproduce.tables import TABLES, shortened, write_tables
+from tools.reproduce.tables import ALL_STEPS, TABLES, shortened, table, write_tables
+
+ROOT = Path(__file__).parents[2]
 
 
 def test_every_step_is_a_command_that_takes_these_arguments():
@@ -132,6 +134,16 @@ def test_local_shapes_are_shown_by_source_and_next_to_their_goal():
 def test_policies_are_shown_after_some_touches():
     curves = {"accuracy": {"random": [[0.5, 0.4, 0.6]] * 16}}
     assert TABLES["active_touch"]["policies"](curves).splitlines()[2] == "| random |" + " 0.50 [0.40, 0.60] |" * 3
+
+
+def test_the_table_of_the_readme_is_small_and_has_one_number_a_cell():
+    rows = [line.strip("| ").split(" | ") for line in table(ROOT / "docs", ALL_STEPS, "overview").splitlines()]
+    head, _, *body = rows
+    assert len(head) == 3
+    assert len(body) <= 5
+    assert all(len(row) == 3 for row in body)
+    assert all(text.count("[") <= 1 for row in body for text in row)
+    assert sum(row[1] == "not done" for row in body) >= len(body) - 1
 
 
 def test_cells_by_hand():

@@ -34,7 +34,7 @@ def overview(results: Mapping[str, Measured]) -> str:
         ["touches of objects not trained on, R²", NOT_DONE, f"six objects: {cell(pads, 2)}"],
         ["one of five objects recognised (chance .20)", NOT_DONE, f"ten touches: {cell(fused, 2)}"],
         [
-            f"share left of the distance to an unseen shape (without readings {cell(posed['ratio'][0], 2)})",
+            f"distance to an unseen shape, share left (without readings {cell(posed['ratio'][0], 2)})",
             NOT_DONE,
             f"five touches: {cell(read['ratio'], 2)}",
         ],
