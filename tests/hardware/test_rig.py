@@ -110,7 +110,7 @@ def test_missing_and_unreadable_rig_files_are_refused(tmp_path, capsys):
     file = tmp_path / "lab.toml"
     file.write_bytes(b"\xff\xfe\x00")
     nowhere = (tmp_path / "nowhere.toml",)
-    refuse(FileNotFoundError, [(Rig.read, nowhere, "no such file; write one to start from with python -m")])
+    refuse(FileNotFoundError, [(Rig.read, nowhere, "no such file; write one to start from with i2t rig ")])
     refuse(ValueError, [(Rig.read, (tmp_path,), "is a folder, not a regular file"), (Rig.read, (file,), "UTF-8")])
     assert rigs.main([str(file)]) == 2
     assert rigs.main([str(file), "--example"]) == 2
