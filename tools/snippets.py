@@ -271,6 +271,8 @@ def run(args: SnippetsArgs) -> int:
                 continue
             if args.write:
                 found = [Difference(1, "the page changed while its snippets ran, and is left as it is; run again")]
+        if not found:
+            print(f"{pages[name].relative_to(ROOT)}: no differences", flush=True)
         failed |= bool(found)
         for line, sentence in found:
             print(f"{pages[name].relative_to(ROOT)}:{line}: {sentence}", flush=True)
