@@ -103,13 +103,15 @@ class _Lines(_Bar):
             self.fp.flush()
 
     def line(self) -> str:
-        """Describe the progress in a sentence; empty in the first half minute if the remaining time is unknown."""
+        """Describe the progress in a sentence; empty before the first batch, and in the first half minute while the
+        remaining time is unknown.
+        """
         state = self.format_dict
         total = f" of {self._bound}{state['total']:.6g}" if state["total"] else ""
         remaining = ""
         if total and state["rate"]:
             remaining = f", {self._bound}{self.format_interval((state['total'] - self.n) / state['rate'])} to go"
-        elif total and state["elapsed"] < LOG_INTERVAL_S:
+        elif total and (self.n == state["initial"] or state["elapsed"] < LOG_INTERVAL_S):
             return ""
         elapsed = self.format_interval(state["elapsed"])
         return f"{state['prefix'] or 'progress'}: {self.n:.6g}{total} {state['unit']} in {elapsed}{remaining}"

@@ -44,8 +44,11 @@ def test_the_remaining_time_is_estimated_from_the_second_batch_on(clock, capsys)
 
 
 def test_work_whose_first_batch_is_long_is_reported_without_an_estimate(clock, capsys):
-    for number, _ in enumerate(progress(range(4), desc="pads", unit="fits", at_most=True)):
-        clock[0] += 200.0 if number == 0 else 50.0
+    bar = progress(range(4), desc="pads", unit="fits", at_most=True)
+    for number, _ in enumerate(bar):
+        clock[0] += 100.0 if number == 0 else 0.0
+        bar.refresh()  # as for a message between batches; the first has not ended
+        clock[0] += 100.0 if number == 0 else 50.0
         if number == 2:
             break
     lines = ["1 of at most 4 fits in 03:20", "2 of at most 4 fits in 04:10, at most 01:40 to go"]
