@@ -10,7 +10,6 @@ from i2t import viz
 from i2t.objects import catalogue
 from i2t.patches.dimensions import REACH
 from i2t.skin.boards import grid_board, reskin_board
-from i2t.viz import episode_report, scene
 
 NAMES = ("square", "hexagon")  # prisms 30 mm high: +-25 mm wide, and of circumradius 30 mm with flat sides at +-y
 PRESSED = 0.4e-3
@@ -67,34 +66,12 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
     assert not any("(true)" in text for text in shown)
 
 
-def test_drawing_is_probed_in_another_process(monkeypatch):
-    scene.explain_no_scene.cache_clear()
-    with monkeypatch.context() as broken:
-        broken.setattr(scene, "PROBE", "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)")
-        assert "libegl1" in scene.explain_no_scene()
-        scene.explain_no_scene.cache_clear()
-        broken.setattr(scene, "find_spec", lambda name: None)
-        assert "pip install" in scene.explain_no_scene()
-    scene.explain_no_scene.cache_clear()
-
-
-def test_the_page_is_written_without_a_scene(meshes, tmp_path, monkeypatch, caplog):
-    for module in (episode_report, scene):
-        monkeypatch.setattr(module, "explain_no_scene", lambda: scene.NO_GL)
-    written = viz.write_episode_report(record(meshes), tmp_path / "a")
-    assert written == [tmp_path / "a" / "story.png"] == list((tmp_path / "a").iterdir())
-    assert caplog.messages == [scene.NO_GL]
+@pytest.mark.full
+def test_a_written_page_shows_the_object_and_its_touches(meshes, tmp_path):
+    (written,) = viz.write_episode_report(record(meshes), tmp_path / "a")
+    assert list((tmp_path / "a").iterdir()) == [written] == [tmp_path / "a" / "story.png"]
+    page = viz.plot_episode(record(meshes), scene=True)
+    scene = next(axes for axes in page.axes if [text.get_text() for text in axes.texts] == ["1", "2", "3"])
+    assert len(np.unique(scene.images[0].get_array().reshape(-1, 3)[::7], axis=0)) > 50  # shaded faces, coloured squares
     with pytest.raises(ValueError, match="same number of touches"):
         viz.write_episode_report(record(meshes, readings=np.ones((2, 15))), tmp_path)
-
-
-@pytest.mark.full
-def test_a_scene_shows_the_object_and_its_touches(meshes, tmp_path):
-    if scene.explain_no_scene():
-        pytest.skip(scene.explain_no_scene())
-    picture = viz.object_image(meshes[0].vertices, meshes[0].faces, poses(), numbers=True)
-    assert len(np.unique(picture.reshape(-1, 3)[::7], axis=0)) > 50  # shaded faces and coloured squares
-    page = viz.plot_episode(record(meshes), picture)
-    assert any(axes.images and axes.images[0].get_array().shape == picture.shape for axes in page.axes)
-    (written,) = viz.write_episode_report(record(meshes), tmp_path)
-    assert written.stat().st_size > 20_000
