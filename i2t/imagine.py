@@ -4,8 +4,9 @@
     i2t imagine mug.stl --unit mm              an object of your own
     i2t imagine star --model runs/train        a predictor of your own
 
-Safe sites on the object are drawn at random. The patch in front of the skin is rendered there, and a trained predictor
-computes readings and their standard deviations from patch and force. The ready model was trained on a simulated pad
+Of random safe sites on the object, those are touched whose patches differ most: flat, an edge, curved, a ridge, a tip.
+A patch is the depth of the surface in front of the skin. From patch and force, a trained predictor computes the reading
+at each chip, with standard deviations. The ready model was trained on a simulated pad
 (docs/model_card.md). It shows what a touch looks like; the readings of a real skin differ.
 """
 
@@ -51,9 +52,9 @@ class ImagineArgs:
     force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] = 1.0
     """Force (N) of the press along the tool's z axis."""
     sites: Count = 4
-    """Number of touches to predict, each at another site."""
+    """Number of touches to predict, at sites whose patches differ most."""
     seed: Seed = 0
-    """Seed of the random sites."""
+    """Seed of the random sites among which the touches are chosen."""
     out: Path = Path("runs/imagine.png")
     """Picture to write, such as a .png file; an existing file is replaced."""
 
@@ -74,8 +75,8 @@ def _imagine(args: ImagineArgs) -> None:
     readings = predictor.predict(seen, force=args.force)
     kinds = [_kind(patch, predictor.window, predictor.reach) for patch in seen.patch]
     for number, (kind, T, mean, std) in enumerate(zip(kinds, T_o_t, *readings, strict=True), 1):
-        x, y, z = 1e3 * T[:3, 3]
-        print(f"touch {number} ({kind}) at ({x:.0f}, {y:.0f}, {z:.0f}) mm: {_strongest(board, mean, std)}")
+        x, y, z = (round(1e3 * float(metres)) for metres in T[:3, 3])
+        print(f"touch {number} ({kind}) at ({x}, {y}, {z}) mm: {_strongest(board, mean, std)}")
     simulated = args.model in READY_MODELS or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
     figure = viz.plot_predicted_touches(
         seen.patch, {"predicted": readings.mean}, kinds, board,
@@ -163,7 +164,7 @@ def _most_different(patches: np.ndarray, kinds: list[str], points: np.ndarray, n
     Patches are compared by their sorted depths, which do not change when the skin turns about its normal. Distances on
     the object count a little, so that equal patches are spread out.
     """
-    depths, deepest = np.sort(patches.reshape(len(patches), -1), axis=1), float(patches.max())
+    depths, deepest = np.sort(patches.reshape(len(patches), -1), axis=1), max(float(patches.max()), 1e-6)
     is_kind = np.equal.outer(kinds, sorted(set(kinds)))
     spread = PLACE_WEIGHT / max(float(np.ptp(points, axis=0).max()), 1e-9)
     features = np.hstack([depths / np.sqrt(depths.shape[1]), deepest * is_kind, deepest * spread * points])

@@ -17,7 +17,6 @@ from i2t.viz.patches import draw_map
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
 ARROW_MM = 5.0  # mm, length of the arrow of a field as large as the figure's scale; less on boards of closer chips
-MARGIN_MM = 2.5  # mm, margin of the axes around the skin
 
 
 def common_scale(readings: Shaped[Array, "..."]) -> float:
@@ -182,15 +181,16 @@ def _entry(skin: Axes, patches: Sequence[Patch], label: str) -> HPacker:
     return HPacker(children=[symbol, TextArea(label)], sep=4, pad=0, align="center")
 
 
-def draw_skin(axes: Axes) -> None:
+def draw_skin(axes: Axes, margin_mm: float = 2.5) -> None:
     """Draw the skin's outline.
 
     Args:
         axes: Axes to draw into.
+        margin_mm: Margin (mm) of the axes around the skin.
     """
     half = PAD_WINDOW * MM_PER_M / 2
     axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=Colour.GREY, lw=0.8))
-    limits = (-half - MARGIN_MM, half + MARGIN_MM)
+    limits = (-half - margin_mm, half + margin_mm)
     axes.set(xlim=limits, ylim=limits, aspect="equal")
 
 

@@ -6,11 +6,15 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from matplotlib.patches import Circle
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Ellipse, FancyArrow
+from matplotlib.text import Text
+from scipy.spatial.transform import Rotation
 
 from i2t import viz
 from i2t.skin.boards import grid_board, reskin_board
-from i2t.viz import scene, skins
+from i2t.types import Board
+from i2t.viz import skins
 from i2t.viz.clusters import TouchMap
 
 BOARD = reskin_board()
@@ -20,10 +24,10 @@ def titles(figure) -> str:
     return " ".join([figure.get_suptitle(), *(axes.get_title() for axes in figure.axes)])
 
 
-def test_the_core_imports_without_matplotlib_and_pyvista():
+def test_the_core_imports_without_matplotlib():
     code = """
 import sys
-for name in ("matplotlib", "pyvista", "sklearn"):
+for name in ("matplotlib", "sklearn"):
     sys.modules[name] = None
 import i2t, i2t.viz.clusters, i2t.viz.agreement, i2t.types, i2t.dataset
 """
@@ -79,26 +83,22 @@ def test_every_other_figure_can_be_written(tmp_path):
     assert ["simulated" in titles(figure) for figure in made] == 4 * [True] + 3 * [False]
 
 
-def test_a_missing_gl_is_reported_with_what_to_install(monkeypatch):
-    monkeypatch.setattr(scene, "explain_no_scene", lambda: scene.NO_GL)
-    vertices, faces = np.eye(3), np.array([[0, 1, 2]])
-    figure = viz.plot_object(vertices, faces, np.eye(4)[None], "An object", True)
-    assert "libegl1" in figure.axes[0].texts[0].get_text()
-    with pytest.raises(RuntimeError, match="libegl1"):
-        viz.object_plotter(vertices, faces, np.eye(4)[None])
-    assert figure._repr_png_().startswith(b"\x89PNG")
-
-
 @pytest.mark.full
-def test_a_scene_shows_object_and_skin_and_an_unknown_surface():
+def test_a_scene_shows_object_and_squares_and_an_empty_surface():
     """Before any touch there may be no surface at all; nothing is drawn then."""
-    if scene.explain_no_scene():
-        pytest.skip(scene.explain_no_scene())
-    ball, T = trimesh.creation.icosphere(2, 30e-3), np.diag([1.0, -1, -1, 1])
+    ball, T = trimesh.creation.icosphere(3, 30e-3), np.diag([1.0, -1, -1, 1])
     T[2, 3] = 30e-3
-    figure = viz.plot_object(ball.vertices, ball.faces, T[None], "A ball", False)
-    grey = np.ptp(figure.axes[0].images[0].get_array()[..., :3].astype(int), axis=-1) < 12
-    assert 0.05 < grey.mean() < 1  # the skin's square is coloured, the object grey
+    (axes,) = viz.plot_object(ball.vertices, ball.faces, T[None], "A ball", False).axes
+    picture = np.asarray(axes.images[0].get_array())
+    grey = np.ptp(picture, axis=-1) < 0.05
+    width = np.ptp(np.nonzero((picture < 1).any(-1))[1]) / 60  # pixels for each mm of the ball
+    seen = 20**2 / np.sqrt(1 + 0.6**2 + 1)  # mm^2, the square from a direction of z 1 in (0.6, 1, 1)
+    assert (~grey).sum() / width**2 == pytest.approx(seen, rel=0.05)
+    assert [text.get_text() for text in axes.texts] == ["1"]
+    hidden = T @ np.diag([1.0, -1, -1, 1])
+    hidden[2, 3] = -30e-3  # below the ball: its edge shines through
+    (axes,) = viz.plot_object(ball.vertices, ball.faces, hidden[None], "A ball", False).axes
+    assert 0 < (np.ptp(axes.images[0].get_array(), axis=-1) > 0.05).sum() / width**2 < seen / 2
     none, no_poses = np.zeros((0, 3)), np.zeros((0, 4, 4))
     stages = [
         viz.ShownSurface("0 touches", none, none.astype(int), np.zeros(0), no_poses),
@@ -106,9 +106,54 @@ def test_a_scene_shows_object_and_skin_and_an_unknown_surface():
     ]
     figure = viz.plot_growing_surface(stages, (ball.vertices, ball.faces), "A ball", True)
     assert "(simulated)" in figure.get_suptitle()
-    drawn = [np.asarray(axes.images[0].get_array()) for axes in figure.axes[:2]]
-    assert (drawn[0] >= 250).all()
-    assert (drawn[1] < 250).any()
+    assert [len(axes.images) for axes in figure.axes[:3]] == [0, 1, 1]
+    coloured, plain = (np.asarray(axes.images[0].get_array()) for axes in figure.axes[1:3])
+    assert np.ptp(plain, axis=-1).max() < 0.01
+    assert (np.ptp(coloured, axis=-1) > 0.3).mean() > 0.2
+
+
+def test_deviations_are_as_long_as_the_field():
+    """A chip turned by 30 degrees has an ellipse turned by 30 degrees; its normal axis stays."""
+    turn = Rotation.from_euler("z", 30, degrees=True).as_matrix()
+    board = Board(np.array([[1e-3, 2e-3, -1e-3]]), turn[None])
+    axes = Figure().subplots()
+    skins.draw_reading(axes, board, np.array([6.0, 0, -8]), 20.0, std=np.array([3.0, 1, 2]))
+    (tip,) = (part for part in axes.patches if type(part) is Ellipse)
+    mm_per_ut = skins.ARROW_MM / 20
+    np.testing.assert_allclose(tip.center, [1, 2] + 6 * mm_per_ut * turn[:2, 0])
+    half_axes = sorted((tip.width / 2, tip.height / 2))
+    np.testing.assert_allclose(half_axes, [1 * mm_per_ut, 3 * mm_per_ut])
+    long = tip.angle + (90 if tip.height > tip.width else 0)
+    assert long % 180 == pytest.approx(30)
+    disc, ring = (part for part in axes.patches if isinstance(part, Circle))
+    assert (2 * disc.radius, 2 * ring.radius) == pytest.approx((8 * mm_per_ut, 10 * mm_per_ut))
+
+
+def test_the_key_is_drawn_on_the_scale_of_the_readings():
+    figure = Figure()
+    skin, key = figure.subplots(2)
+    board = grid_board(5, 5)  # chips 4 mm apart
+    skins.draw_key(key, skin, board, 37.0, sets=("measured", "predicted"), std=True)
+    texts = [text.get_text() for text in key.findobj(Text) if text.get_text()]
+    assert texts[:3] == ["measured", "predicted", "20 µT along skin"]
+    assert texts[-2:] == ["± 1 standard deviation", "0 to 24: chips"]
+    arrow = next(part for part in key.findobj(FancyArrow))
+    assert np.ptp(arrow.get_xy()[:, 0]) == pytest.approx(20 / 37 * 4)
+
+
+@pytest.mark.full
+def test_touches_of_a_box_on_a_board_of_one_chip_are_drawn(tmp_path):
+    box, T = trimesh.creation.box((4e-3, 4e-3, 4e-3)), np.tile(np.diag([1.0, -1, -1, 1]), (8, 1, 1))
+    T[:, 2, 3] = 2e-3
+    figure = viz.plot_predicted_touches(
+        np.zeros((8, 48, 48)), {"predicted": np.ones((8, 3))}, ["flat"] * 8, grid_board(1, 1), "A box", False,
+        std={"predicted": np.ones((8, 3))}, mesh=box, T_o_t=T,
+    )  # fmt: skip
+    texts = [text.get_text() for text in figure.findobj(Text)]
+    assert texts.count("8") == 2  # at the object and at the column
+    assert texts.count("flat") == 8
+    assert {"0: chip", "skin, 20 mm", "5 mm", "predicted\nreading"} <= set(texts)
+    assert viz.save_figure(figure, tmp_path / "box.png").stat().st_size > 10_000
 
 
 def test_every_training_has_its_curve_however_many_there_are():

@@ -1,0 +1,92 @@
+"""Predicted touches: their sites differ in kind, the words fit the patches, and the text fits the picture."""
+
+from itertools import combinations
+
+import jax
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from i2t import imagine
+from i2t.objects.catalogue import make_object
+from i2t.patches.dimensions import PATCH_WINDOW, REACH
+from i2t.rendering.render import prepare_surface, render_patch
+from i2t.simulation.sites import collect_sites
+from i2t.types import Board
+
+X, Y = np.meshgrid(*2 * [((np.arange(48) + 0.5) / 48 - 0.5) * PATCH_WINDOW])
+
+
+def kind(depth: np.ndarray) -> str:
+    return imagine._kind(np.clip(depth, 0, REACH).astype(np.float32), PATCH_WINDOW, REACH)
+
+
+def round_off(distance: np.ndarray, radius: float) -> np.ndarray:
+    """Depth below the top of a cylinder or ball at a distance from its axis."""
+    return np.where(distance < radius, radius - np.sqrt(np.maximum(radius**2 - distance**2, 0)), 1)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.3])
+def test_words_describe_patches_however_the_skin_is_turned(turn):
+    x, y = np.cos(turn) * X - np.sin(turn) * Y, np.sin(turn) * X + np.cos(turn) * Y
+    assert kind(0.02 * X + 0.3e-3) == "flat"
+    assert kind(np.where(x > 1e-3, 1, 0)) == "edge"
+    assert kind(np.where(x > 2e-3, 1e-3 * 1.5, 0)) == "edge"  # a step
+    assert kind(round_off(abs(x), 15e-3)) == "curved"
+    assert kind(np.where(abs(x) < 1.2e-3, 0, 1)) == "ridge"
+    assert kind(round_off(np.hypot(x, y), 8e-3)) == "tip"
+    assert kind(np.where(np.hypot(x, y) < 3e-3, 0, 1)) == "tip"
+
+
+def patch_distance(a: np.ndarray, b: np.ndarray) -> float:
+    """Root mean square difference (m) at the best of four turns, so that a turned skin is no difference."""
+    return min(float(np.sqrt(np.mean((a - np.rot90(b, k)) ** 2))) for k in range(4))
+
+
+@pytest.mark.full
+def test_chosen_sites_differ_more_than_random_ones():
+    surface = prepare_surface(make_object("hammer").mesh)
+    T_o_t = collect_sites(jax.random.key(0), surface, imagine.POOL)
+    patches = np.stack([render_patch(surface, T).depth for T in T_o_t])
+    kinds = [kind(patch) for patch in patches]
+    chosen = imagine._most_different(patches, kinds, T_o_t[:, :3, 3], 4)
+    assert len({kinds[i] for i in chosen}) == 4
+    least = [
+        min(patch_distance(patches[i], patches[j]) for i, j in combinations(sites, 2))
+        for sites in (chosen, *np.random.default_rng(0).permutation(imagine.POOL).reshape(-1, 4))
+    ]
+    assert least[0] > max(least[1:])
+    assert imagine._most_different(patches, kinds, T_o_t[:, :3, 3], 4) == chosen
+    everything = imagine._most_different(patches, kinds, T_o_t[:, :3, 3], imagine.POOL)
+    assert sorted(everything) == list(range(imagine.POOL))
+
+
+def test_equal_patches_are_spread_over_the_object():
+    points = np.array([[0.0, 0, 0], [1e-3, 0, 0], [40e-3, 0, 0], [20e-3, 0, 0]])
+    assert imagine._most_different(np.zeros((4, 48, 48)), ["flat"] * 4, points, 3) == [0, 2, 3]
+
+
+def test_the_text_names_chip_and_direction_as_drawn():
+    """The chip's x axis is the tool's -z, so that a positive x points into the skin."""
+    turned = Rotation.from_euler("y", 90, degrees=True).as_matrix()
+    board = Board(np.zeros((2, 3)), np.stack([np.eye(3), turned]))
+    mean, std = np.array([1, 2, 3, 9, 0, 0.0]), np.array([1, 1, 1, 4, 1, 1.0])
+    assert imagine._strongest(board, mean, std) == "chip 1 changes most, by 9.0 +- 4.0 uT into the skin"
+    assert imagine._strongest(board, -mean, std) == "chip 1 changes most, by 9.0 +- 4.0 uT out of the skin"
+    one = Board(np.zeros((1, 3)), np.eye(3)[None])
+    assert imagine._strongest(one, mean[:3] * [1, -9, 1], std[:3]) == (
+        "chip 0 changes most, by -18.0 +- 1.0 uT along y"
+    )
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("edge", [6.0, 60.0])
+def test_a_box_is_drawn(edge, tmp_path, capsys):
+    """A box of any size, though all its faces are flat, and one site more than kinds of patches."""
+    trimesh.creation.box((edge, edge, edge)).export(tmp_path / "box.stl")
+    out = tmp_path / "touches.png"
+    assert imagine.main([str(tmp_path / "box.stl"), "--unit", "mm", "--sites", "3", "--out", str(out)]) == 0
+    assert out.stat().st_size > 10_000
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split(" (")[0] for line in lines] == ["touch 1", "touch 2", "touch 3", f"wrote {out}"]
