@@ -189,7 +189,7 @@ def _kind(patch: np.ndarray, window: float, reach: float) -> str:
         return "flat"
     if length < window / 2:
         return "tip"
-    if width < window / 4 and np.linalg.norm(centre) < window / 8:
+    if width < window / 4 and np.linalg.norm(centre) < window / 4:
         return "ridge"
     return "edge" if jumps > len(patch) / 2 else "curved"
 
