@@ -139,7 +139,7 @@ def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: 
 
     from i2t.simulation.sites import collect_sites
 
-    T_o_t, patches, refused = [], [], None
+    accepted, patches, refused = [], [], None
     drawn = collect_sites(jax.random.key(args.seed), surface, max(POOL, args.sites), name=name, enough=args.sites)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the predictor warns about the chosen sites when they are rendered again
@@ -149,10 +149,10 @@ def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: 
             except ValueError as error:
                 refused = error
             else:
-                T_o_t.append(T)
-    if refused is not None and len(T_o_t) < args.sites:
+                accepted.append(T)
+    if refused is not None and len(accepted) < args.sites:
         raise refused
-    T_o_t = np.stack(T_o_t)
+    T_o_t = np.stack(accepted)
     kinds = [_kind(patch, predictor.window, predictor.reach) for patch in patches]
     return T_o_t[_most_different(np.stack(patches), kinds, T_o_t[:, :3, 3], args.sites)]
 
@@ -190,7 +190,7 @@ def _kind(patch: np.ndarray, window: float, reach: float) -> str:
         return "flat"
     if length < window / 2:
         return "tip"
-    if width < window / 4 and np.linalg.norm(centre) < window / 8:
+    if width < window / 4 and np.linalg.norm(centre) < window / 4:
         return "ridge"
     return "edge" if jumps > len(patch) / 2 else "curved"
 

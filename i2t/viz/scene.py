@@ -5,7 +5,7 @@ neither a display nor a graphics library.
 """
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -42,17 +42,22 @@ def touch_colours(touches: int) -> Float[np.ndarray, "touches 3"]:
     return colormaps["viridis"](np.linspace(0.0, 0.9, touches))[:, :3]
 
 
-def number_style(colour: Float[Array, "3"]) -> dict[str, object]:
-    """Style the number of a touch: bold in a box of the touch's colour.
+def draw_number(axes: Axes, x: float, y: float, number: int, colour: Float[Array, "3"], **options: Any) -> None:
+    """Draw the number of a touch in a disc of the touch's colour.
 
     Args:
+        axes: Axes to draw into.
+        x: Horizontal position of the number's middle.
+        y: Vertical position of the number's middle.
+        number: Number of the touch.
         colour: RGB values of the touch.
-
-    Returns:
-        Arguments of matplotlib's texts.
+        options: Further arguments of `Axes.text`, such as `transform`.
     """
-    box = {"boxstyle": "circle,pad=0.25", "facecolor": tuple(colour), "edgecolor": "white", "linewidth": 0.8}
-    return {"color": "white" if np.mean(colour) < 0.5 else "black", "fontweight": "bold", "bbox": box}
+    disc = {"boxstyle": "circle,pad=0.25", "facecolor": tuple(colour), "edgecolor": "white", "linewidth": 0.8}
+    axes.text(
+        x, y, str(number), ha="center", va="center", fontsize=10, fontweight="bold",
+        color="white" if np.mean(colour) < 0.5 else "black", bbox=disc, **options,
+    )  # fmt: skip
 
 
 def plot_object(
@@ -138,7 +143,7 @@ def draw_object(
         places = _apart(view.to_pixels(T_o_t[:, :3, 3] - PIN * PIXELS * view.pixel_m * T_o_t[:, :3, 2]))
         for i, (point, place, colour) in enumerate(zip(points, places, touched, strict=True)):
             axes.plot(*np.stack([point, place]).T, color="black", lw=1)
-            axes.text(*place, str(i + 1), ha="center", va="center", fontsize=10, **number_style(colour))
+            draw_number(axes, float(place[0]), float(place[1]), i + 1, colour)
         columns, rows = np.append(columns, places[:, 0]), np.append(rows, places[:, 1])
     margin = PIN * PIXELS / 2
     axes.set(xlim=(columns.min() - margin, columns.max() + margin), ylim=(rows.max() + margin, rows.min() - margin))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Shaped
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.offsetbox import AnchoredOffsetbox, AuxTransformBox, HPacker, TextArea, VPacker
 from matplotlib.patches import Circle, Ellipse, FancyArrow, Patch, Rectangle
@@ -98,9 +99,9 @@ def _draw_std(axes: Axes, chip: np.ndarray, vector: np.ndarray, covariance: np.n
     squares, directions = np.linalg.eigh(covariance[:2, :2])
     angle = float(np.degrees(np.arctan2(directions[1, 0], directions[0, 0])))
     disc = float(abs(vector[2]) + np.sqrt(covariance[2, 2]))
-    tip = {"facecolor": colour, "edgecolor": "none", "alpha": 0.25, "zorder": 0.5}
+    tip: dict[str, Any] = {"facecolor": colour, "edgecolor": "none", "alpha": 0.25, "zorder": 0.5}
     axes.add_artist(Ellipse(chip + vector[:2], *(2 * np.sqrt(squares)), angle=angle, **tip))
-    axes.add_artist(Circle(chip, disc / 2, fill=False, edgecolor=colour, lw=0.9, linestyle=(0, (3, 2))))
+    axes.add_artist(Circle((chip[0], chip[1]), disc / 2, fill=False, edgecolor=colour, lw=0.9, linestyle=(0, (3, 2))))
 
 
 def draw_chip_numbers(axes: Axes, board: Board) -> None:
@@ -162,7 +163,7 @@ def draw_key(
         ]
         entries.append((shown, "± 1 standard deviation"))
     names = zip(sets if len(sets) > 1 else (), cycle(CURVE_COLOURS), strict=False)
-    packed = [
+    packed: list[Artist] = [
         *(TextArea(name, textprops={"color": colour, "fontweight": "bold"}) for name, colour in names),
         *(_entry(skin, patches, label) for patches, label in entries),
         TextArea(f"0 to {board.num_chips - 1}: chips" if board.num_chips > 1 else "0: chip"),

@@ -13,7 +13,7 @@ from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_length, draw_patch
-from i2t.viz.scene import draw_object, number_style, touch_colours
+from i2t.viz.scene import draw_number, draw_object, touch_colours
 from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
@@ -81,8 +81,7 @@ def plot_predicted_touches(
         above.set(xticks=[], yticks=[])
         above.set_title(labels[i], fontsize=10)
         if mesh is not None:
-            badge = number_style(touch_colours(n)[i])
-            above.text(0.08, 1.1, str(i + 1), transform=above.transAxes, ha="center", va="center", **badge)
+            draw_number(above, 0.08, 1.1, i + 1, touch_colours(n)[i], transform=above.transAxes)
         draw_skin(below)
         below.set(xticks=[], yticks=[], frame_on=False)
         draw_chip_numbers(below, board)

@@ -93,8 +93,7 @@ def test_a_written_page_shows_the_object_and_its_touches(meshes, tmp_path):
     assert list((tmp_path / "a").iterdir()) == [written] == [tmp_path / "a" / "story.png"]
     page = viz.plot_episode(record(meshes), scene=True)
     scene = next(axes for axes in page.axes if [text.get_text() for text in axes.texts] == ["1", "2", "3"])
-    assert (
-        len(np.unique(scene.images[0].get_array().reshape(-1, 3)[::7], axis=0)) > 50
-    )  # shaded faces, coloured squares
+    colours = np.unique(scene.images[0].get_array().reshape(-1, 3)[::7], axis=0)
+    assert len(colours) > 50  # shaded faces and coloured squares
     with pytest.raises(ValueError, match="same number of touches"):
         viz.write_episode_report(record(meshes, readings=np.ones((2, 15))), tmp_path)

@@ -20,6 +20,6 @@ def run(args: GalleryArgs) -> None:
     story = Story(args.pad_model)
     for name in args.only or FIGURE_NAMES:
         path = viz.save_figure(FIGURES[name](story), args.out / f"{name}.png")
-        small = Image.open(path).convert("RGB").quantize(256, method=Image.Quantize.MAXCOVERAGE)  # small files
+        small = Image.open(path).convert("RGB").quantize(256, kmeans=8, dither=Image.Dither.NONE)  # small files
         small.save(path, optimize=True)
         print(f"{path}: {FIGURES[name].__doc__}")
