@@ -144,7 +144,9 @@ def compiles_slowly(purpose: str, *, seconds: float) -> Callable[[Function], Fun
 
 def _announce(name: str) -> None:
     """Announce a compilation; those of the same function for other shapes are not announced any more."""
-    purpose, seconds = _slow_programs.pop(name)
+    purpose, seconds = _slow_programs.pop(name, ("", 0.0))
+    if not purpose:  # announced meanwhile, in another thread
+        return
     duration = f", about {seconds:g} s on two quiet cores" if jax.default_backend() == "cpu" else ""
     once = ", only the first time" if jax.config.jax_compilation_cache_dir else ""
     log.info("compiling %s%s%s", purpose, duration, once)
