@@ -148,11 +148,11 @@ def _announce(name: str) -> None:
     if not purpose:  # announced meanwhile, in another thread
         return
     duration = f", about {seconds:g} s on two quiet cores" if jax.default_backend() == "cpu" else ""
-    once = ", only the first time" if jax.config.jax_compilation_cache_dir else ""
+    once = ", only the first time" if jax.config.values["jax_compilation_cache_dir"] else ""
     log.info("compiling %s%s%s", purpose, duration, once)
 
 
-def _on_begin(event: str, _: float, **about: Any) -> None:
+def _on_begin(event: str, value: float, **about: Any) -> None:
     name = str(about.get("fun_name")).removeprefix("jit(").removesuffix(")")
     if event == COMPILE_EVENT and name in _slow_programs:
         timer = threading.Timer(ANNOUNCE_AFTER_S, _announce, (name,))
