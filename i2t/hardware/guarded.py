@@ -451,7 +451,8 @@ class PolledArm(DeviceBase):
                 last, now = now, self.clock.now()
                 elapsed += (now - last) * max(self.speed_share(), SAFETY.paused_speed_share)  # NaN stays NaN
                 if not elapsed <= max_duration:
-                    raise DeviceError(f"{self.name} took too long for a motion, and was stopped")
+                    remedy = "" if self.source == "real" else f"; {BUSY}"
+                    raise DeviceError(f"{self.name} took too long for a motion, and was stopped{remedy}")
                 self._watched_time = time.monotonic()
                 if above is None and newest.moving and newest.time != before.time and stop_condition is not None:
                     answer = stop_condition(newest)

@@ -142,16 +142,20 @@ def compiles_slowly(purpose: str, *, seconds: float) -> Callable[[Function], Fun
     return register
 
 
-def _announce(purpose: str, seconds: float) -> None:
+def _announce(name: str) -> None:
+    """Announce a compilation; those of the same function for other shapes are not announced any more."""
+    purpose, seconds = _slow_programs.pop(name, ("", 0.0))
+    if not purpose:  # announced meanwhile, in another thread
+        return
     duration = f", about {seconds:g} s on two quiet cores" if jax.default_backend() == "cpu" else ""
-    once = ", only the first time" if jax.config.jax_compilation_cache_dir else ""
+    once = ", only the first time" if jax.config.values["jax_compilation_cache_dir"] else ""
     log.info("compiling %s%s%s", purpose, duration, once)
 
 
-def _on_begin(event: str, _: float, **about: Any) -> None:
+def _on_begin(event: str, value: float, **about: Any) -> None:
     name = str(about.get("fun_name")).removeprefix("jit(").removesuffix(")")
     if event == COMPILE_EVENT and name in _slow_programs:
-        timer = threading.Timer(ANNOUNCE_AFTER_S, _announce, _slow_programs[name])
+        timer = threading.Timer(ANNOUNCE_AFTER_S, _announce, (name,))
         timer.daemon = True
         _announcements[threading.get_ident()] = timer
         timer.start()

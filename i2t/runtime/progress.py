@@ -46,7 +46,7 @@ class _Bar(tqdm):
         self._bound = "at most " if at_most else ""
         words = "{unit} at most" if at_most else "{unit}"
         super().__init__(*args, **options)
-        if not self.disable and self.bar_format is None:
+        if not self.disable and "bar_format" not in options:
             counted = f"{{n_fmt}}/{{total_fmt}} {words} [{{elapsed}}<{{remaining}}]"
             self.bar_format = f"{{l_bar}}{{bar}}| {counted}" if self.total else "{desc}: {n_fmt} {unit} [{elapsed}]"
 
