@@ -444,15 +444,17 @@ def _compare_looks(first: Look, second: Look) -> str:
         return "first looks: the lateral offset of the camera could not be measured"
     worst = int(np.argmax(np.abs(offset) * measured))
     x, y = 1e3 * offset[worst] * along[worst]
-    if not abs(offset[worst]) <= max(
-        _FIRST_TOUCH.min_offset_tolerance, _FIRST_TOUCH.num_standard_deviations * _FIRST_TOUCH.camera_std
-    ):
+    tolerance = max(_FIRST_TOUCH.min_offset_tolerance, _FIRST_TOUCH.num_standard_deviations * _FIRST_TOUCH.camera_std)
+    if not abs(offset[worst]) <= tolerance:
         raise RigContradictedError(
             f"two looks at a site, with the tool turned in between, show that the camera is off by {x:+.0f} and "
             f"{y:+.0f} mm along the tool's x and y; check T_flange_tool and T_tool_camera"
         )
     further = "" if measured.all() else ", and possibly further in directions that could not be measured"
-    return f"first looks: the camera is off by {x:+.1f} and {y:+.1f} mm along the tool's x and y{further}"
+    return (
+        f"first looks: the camera is off by {x:+.1f} and {y:+.1f} mm along the tool's x and y, within the tolerance of "
+        f"{1e3 * tolerance:.1f} mm{further}"
+    )
 
 
 def look_tolerance(rig: Rig, point: Array) -> float:
@@ -510,4 +512,7 @@ def _touch(touch: SlowTouch) -> str:
     if defect:
         raise RigContradictedError(f"{slow.skins[0].skin.features.name}: {defect}")
     size = float(np.sqrt(np.nansum(change**2)))
-    return f"{name}: met the object {1e3 * offset:+.1f} mm from its pose in the rig, {force:.1f} N, {size:.0f} uT"
+    return (
+        f"{name}: met the object {1e3 * offset:+.1f} mm from its pose in the rig, within the tolerance of "
+        f"{1e3 * tolerance:.1f} mm, at {force:.1f} N and {size:.0f} uT"
+    )

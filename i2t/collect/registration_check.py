@@ -73,7 +73,11 @@ def describe_offsets(
     if not np.median(estimate.view_residual) <= max_view_residual:
         return "the views fit the mesh at no pose near the believed one: look for a wrong mesh, unit, pose or hand-eye"
     placed, camera = offsets(estimate, here.touches.T_w_o[0])
-    advice = "; calibrate the rig again (docs/hardware.md)" if placed.significant or camera.significant else ""
+    advice = ""
+    if placed.significant or camera.significant:
+        simulated = dataset.source == "simulated"
+        remedy = "calibrate the rig again (docs/hardware.md)"
+        advice = f"; {'the simulation displaces both on purpose (--no-pose-error)' if simulated else remedy}"
     return f"by these touches, the object is {placed} from its pose in the rig, and the camera {camera}{advice}"
 
 

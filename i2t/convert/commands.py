@@ -68,6 +68,7 @@ class WriteCommand(ReadCommand):
 
     target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DST")]  # folder or file to write
     overwrite: bool = False  # replace the files of an earlier conversion
+    verbose: bool = False  # print all notes on the conversion; the data set holds them as well
     written: ClassVar[tuple[str, ...]] = (PACKED_FILE, "README.md", "index.json")  # files of an earlier conversion
 
     def _require(self) -> None:
@@ -102,16 +103,28 @@ class WriteCommand(ReadCommand):
             raise DataError(f"{self.target}: exists already; choose another name or pass --overwrite")
 
     def _write(self, converted: "Dataset | Converted") -> None:
-        """Write a data set with its card, and print its notes."""
+        """Write a data set with its card, and print what was changed or is doubtful."""
         from i2t.convert.common import Converted
         from i2t.dataset import save_dataset
         from i2t.dataset.card import write_card
         from i2t.skin.boards import name_of_board
 
-        dataset, notes = converted if isinstance(converted, Converted) else (converted, ())
+        dataset = converted.dataset if isinstance(converted, Converted) else converted
+        notes, brief = (converted.notes, converted.brief) if isinstance(converted, Converted) else ((), ())
         path = save_dataset(self.target / PACKED_FILE, dataset)
         write_card(self.target, dataset, board_name=name_of_board(dataset.board))
-        print(*map(printable, notes), f"wrote {len(dataset)} touches to {path}", sep="\n")
+        self._print_notes(notes, brief)
+        parts = ((dataset.objects, "object"), (dataset.pads, "skin"), (dataset.sessions, "session"))
+        counts = ", ".join(f"{len(names)} {noun}{'s' if len(names) > 1 else ''}" for names, noun in parts)
+        print(f"wrote {len(dataset)} touches ({counts}) to {path}")
+        print(f"next: python -m i2t.view {self.target}")
+
+    def _print_notes(self, notes: Sequence[str], brief: Sequence[str]) -> None:
+        """Print all notes or the brief ones."""
+        for note in notes if self.verbose else brief:
+            print(printable(note))
+        if not self.verbose and len(notes) > len(brief):
+            print(f"--verbose prints all {len(notes)} notes on the conversion")
 
 
 @dataclass(kw_only=True)
@@ -270,7 +283,7 @@ class FromStream(_FromTable):
 
         options: dict[str, Any] = {"skip_bad": self.skip_bad, "rate": self.rate_hz}
         table = stream.table_of_presses(self.source, board=_board(self.board), **options)
-        print(*map(printable, table.notes), sep="\n")
+        self._print_notes(table.notes, table.log.brief() if table.log is not None else ())
         print(f"wrote {len(table.rows)} presses to {stream.write_presses(self.target, table)}")
 
 

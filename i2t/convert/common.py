@@ -12,6 +12,7 @@ class Converted(NamedTuple):
 
     dataset: Dataset
     notes: tuple[str, ...]
+    brief: tuple[str, ...]  # what was changed, left out or is doubtful, in a few lines
 
 
 def converted(dataset: Dataset, log: ReadingLog) -> Converted:
@@ -22,8 +23,8 @@ def converted(dataset: Dataset, log: ReadingLog) -> Converted:
         log: Log that holds the notes.
 
     Returns:
-        The data set with its notes, and the notes.
+        The data set with its notes, the notes, and the most important of them.
     """
     notes = log.sentences()
     meta = dict(dataset.meta) | {"notes": " | ".join(notes)}
-    return Converted(replace(dataset, meta=meta), tuple(notes))
+    return Converted(replace(dataset, meta=meta), tuple(notes), tuple(log.brief()))

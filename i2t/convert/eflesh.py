@@ -86,7 +86,9 @@ def convert(
     sessions = sorted({file.parent for file in source.rglob("states.csv*")}) if source.is_dir() else []
     if not sessions:
         raise DataError(f"{source}: holds no states.csv or states.csv.gz; give a session or a folder of sessions")
-    notes.info(f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)")
+    notes.doubt(
+        "radius of the tip", f"assumed: the tip is a sphere of radius {1e3 * radius:g} mm (not stated in the source)"
+    )
     notes.info(
         "assumed: values are in microtesla (their steps are those of the chip); chips are in AnySkin's order and "
         "aligned, and the board is turned by a quarter turn on the stage, as the readings of the `spatial` session show"
@@ -116,7 +118,10 @@ def _common_board(checks: list[SessionCheck], notes: ReadingLog) -> Board:
     first = checks[0].board
     if all(np.allclose(a, b) for check in checks for a, b in zip(check.board, first, strict=True)):
         return first
-    notes.info("left out: the orientation of the board, which differs between sessions; the described one is assumed")
+    notes.doubt(
+        "orientation of the board",
+        "left out: the orientation of the board, which differs between sessions; the described one is assumed",
+    )
     return _board()
 
 
@@ -184,11 +189,14 @@ def _zero(name: str, heights: np.ndarray, check: SessionCheck, notes: ReadingLog
     if check.zero is not None and check.zero.identifiable:
         notes.info(f"travel in {name} counts from z = {1e3 * zero:.3f} mm, where readings begin")
     elif np.isnan(zero):
-        notes.info(f"left out of {name}: travel, as all presses go to one height; give --z0-mm if it is known")
+        notes.change(
+            "travel", f"left out of {name}: travel, as all presses go to one height; give --z0-mm if it is known"
+        )
     else:
-        notes.info(
+        notes.doubt(
+            "height zero",
             f"assumed in {name}: first contact at the highest z = {1e3 * zero:.3f} mm; travel counts from there, so "
-            "that all travels may be too small by the same amount"
+            "that all travels may be too small by the same amount",
         )
     return zero
 
@@ -202,13 +210,13 @@ def _sheared(name: str, table: Presses, notes: ReadingLog, *, as_stated: bool) -
     if not as_stated:
         units = find_units(table.position, table.readings)
         if units.wrong:
-            notes.info(f"corrected in {name}: {units.sentence}")
+            notes.change(units.name, f"corrected in {name}: {units.sentence}")
         check = SessionCheck(_board(), (units,), findings_to_meta(name, [units]))
     table = corrected_presses(table, check.findings)
     assert table.height is not None
     x, y = (table.position - _middle(table.position)).T
     notes.info(f"assumed in {name}: the probe's stroke (robot z) shears along tool x, from the middle of the stroke")
-    notes.info(f"left out of {name}: the load, which is the shear force; travel and normal force are unknown")
+    notes.change("load", f"left out of {name}: the load, which is the shear force; travel and normal force are unknown")
     unknown = np.full(len(x), np.nan)
     along = np.column_stack([x + table.height - _middle(table.height), y])
     return table._replace(position=along, height=unknown, force=unknown), check

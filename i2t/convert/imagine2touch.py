@@ -82,7 +82,7 @@ def convert(
     notes.info(f"assumed: forces act on the tool, in the axes of the {'tool' if tool_forces else 'robot base'}")
     notes.info("left out: colour images, masks, point clouds, joint states, temperatures; object poses are unknown")
     if stated_source is None:
-        notes.info("not stated: whether the touches are real or simulated; state it with --source")
+        notes.doubt("source", "not stated: whether the touches are real or simulated; state it with --source")
     folders = _objects(source)
     options = _Options(
         board, order, window=window, reach=reach, camera=camera, quarter_turns=quarter_turns, tool_forces=tool_forces,
@@ -110,7 +110,7 @@ def _corrected(dataset: Dataset, notes: ReadingLog) -> Dataset:
     units = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
     sign = find_force_sign(touches.force.astype(np.float64), touches.reading)
     for finding in (units, sign):
-        notes.info(f"{'corrected' if finding.wrong else 'found'}: {finding.sentence}")
+        notes.finding(finding)
     todo = correction_of([units, sign])
     touches = touches._replace(force=todo.force * touches.force, reading=todo.field * touches.reading)
     return replace(dataset, touches=touches, meta=dict(dataset.meta) | findings_to_meta("all runs", [units, sign]))
@@ -218,15 +218,18 @@ def _poses(stem: Path, damaged: np.ndarray, notes: ReadingLog) -> tuple[np.ndarr
     approach = np.sum(moved * T_w_t[:, :3, 2], axis=1)
     offset = np.linalg.norm(moved - approach[:, None] * T_w_t[:, :3, 2], axis=1)
     if (approach < 0).any():
-        notes.info(
+        notes.doubt(
+            "poses of the tool",
             f"{stem}: {np.sum(approach < 0)} presses go against tool z; poses may be of another frame than the tool, "
-            "or quaternions may have the scalar first"
+            "or quaternions may have the scalar first",
         )
     # A look from further off the contact's axis showed another place.
     approach = np.where((offset <= 2e-3) & (approach >= 0), approach, np.nan)
     if np.isnan(approach).any():
-        notes.info(
-            f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches that were not seen along their approach"
+        notes.doubt(
+            "distances to the surface",
+            f"{stem}: nearest is unknown for {np.isnan(approach).sum()} touches that were not seen along their "
+            "approach",
         )
     return T_w_t, approach
 
@@ -280,9 +283,11 @@ def _note_distance(nearest: np.ndarray, images: Path, notes: ReadingLog) -> None
     """Add a note if the surface in the images, at distances (n,) m from the skin, is far from it in the median."""
     middle = float(np.median(nearest[np.isfinite(nearest)])) if np.isfinite(nearest).any() else 0.0
     if abs(middle) > 10e-3:
-        notes.info(
+        notes.doubt(
+            "distance of the camera",
             f"{images}: the surface begins {1e3 * abs(middle):.3g} mm {'behind' if middle < 0 else 'in front of'} the "
-            "skin at the touches, in the median: correct --camera-mm, or the unit of the images, which are taken for mm"
+            "skin at the touches, in the median: correct --camera-mm, or the unit of the images, which are taken for "
+            "mm",
         )
 
 
@@ -303,7 +308,7 @@ def _optional(
     wanted = stem.with_name(f"{stem.name}_{name}")
     path = npy.find(wanted)
     if path is None:
-        notes.info(f"{wanted} is missing: its values are unknown")
+        notes.doubt("missing files", f"{wanted} is missing: its values are unknown")
         return np.full(shape, unknown)
     values = npy.read(path)
     try:
@@ -339,7 +344,9 @@ def _depth_image(path: Path, notes: ReadingLog) -> np.ndarray:
     if rows != columns:
         raise data_error(path, f"is {rows} x {columns} pixels where the crop should be square")
     if rows != PATCH_PIXELS:
-        notes.info(f"resampled: crops of {rows} pixels, each of {PATCH_PIXELS} taking the one under its centre")
+        notes.change(
+            "images", f"resampled: crops of {rows} pixels, each of {PATCH_PIXELS} taking the one under its centre"
+        )
         under = ((np.arange(PATCH_PIXELS) + 0.5) * rows / PATCH_PIXELS).astype(int)
         image = image[np.ix_(under, under)]
     try:

@@ -132,9 +132,10 @@ def on_one_clock(pieces: Iterator[LogRows], name: str, notes: ReadingLog, rate: 
             yield stamps.timed(held.select(slice(0, verdict.settled)), verdict, clock, notes)
         held = held.select(slice(verdict.settled, None))
     if memory.repeats:
-        notes.info(
+        notes.change(
+            "repeated rows",
             f"left out: {memory.repeats} rows that repeat earlier ones with their times, the first at line "
-            f"{memory.first}"
+            f"{memory.first}",
         )
 
 
@@ -238,15 +239,15 @@ class _Stamps:
         other_session = part.labels[0, LabelColumn.NAMES] != self.names
         if counter := rollover_counter(self.last, float(part.time[0])):
             self.offset += COUNTER_PERIODS_S[counter]
-            notes.info(f"time restarts at line {line}, where {counter} overflows: it was continued")
+            notes.change("time", f"time restarts at line {line}, where {counter} overflows: it was continued")
             return False
         if back <= CLOCK.pause_s and not other_session:
             self.offset += back + clock.step
-            notes.info(f"time goes back by {back:.3g} s at line {line}: it was continued")
+            notes.change("time", f"time goes back by {back:.3g} s at line {line}: it was continued")
             return False
         self.offset = 0.0
         if not other_session:
-            notes.info(f"time goes back by {back:.6g} s at line {line}, where the clock was set or restarted")
+            notes.doubt("time", f"time goes back by {back:.6g} s at line {line}, where the clock was set or restarted")
         return True
 
 
@@ -256,9 +257,10 @@ def _note_clock(clock: RowClock, time: np.ndarray, notes: ReadingLog) -> None:
     shared = int(np.sum((steps >= 0) & (steps <= clock.within)))
     if clock.assumed:
         seen = f"in steps of {clock.resolution:g} s" if clock.resolution else "always the same"
-        notes.info(
+        notes.doubt(
+            "rate",
             f"assumed: {1 / clock.step:g} rows per second, as time is {seen} and does not show the rate (Unix time in "
-            "float32 has steps of 128 s); give --rate-hz if the rate is known; the times of presses are unknown"
+            "float32 has steps of 128 s); give --rate-hz if the rate is known; the times of presses are unknown",
         )
     elif clock.by_rows and clock.resolution:
         notes.info(

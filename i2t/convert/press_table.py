@@ -80,8 +80,7 @@ def check_session(
     findings = diagnose(presses, board, stated_zero=stated_zero)
     for finding in sorted(findings, key=lambda finding: not finding.wrong):
         kept = keep_zero and finding.name == FindingName.HEIGHT_ZERO
-        verdict = "found" if not finding.wrong else "contradicted" if kept else "corrected"
-        notes.info(f"{verdict} in {name}: {finding.sentence}")
+        notes.finding(finding, f" in {name}", kept=kept)
     turn = correction_of(findings).board_from_stage
     return SessionCheck(
         board if turn is None else rotate_board(board, turn), tuple(findings), findings_to_meta(name, findings)
@@ -147,7 +146,7 @@ def presses_dataset(
     """
     inside = (np.abs(presses.position) <= window / 2).all(1)
     if not inside.all():
-        notes.info(f"left out: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
+        notes.change("window", f"left out: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
     if not inside.any():
         raise DataError(f"{whose}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
     position, readings, height, force, time, pad, session = presses.rows(inside)

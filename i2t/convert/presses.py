@@ -128,6 +128,8 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     """Read the presses of a table and whether they are real, simulated or mixed. Refuse or count damaged rows."""
     for note in table.notes:
         notes.info(note)
+    if table.log is not None:
+        notes.include(table.log)
     height = next((name for name in HEIGHT_COLUMNS if name in table.header and "travel_mm" not in table.header), None)
     header = ["travel_mm" if name == height else name for name in table.header]
     values, ambient = _value_columns(source, header, chips, notes)
@@ -174,7 +176,7 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
     if not kept.any():
         raise DataError(f"{source}: holds no press; give at least one row")
     if silent := int(np.isnan(presses.readings).any(1).sum()):
-        notes.info(f"in {silent} presses a chip did not answer: its values are missing")
+        notes.change("missing chips", f"in {silent} presses a chip did not answer: its values are missing")
     return presses, _sources(source, header, [row for row, keep in zip(rows, kept, strict=True) if keep])
 
 
@@ -186,7 +188,7 @@ def _silent(source: Path, fields: np.ndarray, chips: int, notes: ReadingLog) -> 
     readings, ambient = fields[:, : AXES_OF_CHIP * chips], fields[:, AXES_OF_CHIP * chips :]
     subtracts = bool(ambient.any())
     if ambient.size and not subtracts:
-        notes.info(ZERO_AMBIENT)
+        notes.doubt("ambient field", ZERO_AMBIENT)
     silent = silent_chips(readings, differences=not subtracts)
     if subtracts:
         silent_ambient = silent_chips(ambient)
@@ -246,7 +248,7 @@ def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLo
         *(ambient if has_ambient else ()),
     }
     if unknown := [name for name in header if name not in understood]:
-        notes.info(f"left out: columns {', '.join(unknown)}, which are not used")
+        notes.change("columns", f"left out: columns {', '.join(unknown)}, which are not used")
     return values, ambient if has_ambient else []
 
 
@@ -257,7 +259,7 @@ def _positive(source: Path, travel: np.ndarray, lines: list[int], notes: Reading
     """
     sign = find_travel_sign(M_PER_MM * travel)
     if sign.wrong:
-        notes.info(f"corrected: {sign.sentence}")
+        notes.change(sign.name, f"corrected: {sign.sentence}")
         travel = -travel
     for k in np.flatnonzero(travel < 0):
         counts = "travel_mm counts from first contact into the skin"

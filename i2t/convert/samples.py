@@ -65,7 +65,7 @@ def readings(tactile: Path, order: str, notes: ReadingLog) -> tuple[np.ndarray, 
         np.isnan(mean[sound]).reshape(-1, CHIPS, AXES_OF_CHIP).any(2) for mean in (means, ambient)
     )
     if len(silent) and silent_ambient.all() and not silent.all():
-        notes.info(f"{path}: {ZERO_AMBIENT}")
+        notes.doubt("ambient field", f"{path}: {ZERO_AMBIENT}")
         silent_ambient[:] = False
         ambient = np.where(np.isnan(ambient), 0, ambient)
     require_ambient(path, silent, silent_ambient, "record it again, or write zeros for all chips to subtract nothing")

@@ -197,11 +197,12 @@ def convert(
             f"{source}: column {' and '.join(missing)} is missing, so the positions of presses are unknown; end DST in "
             ".csv, complete that table of presses, and convert it with the sub-command presses"
         )
-    dataset, notes = presses.convert(
+    converted = presses.convert(
         source, indenter=indenter, board=board, window=window, reach=reach, unit=unit, as_stated=as_stated,
         skip_bad=skip_bad, table=table, stated_source=stated_source,
     )  # fmt: skip
-    return Converted(replace(dataset, meta={**dataset.meta, "converter": "stream"}), notes)
+    dataset = converted.dataset
+    return converted._replace(dataset=replace(dataset, meta={**dataset.meta, "converter": "stream"}))
 
 
 def write_presses(target: Path, table: TextTable) -> Path:
@@ -263,7 +264,7 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     log_presses.note(notes)
     header = [*columns.names, TIME_COLUMN, *log_presses.labels, *columns.values]
     rows = [log_presses.row(press, names) for press in log_presses.presses]
-    return TextTable(header, rows, notes.sentences())
+    return TextTable(header, rows, notes.sentences(), notes)
 
 
 @dataclass
@@ -329,24 +330,32 @@ class _LogPresses:
                 "height at which a press's reading left its value at rest"
             )
         if self.hidden:
-            notes.info(
+            notes.doubt(
+                "presses at missing rows",
                 f"{self.hidden} presses begin where rows are missing: their travel is left empty, and their time is "
-                "that of the first row afterwards"
+                "that of the first row afterwards",
             )
         if self.moved:
-            notes.info(
+            notes.change(
+                "presses that are cut off",
                 f"left out: {len(self.moved)} presses that had begun before their part of the log, or lasted over "
                 f"{SegmentationConfig().max_press_s:g} s; the first was released at line {min(self.moved)} (or the "
-                "reading at rest differs from there on)"
+                "reading at rest differs from there on)",
             )
         if self.unsteady:
-            notes.info(f"left out: {self.unsteady} presses that were not steady before their part of the log ended")
+            notes.change(
+                "unsteady presses",
+                f"left out: {self.unsteady} presses that were not steady before their part of the log ended",
+            )
         if self.spikes:
-            notes.info(f"replaced: values of {self.spikes} single rows that stand out from those around them")
+            notes.change(
+                "single rows", f"replaced: values of {self.spikes} single rows that stand out from those around them"
+            )
         if self.held:
-            notes.info(
+            notes.doubt(
+                "repeated rows",
                 f"{self.held} rows repeat a reading: the sensor was read faster than it measures, or they were "
-                "written twice"
+                "written twice",
             )
 
     def row(self, press: SegmentedPress, names: list[tuple[str, ...]]) -> tuple[int, list[str]]:

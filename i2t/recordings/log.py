@@ -2,12 +2,17 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool
 
 from i2t.errors import DataError
 
+if TYPE_CHECKING:
+    from i2t.recordings.diagnose.findings import Finding
+
+MAX_BRIEF_CHANGES = 3  # maximum number of lines on changes in `ReadingLog.brief`
 ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"  # note if a log's ambient field is zero
 
 
@@ -25,6 +30,8 @@ class ReadingLog:
     answered_rows: int = 0  # number of rows in which every chip answered
     silent_rows: int = 0  # number of rows that are left out because a chip did not answer
     silent_chips: Counter[int] = field(default_factory=Counter)  # number of rows in which each chip did not answer
+    changes: dict[str, list[str]] = field(default_factory=dict)  # notes on what was changed or left out, by topic
+    doubts: dict[str, list[str]] = field(default_factory=dict)  # notes on what is doubtful, by topic
 
     def info(self, line: str) -> None:
         """Add a sentence to the notes unless they contain it.
@@ -34,6 +41,58 @@ class ReadingLog:
         """
         if line not in self.lines:
             self.lines.append(line)
+
+    def change(self, topic: str, line: str) -> None:
+        """Add a sentence on what was changed or left out.
+
+        Args:
+            topic: What was changed, in a few words.
+            line: Sentence to note.
+        """
+        self._add(self.changes, topic, line)
+
+    def doubt(self, topic: str, line: str) -> None:
+        """Add a sentence on what is doubtful.
+
+        Args:
+            topic: What is doubtful, in a few words.
+            line: Sentence to note.
+        """
+        self._add(self.doubts, topic, line)
+
+    def finding(self, finding: "Finding", where: str = "", *, kept: bool = False) -> None:
+        """Add the result of a test of the recording, as a change, a doubt or a mere note.
+
+        Args:
+            finding: The result.
+            where: The part of the recording that was tested, such as " in session 1"; empty if it is the whole.
+            kept: Whether the recording is not corrected, although the finding contradicts it.
+        """
+        if finding.wrong and not kept:
+            self.change(finding.name, f"corrected{where}: {finding.sentence}")
+        elif finding.wrong or not finding.identifiable:
+            self.doubt(finding.name, f"{'contradicted' if finding.wrong else 'doubtful'}{where}: {finding.sentence}")
+        else:
+            self.info(f"found{where}: {finding.sentence}")
+
+    def include(self, other: "ReadingLog") -> None:
+        """Add the notes of another log.
+
+        Args:
+            other: Log of an earlier step of the same conversion.
+        """
+        changes = {topic: list(lines) for topic, lines in other.changes.items()}
+        for sentence in other.sentences():
+            self.info(sentence)
+        for topic, lines in (changes | {sentence: [sentence] for sentence in other._counts()}).items():
+            self.changes.setdefault(topic, []).extend(lines)
+        for topic, lines in other.doubts.items():
+            self.doubts.setdefault(topic, []).extend(lines)
+
+    def _add(self, notes: dict[str, list[str]], topic: str, line: str) -> None:
+        if line not in self.lines:
+            notes.setdefault(topic, []).append(line)
+        self.info(line)
 
     def skip(self, error: DataError) -> None:
         """Raise an error about damage, or note what is left out because of it.
@@ -46,7 +105,7 @@ class ReadingLog:
         """
         if not self.skip_bad:
             raise error
-        self.info(f"left out: {error}")
+        self.change("damage", f"left out: {error}")
 
     def skip_row(self, error: DataError) -> None:
         """Raise an error, or count a row of a table that is left out because of it.
@@ -110,12 +169,34 @@ class ReadingLog:
         Returns:
             The sentences in the order in which they were noted, followed by the counts.
         """
+        return [*self.lines, *self._counts()]
+
+    def brief(self) -> list[str]:
+        """List what was changed, left out or is doubtful, in a few lines.
+
+        Returns:
+            The first sentence on each change, with the number of further ones, and one line on all doubts.
+        """
+        changes = [_first_of(lines) for lines in self.changes.values()] + self._counts()
+        if len(changes) > MAX_BRIEF_CHANGES:
+            topics = ", ".join([*self.changes, *self._counts()][MAX_BRIEF_CHANGES - 1 :])
+            changes = [*changes[: MAX_BRIEF_CHANGES - 1], f"also changed or left out: {topics}"]
+        if len(self.doubts) > 1:
+            return [*changes, f"doubtful: {', '.join(self.doubts)}"]
+        return [*changes, *map(_first_of, self.doubts.values())]
+
+    def _counts(self) -> list[str]:
+        """Word the numbers of damaged rows and of rows with silent chips that are not zero."""
         counted = {
             f"left out: {self.damaged_rows} damaged rows; the first: {self.first_damage}": self.damaged_rows,
             f"left out: {self.silent_rows} {self.unit} in which a chip did not answer": self.silent_rows,
             f"did not answer, but sent zeros or nothing: {self._chips()}": self.silent_rows,
         }
-        return [*self.lines, *(sentence for sentence, count in counted.items() if count)]
+        return [sentence for sentence, count in counted.items() if count]
+
+
+def _first_of(lines: list[str]) -> str:
+    return lines[0] + (f" (and {len(lines) - 1} more of this kind)" if len(lines) > 1 else "")
 
 
 def require_ambient(

@@ -64,6 +64,7 @@ class TextTable(NamedTuple):
     header: list[str]
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
     notes: list[str]  # what was changed in the table, one sentence each
+    log: ReadingLog | None = None  # log of the table from which this one was made
 
 
 class TableRows(NamedTuple):

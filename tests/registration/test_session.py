@@ -3,6 +3,7 @@ what cannot be registered.
 """
 
 import re
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -182,5 +183,7 @@ def test_a_collection_reports_the_errors_of_object_and_camera():
         for value in (1e3 * np.linalg.norm(motion[:3, 3]), np.degrees(Rotation.from_matrix(motion[:3, :3]).magnitude()))
     ]
     np.testing.assert_allclose(numbers, expected, atol=0.2)
-    assert report.endswith("calibrate the rig again (docs/hardware.md)")
+    assert report.endswith("; the simulation displaces both on purpose (--no-pose-error)")
+    real = describe_offsets(replace(dataset, source="real"), hammer, 0, rig)
+    assert real.endswith("; calibrate the rig again (docs/hardware.md)")
     assert "11 touches" in describe_offsets(dataset.select(slice(11)), hammer, 0, rig)
