@@ -28,8 +28,9 @@ from .objects.mesh_files import load_mesh as load_mesh
 from .objects.poses import contact_pose as contact_pose
 from .objects.solids import Mesh as Mesh
 from .paper.config import PaperOptions as PaperOptions
+from .prediction.fit import fit_predictor as fit_predictor
 from .prediction.methods import Method as Method
-from .prediction.methods import fit_predictor as fit_predictor
+from .prediction.metrics import PredictorScore as PredictorScore
 from .prediction.predictor import Predictor as Predictor
 from .prediction.predictor import Reading as Reading
 from .prediction.predictor import load_predictor as load_predictor

@@ -65,7 +65,7 @@ DATA = {
     "anyskin_board": ("depth",),
     "calibrate": ("positions", "loads", "readings"),
     "contact_pose": ("mesh", "point"),
-    "fit_predictor": ("key", "dataset", "split"),
+    "fit_predictor": ("dataset", "split"),
     "load_calibration": ("path",),
     "load_dataset": ("path",),
     "load_mesh": ("path", "unit"),
@@ -201,6 +201,7 @@ warnings.simplefilter("ignore")
 mesh, key, eye = i2t.make_object("star").mesh, jax.random.key(0), np.eye(4)
 surface, pad, predictor = i2t.prepare_surface(mesh), i2t.nominal_pad(), i2t.load_predictor("nominal")
 camera, image = i2t.Camera(8, 6, 10.0, 10.0, 3.5, 2.5), np.full((6, 8), 0.1, np.float32)
+dataset = i2t.load_dataset("nominal")
 patch, top, height = np.zeros((48, 48)), (0, 0, 30e-3), np.zeros((40, 40))
 place, travel, reading = np.zeros((4, 2)), np.full(4, 1e-3), np.zeros((4, 15))
 calls = {CALLS}
@@ -238,9 +239,12 @@ CALLS = [
     ("mesh", "i2t.prepare_surface('star')"),
     ("mesh", "i2t.prepare_surfaces(['star'])"),
     ("meshes", "i2t.prepare_surfaces([])"),
-    ("key", "i2t.fit_predictor(0, None, None)"),
-    ("method", "i2t.fit_predictor(key, None, None, method='perfect')"),
-    ("method", "i2t.fit_predictor(key, None, None, method=None)"),
+    ("dataset", "i2t.fit_predictor(key, split=None)"),
+    ("split", "i2t.fit_predictor(dataset, 'object')"),
+    ("key", "i2t.fit_predictor(dataset, key=0)"),
+    ("method", "i2t.fit_predictor(dataset, method='perfect')"),
+    ("method", "i2t.fit_predictor(dataset, method=None)"),
+    ("dataset", "i2t.load_predictor('nominal').score(reading)"),
     ("keys", "i2t.run_paper_loop(key, {}, {'star': surface}, pad, reading_std=reading, episodes=2)"),
     ("episodes_per_pool", "i2t.run_paper_loop(jax.random.split(key, 3), {}, {'star': surface}, pad, "
      "reading_std=reading, episodes=2, episodes_per_pool=0)"),

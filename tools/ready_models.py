@@ -28,8 +28,8 @@ import numpy as np
 from experiments.common.commands import command
 from experiments.common.options import RunOptions
 from experiments.common.runs import METRICS, begin, write_json
-from experiments.train.finished import FORMER_NAMES, PAD_MODEL, finished_runs, require_simulated_runs
 from i2t.cli.options import require_path
+from i2t.models.finished import FORMER_NAMES, PAD_MODEL, finished_runs, require_simulated_runs
 
 if TYPE_CHECKING:
     from i2t.skin_models import Calibration

@@ -30,7 +30,6 @@ from experiments.common.runs import write_json
 from experiments.recognize.arguments import LiveArgs
 from experiments.recognize.config import Recognition
 from experiments.recognize.plans import load_meshes, meshes_by_name
-from experiments.train.finished import find_pad_model
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.recorder import list_touches
@@ -43,6 +42,7 @@ from i2t.errors import DeviceError
 from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.hardware.world import WorldArgs
+from i2t.models.finished import find_pad_model
 from i2t.objects.solids import Mesh
 from i2t.recognition.policy import NUM_CANDIDATES
 from i2t.recognition.recognizer import (

@@ -20,11 +20,11 @@ from experiments.recognize import report as reporting
 from experiments.recognize.arguments import DatasetArgs
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.plans import load_meshes, meshes_by_name
-from experiments.train.finished import find_pad_model
 from i2t import dataset as data
 from i2t.dataset import Dataset, source_phrase
 from i2t.errors import DataError
 from i2t.hardware.rig import Rig
+from i2t.models.finished import find_pad_model
 from i2t.objects import Mesh, catalogue
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.recognition import belief, metrics

@@ -42,7 +42,7 @@ from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.plans import ObjectSet, load_meshes, meshes_by_name, object_groups, plan_touches
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
-from experiments.train.finished import FinishedRun, finished_runs
+from i2t.models.finished import FinishedRun, finished_runs
 from i2t.objects import Mesh
 from i2t.prediction.predictor import Predictor
 from i2t.recognition.belief import Particles

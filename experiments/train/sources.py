@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.train.configs import Simulation
-from experiments.train.finished import PAD, TOUCHES
 from experiments.train.simulate import simulated_dataset
 from i2t import dataset as data
 from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset
 from i2t.hardware.rig import Rig
+from i2t.models.finished import PAD, TOUCHES
 from i2t.objects import Mesh, catalogue
 from i2t.objects.named import read_object
 from i2t.recognition.recorded import named_surfaces, recorded_touches, with_placement

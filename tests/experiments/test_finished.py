@@ -10,7 +10,8 @@ from helpers.random_touches import make
 from experiments.calibrate import __main__ as calibrate
 from experiments.recognize import __main__ as recognize
 from experiments.studies.arguments import StudyArgs
-from experiments.train.finished import (
+from i2t.dataset import save_dataset
+from i2t.models.finished import (
     PAD_MODEL,
     TRAINING,
     FinishedRun,
@@ -20,7 +21,6 @@ from experiments.train.finished import (
     require_pad_model,
     write_training,
 )
-from i2t.dataset import save_dataset
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 from tools.reproduce.__main__ import main as reproduce

@@ -1,4 +1,4 @@
-"""Layout of the folders of finished runs of `experiments.train`, and functions that find their files.
+"""Layout of the folders of finished runs of `i2t fit` and `experiments.train`, and functions that find their files.
 
 The folder of a run, or each folder `pad-P-seed-S` of a run of several pads or seeds, holds:
 
@@ -6,6 +6,7 @@ The folder of a run, or each folder `pad-P-seed-S` of a run of several pads or s
   pad_model.npz     pad model of the skin (`i2t.load_pad_model`), fitted to the training touches
   checkpoint/       predictors (`i2t.load_predictor`): `predictor`, the best of all, `on_pressure`, the best on
                     predicted contact pressure, and one for each network of the paper
+  config.json       its options and package versions
   data.h5, pad.npz  touches that the run simulated, and their pad (`i2t.load_dataset`, `i2t.load_pad`)
   metrics.json      scores, written last, so that the run is finished if it exists
 
@@ -17,11 +18,12 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from experiments.common.runs import CONFIG, METRICS, write_json
 from i2t.cli.options import require_path
 from i2t.errors import closest
+from i2t.files.writing import write_json
 from i2t.models import READY_MODELS
 
+CONFIG, METRICS = "config.json", "metrics.json"
 TRAINING, PAD_MODEL, CHECKPOINTS, TOUCHES, PAD = "training.json", "pad_model.npz", "checkpoint", "data.h5", "pad.npz"
 KEPT, ON_PRESSURE = "predictor", "on_pressure"  # folders in CHECKPOINTS
 FORMER_NAMES = {"--trained-run": "--pad-model", "--pad": "--pad-model"}  # for options that name a run or a pad model
