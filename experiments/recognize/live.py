@@ -29,7 +29,7 @@ import numpy as np
 from experiments.common.runs import write_json
 from experiments.recognize.arguments import LiveArgs
 from experiments.recognize.config import Recognition
-from experiments.recognize.plans import load_meshes, meshes_by_name
+from experiments.recognize.plans import meshes_by_name
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.recorder import list_touches
@@ -43,6 +43,7 @@ from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.hardware.world import WorldArgs
 from i2t.models.finished import find_pad_model
+from i2t.objects.named import read_meshes
 from i2t.objects.solids import Mesh
 from i2t.recognition.policy import NUM_CANDIDATES
 from i2t.recognition.recognizer import (
@@ -63,7 +64,7 @@ def run(args: LiveArgs) -> dict[str, Any]:
     """Read the pad model, predict touches, and run the episode."""
     refuse_used(args.out)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
-    meshes = load_meshes(args.objects, args.unit) or meshes_by_name(Recognition().objects)
+    meshes = read_meshes(args.objects, args.unit) or meshes_by_name(Recognition().objects)
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
     _, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
     fitted = load_pad_model(find_pad_model(args.pad_model)[0])
