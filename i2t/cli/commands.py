@@ -21,6 +21,8 @@ COMMANDS = {
     "i2t.imagine": "predict and draw the readings of a skin on an object",
     "i2t.collect": "collect simulated or real touches",
     "i2t.convert": "convert recordings to data sets, and back",
+    "i2t.commands.fit": "fit a predictor and a pad model to a data set",
+    "i2t.commands.recognize": "recognise the objects of recorded sessions",
     "i2t.view": "show recordings as a page and in Rerun",
     "i2t.place": "find the pose of an object with a camera",
     "i2t.hardware.reskin": "show and record the readings of a skin",
@@ -53,7 +55,8 @@ EXPERIMENTS = {
 }
 # The most common commands, which are listed by default.
 COMMON_COMMANDS = (
-    "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",
+    "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.commands.fit", "i2t.commands.recognize", "i2t.view",
+    "i2t.hardware.reskin", "i2t.hardware.rig",
     "experiments.train", "experiments.recognize", "experiments.calibrate", "experiments.fidelity",
 )  # fmt: skip
 

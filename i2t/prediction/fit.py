@@ -213,7 +213,7 @@ def fit_predictor(
             f"split: has {len(split.groups)} touches, but the data set {len(dataset)}; split this data set"
         )
     corrected = correct_touches(dataset)
-    split = choose_split(corrected.dataset) if split is None else split.select(corrected.rows)
+    split = (split or choose_split(dataset, rows=corrected.rows)).select(corrected.rows)
     for pressure in (False, True):  # a method that needs no contact pressures does not wait for them
         prepared = prepare_touches(corrected, split, pressure=pressure)
         touches = replace(prepared.touches, paper=paper or PaperOptions(), training=training or TrainConfig())

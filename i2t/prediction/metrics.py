@@ -5,7 +5,7 @@ R2 is pooled over channels against the mean of the scored touches: 1 - sum (y - 
 """
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ import numpy as np
 from i2t.dataset import source_phrase
 from i2t.intervals import MIN_CLUSTERS, Estimate, bootstrap_clusters, rate_interval
 from i2t.leave_one_out import STDS_WITHIN_90
+from i2t.prediction.touch_model import Reading
 
 
 class Score(NamedTuple):
@@ -70,6 +71,8 @@ class PredictorScore:
         grouped_by: Word for the groups.
         used: Number of touches that were used in the fit; None if the predictor does not hold a record of its touches.
         source: Source of the touches: "simulated", "real", "mixed" or "not stated".
+        measured: `(n, 3 chips)` measured readings (uT).
+        predicted: Predicted readings and standard deviations, `(n, 3 chips)` uT.
 
     Example:
         score = predictor.score(dataset)
@@ -87,6 +90,8 @@ class PredictorScore:
     grouped_by: str
     used: int | None
     source: str
+    measured: np.ndarray = field(repr=False, compare=False)
+    predicted: Reading = field(repr=False, compare=False)
 
     def __str__(self) -> str:
         """Write a table of the scores."""
@@ -110,20 +115,20 @@ class PredictorScore:
         """Convert the scores for a JSON file.
 
         Returns:
-            All fields; an estimate is a list of its value and the limits of its interval.
+            All fields but the readings; an estimate is a list of its value and the limits of its interval.
         """
-        return {name: list(value) if isinstance(value, Estimate) else value for name, value in asdict(self).items()}
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.compare}
+        return {name: list(value) if isinstance(value, Estimate) else value for name, value in values.items()}
 
 
 def score_readings(
-    truth: np.ndarray, predicted: np.ndarray, std: np.ndarray, groups: np.ndarray
+    truth: np.ndarray, predicted: Reading, groups: np.ndarray
 ) -> tuple[Estimate, Estimate, Estimate, Estimate]:
     """Compare readings with their predictions, with 95 % intervals over groups.
 
     Args:
         truth: (n, 3 chips) measured readings (uT).
-        predicted: (n, 3 chips) predicted readings (uT).
-        std: (n, 3 chips) predicted standard deviations (uT).
+        predicted: (n, 3 chips) predicted readings and standard deviations (uT).
         groups: (n,) labels of groups; touches of one group, such as a session, are not independent.
 
     Returns:
@@ -134,7 +139,7 @@ def score_readings(
 
     def scores(weights: np.ndarray) -> np.ndarray:
         drawn = np.repeat(rows, weights.astype(int))
-        values = score(truth[drawn], predicted[drawn])
+        values = score(truth[drawn], predicted.mean[drawn])
         return np.array([values.r2, values.rmse, values.cosine])
 
     estimates = bootstrap_clusters(scores, [groups], len(rows))
@@ -143,7 +148,7 @@ def score_readings(
         Estimate(float(value), max(float(low), least), min(float(high), most))
         for value, low, high, (least, most) in zip(*estimates, bounds, strict=True)
     )
-    inside = np.mean(np.abs(truth - predicted) < STDS_WITHIN_90 * std, axis=1)
+    inside = np.mean(np.abs(truth - predicted.mean) < STDS_WITHIN_90 * predicted.std, axis=1)
     return r2, rmse, cosine, Estimate(*(float(part) for part in rate_interval(inside, [groups])))
 
 

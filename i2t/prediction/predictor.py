@@ -361,13 +361,15 @@ class Predictor:
         )
         labels = np.asarray(dataset.touches.session if groups is None else groups)[scored]
         return PredictorScore(
-            *score_readings(touches.reading, reading.mean, reading.std, labels),
+            *score_readings(touches.reading, reading, labels),
             touches=len(scored),
             objects=tuple(dataset.objects[i] for i in np.unique(touches.object)),
             groups=len(np.unique(labels)),
             grouped_by="sessions" if groups is None else "groups",
             used=None if digests is None else int(used[scored].sum()),
             source=dataset.source,
+            measured=touches.reading,
+            predicted=reading,
         )
 
     def _check_dataset(self, dataset: Dataset) -> None:

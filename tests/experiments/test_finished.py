@@ -65,9 +65,9 @@ def test_the_message_states_what_a_folder_without_a_finished_run_holds(tmp_path)
         (tmp_path / "mesh.stl", "is a file and holds no finished run; name the folder"),
         (
             folder_with(tmp_path / "data", touches={}),
-            "but no finished run; name a folder that experiments.train wrote$",
+            "but no finished run; name a folder that python -m experiments.train wrote$",
         ),
-        (tmp_path / "touches", r"train on these touches: python -m experiments.train --dataset \S+touches$"),
+        (tmp_path / "touches", r"train on these touches: i2t fit \S+touches$"),
         (folder_with(tmp_path / "begun", config={"kind": "TrainArgs"}), "was interrupted; .* --resume"),
         (
             folder_with(tmp_path / "calibrated", config={"kind": "CalibrateArgs"}, metrics={}),
@@ -114,7 +114,7 @@ def test_a_path_without_a_pad_model_is_refused_with_the_command_that_fits_one(tm
         (tmp_path / "none.npz", "none.npz: there is no such file"),
         (tmp_path / "junk.npz", "is damaged"),
         (tmp_path / "left.npz", r"holds a pad; .* experiments.train --pad \S+left.npz"),
-        (tmp_path / "session.h5", r"holds a data set; .* experiments.train --dataset \S+session.h5"),
+        (tmp_path / "session.h5", r"holds a data set; .* i2t fit \S+session.h5"),
         (tmp_path / "nowhere", "holds no finished run; make one"),
     ):
         with pytest.raises(ValueError, match=said):
