@@ -65,6 +65,7 @@ DATA = {
     "anyskin_board": ("depth",),
     "calibrate": ("positions", "loads", "readings"),
     "contact_pose": ("mesh", "point"),
+    "fit_pad_model": ("dataset", "meshes"),
     "fit_predictor": ("dataset", "split"),
     "load_calibration": ("path",),
     "load_dataset": ("path",),
@@ -79,6 +80,7 @@ DATA = {
     "prepare_surface": ("mesh",),
     "prepare_surfaces": ("meshes",),
     "press": ("pad", "height", "indentation"),
+    "recognize": ("meshes", "dataset", "pad_model"),
     "register_by_depth": ("mesh", "T_w_o", "depth", "camera", "T_w_c"),
     "register_by_touch": ("key", "surface", "T_w_o", "T_w_contact", "weight"),
     "register_session": ("touches", "surface"),
@@ -186,6 +188,16 @@ def test_values_print_in_one_line_without_array_contents():
         assert text.startswith(type(value).__name__)
 
 
+def test_values_print_in_a_few_lines():
+    pad = i2t.nominal_pad()
+    for value in (i2t.load_calibration("eflesh"), i2t.load_pad_model("nominal"), i2t.load_predictor("nominal"), pad,
+                  i2t.load_dataset("nominal"), i2t.press(pad, _dome(), 0.3e-3)):  # fmt: skip
+        lines = str(value).splitlines()
+        assert 3 <= len(lines) <= 4
+        assert all(len(line) < 120 for line in lines)
+        assert "chips" in str(value) or "values" in str(value)
+
+
 # Calls that nobody means, each with the argument that the message names. They run without the tests' type checks, which
 # a user does not have.
 MISUSE = """
@@ -245,6 +257,10 @@ CALLS = [
     ("method", "i2t.fit_predictor(dataset, method='perfect')"),
     ("method", "i2t.fit_predictor(dataset, method=None)"),
     ("dataset", "i2t.load_predictor('nominal').score(reading)"),
+    ("dataset", "i2t.fit_pad_model({'star': mesh})"),
+    ("meshes", "i2t.recognize([mesh, mesh], dataset, i2t.load_pad_model('nominal'))"),
+    ("meshes", "i2t.recognize({'star': mesh}, dataset, i2t.load_pad_model('nominal'))"),
+    ("pad_model", "i2t.recognize({'star': mesh, 'b': mesh}, dataset, i2t.load_pad_model('nominal').model)"),
     ("keys", "i2t.run_paper_loop(key, {}, {'star': surface}, pad, reading_std=reading, episodes=2)"),
     ("episodes_per_pool", "i2t.run_paper_loop(jax.random.split(key, 3), {}, {'star': surface}, pad, "
      "reading_std=reading, episodes=2, episodes_per_pool=0)"),

@@ -39,7 +39,7 @@ class RecognizeArgs:
     """Description of the lab, whose object_covariance gives the pose errors; otherwise 1 mm and 1 degree."""
     touches: Count | None = None
     """Touches of each session; by default as many as all long enough sessions have."""
-    poses: Count = 128
+    poses: Count = 64
     """Poses of each object that are tried."""
     skin_name: str | None = None
     """Skin to use, if each touch has readings of several."""

@@ -69,6 +69,7 @@ def test_the_message_states_what_a_folder_without_a_finished_run_holds(tmp_path)
         ),
         (tmp_path / "touches", r"train on these touches: i2t fit \S+touches$"),
         (folder_with(tmp_path / "begun", config={"kind": "TrainArgs"}), "was interrupted; .* --resume"),
+        (folder_with(tmp_path / "fit", config={"kind": "FitArgs"}), "was interrupted; repeat it with --overwrite"),
         (
             folder_with(tmp_path / "calibrated", config={"kind": "CalibrateArgs"}, metrics={}),
             r"run of another command \(CalibrateArgs\)",

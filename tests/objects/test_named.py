@@ -2,8 +2,9 @@
 
 import pytest
 
+from i2t.errors import DataError
 from i2t.objects.catalogue import NAMES, make_object
-from i2t.objects.named import read_object, require_object
+from i2t.objects.named import meshes_of_dataset, read_object, require_object
 
 TETRAHEDRON = "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -39,3 +40,12 @@ def test_messages_about_a_wrong_name_do_not_list_the_catalogue():
             assert sum(f" {listed}" in str(caught.value) for listed in NAMES) <= 2
     with pytest.raises(ValueError, match=r"no object is called 'hamer'; did you mean hammer\?"):
         make_object("hamer")
+
+
+def test_candidates_are_those_of_the_data_set_where_the_catalogue_has_them():
+    names, path = ("star", "square", "hammer"), "DATA"
+    assert tuple(meshes_of_dataset(names, path)) == names
+    with pytest.raises(DataError, match=r"touches of mug, of which there is no mesh.*--objects star mug.stl"):
+        meshes_of_dataset(("star", "mug"), path)
+    with pytest.raises(DataError, match="touches of star only; name the objects to distinguish"):
+        meshes_of_dataset(("star",), path)
