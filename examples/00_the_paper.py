@@ -24,7 +24,7 @@ def main(touches: int = 468, epochs: int = 60, episodes: int = 24, count: int = 
 
     # Learn tau~ = f(patch): 48 x 48 -> 200 -> 5 -> 500 -> 15, with the decoded patch as a second task.
     training = i2t.TrainConfig(epochs=epochs, batch_size=32)
-    predictor = i2t.fit_predictor(key_fit, dataset, split, method="paper-depth", training=training)
+    predictor = i2t.fit_predictor(dataset, split, method="paper-depth", key=key_fit, training=training)
     tau = dataset.touches.reading[split.validation]
     predicted = predictor.predict(dataset.touches.patch[split.validation]).mean
     explained = 1 - ((predicted - tau) ** 2).sum() / ((tau - tau.mean(0)) ** 2).sum()

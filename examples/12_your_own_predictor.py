@@ -58,7 +58,7 @@ def main(out: str = "runs/slopes", n: int = 72) -> i2t.Predictor:
     touches = i2t.simulate_touches(jax.random.key(0), [surface], pad, i2t.SimulationErrors(), n)
     dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.arange(n) < n * 2 // 3
     split = i2t.Split(rows, ~rows, ~rows, dataset.touches.session, "time")
-    i2t.prediction.save(out, i2t.fit_predictor(jax.random.key(1), dataset, split, method=Slopes()))
+    i2t.fit_predictor(dataset, split, method=Slopes()).save(out)
     predictor = i2t.load_predictor(out)
     error = predictor.predict(dataset.touches.patch[~rows]).mean - dataset.touches.reading[~rows]
     print(f"RMS error {np.sqrt((error**2).mean()):.0f} uT on the last {(~rows).sum()} (simulated)")

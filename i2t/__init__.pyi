@@ -28,8 +28,9 @@ from .objects.mesh_files import load_mesh as load_mesh
 from .objects.poses import contact_pose as contact_pose
 from .objects.solids import Mesh as Mesh
 from .paper.config import PaperOptions as PaperOptions
+from .prediction.fit import fit_predictor as fit_predictor
 from .prediction.methods import Method as Method
-from .prediction.methods import fit_predictor as fit_predictor
+from .prediction.metrics import PredictorScore as PredictorScore
 from .prediction.predictor import Predictor as Predictor
 from .prediction.predictor import Reading as Reading
 from .prediction.predictor import load_predictor as load_predictor
@@ -38,6 +39,9 @@ from .recognition.paper_rules import PaperEpisodes as PaperEpisodes
 from .recognition.paper_rules import run_paper_loop as run_paper_loop
 from .recognition.recognizer import ObjectRecognizer as ObjectRecognizer
 from .recognition.recognizer import RecognizerConfig as RecognizerConfig
+from .recognition.recorded import fit_pad_model as fit_pad_model
+from .recognition.sessions import RecognizedSessions as RecognizedSessions
+from .recognition.sessions import recognize as recognize
 from .recognition.site_pool import SitePool as SitePool
 from .recognition.site_pool import prepare_surfaces as prepare_surfaces
 from .registration.depth import DepthRegistrationConfig as DepthRegistrationConfig
@@ -69,6 +73,7 @@ from .skin.pad import sample_pad as sample_pad
 from .skin_models.calibration import Calibration as Calibration
 from .skin_models.calibration import calibrate as calibrate
 from .skin_models.calibration import load_calibration as load_calibration
+from .skin_models.pad_model import KnownPad as KnownPad
 from .skin_models.pad_model import PadModel as PadModel
 from .skin_models.pad_model import load_pad_model as load_pad_model
 from .skin_models.tip_gp.structured import StructuredGPHyperparameters as StructuredGPHyperparameters

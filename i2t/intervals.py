@@ -226,7 +226,7 @@ def bootstrap_clusters(
         return np.stack([np.ravel(statistic(drawn[label])) for drawn in counts]).astype(np.float64)
 
     variance, freedom = _spread(resampled, _factors(clusters, count), draws, seed)
-    half = (_t(freedom) * np.sqrt(variance)).reshape(observed.shape)
+    half = np.broadcast_to(_t(freedom) * np.sqrt(variance), observed.size).reshape(observed.shape)
     return Estimate(observed, observed - half, observed + half)
 
 

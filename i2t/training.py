@@ -106,7 +106,7 @@ class TrainConfig:
 
     Example:
         training = i2t.TrainConfig(epochs=60, batch_size=32)
-        predictor = i2t.fit_predictor(jax.random.key(0), dataset, split, training=training)
+        predictor = i2t.fit_predictor(dataset, split, method="paper-depth", training=training)
     """
 
     epochs: int = 200  # largest number of epochs, over which the learning rate falls to 0

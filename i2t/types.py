@@ -28,7 +28,7 @@ def one_line(values: tuple) -> str:
     Returns:
         One line of text, such as `Patch(depth=48x48 float32, nearest=0.001)`.
     """
-    parts = [f"{name}={_shown(value)}" for name, value in values._asdict().items()]  # type: ignore[attr-defined]
+    parts = [f"{name}={shown(value)}" for name, value in values._asdict().items()]  # type: ignore[attr-defined]
     return f"{type(values).__name__}({', '.join(parts)})"
 
 
@@ -45,8 +45,15 @@ def in_one_line(kind: type[Kind]) -> type[Kind]:
     return kind
 
 
-def _shown(value: Any) -> str:
-    """Describe one field by its number, by the shape and type of its array, or by another short text."""
+def shown(value: Any) -> str:
+    """Describe one field by its number, by the shape and type of its array, or by another short text.
+
+    Args:
+        value: Value of the field.
+
+    Returns:
+        Text of at most 160 characters, without line breaks.
+    """
     shape = getattr(value, "shape", None)
     if shape == () and hasattr(value, "item") and "Tracer" not in type(value).__name__:
         return f"{value.item():.6g}" if hasattr(value, "dtype") and value.dtype.kind in "fiu" else str(value)
@@ -163,6 +170,16 @@ class Pad(NamedTuple):
     board: Board  # the chips below the skin
     friction: Float[Any, "*batch"]  # Coulomb friction coefficient of the skin
     mount_compliance: Float[Any, "*batch"]  # m/N, sinking of the centre of a skin clamped at its edge; 0 if bonded
+
+    def __str__(self) -> str:
+        """Describe the layer, its magnetisation and the board."""
+        cells = " x ".join(map(str, self.magnetization.shape[-3:-1]))
+        return (
+            f"Pad with {self.board.num_chips} chips, {cells} magnetised cells\n"
+            f"  thickness {shown(self.thickness)} m, Young's modulus {shown(self.young)} Pa, Poisson's ratio "
+            f"{shown(self.poisson)}\n"
+            f"  friction {shown(self.friction)}, compliance of the mount {shown(self.mount_compliance)} m/N"
+        )
 
 
 @in_one_line

@@ -65,7 +65,8 @@ DATA = {
     "anyskin_board": ("depth",),
     "calibrate": ("positions", "loads", "readings"),
     "contact_pose": ("mesh", "point"),
-    "fit_predictor": ("key", "dataset", "split"),
+    "fit_pad_model": ("dataset", "meshes"),
+    "fit_predictor": ("dataset", "split"),
     "load_calibration": ("path",),
     "load_dataset": ("path",),
     "load_mesh": ("path", "unit"),
@@ -79,6 +80,7 @@ DATA = {
     "prepare_surface": ("mesh",),
     "prepare_surfaces": ("meshes",),
     "press": ("pad", "height", "indentation"),
+    "recognize": ("meshes", "dataset", "pad_model"),
     "register_by_depth": ("mesh", "T_w_o", "depth", "camera", "T_w_c"),
     "register_by_touch": ("key", "surface", "T_w_o", "T_w_contact", "weight"),
     "register_session": ("touches", "surface"),
@@ -186,6 +188,16 @@ def test_values_print_in_one_line_without_array_contents():
         assert text.startswith(type(value).__name__)
 
 
+def test_values_print_in_a_few_lines():
+    pad = i2t.nominal_pad()
+    for value in (i2t.load_calibration("eflesh"), i2t.load_pad_model("nominal"), i2t.load_predictor("nominal"), pad,
+                  i2t.load_dataset("nominal"), i2t.press(pad, _dome(), 0.3e-3)):  # fmt: skip
+        lines = str(value).splitlines()
+        assert 3 <= len(lines) <= 4
+        assert all(len(line) < 120 for line in lines)
+        assert "chips" in str(value) or "values" in str(value)
+
+
 # Calls that nobody means, each with the argument that the message names. They run without the tests' type checks, which
 # a user does not have.
 MISUSE = """
@@ -201,6 +213,7 @@ warnings.simplefilter("ignore")
 mesh, key, eye = i2t.make_object("star").mesh, jax.random.key(0), np.eye(4)
 surface, pad, predictor = i2t.prepare_surface(mesh), i2t.nominal_pad(), i2t.load_predictor("nominal")
 camera, image = i2t.Camera(8, 6, 10.0, 10.0, 3.5, 2.5), np.full((6, 8), 0.1, np.float32)
+dataset = i2t.load_dataset("nominal")
 patch, top, height = np.zeros((48, 48)), (0, 0, 30e-3), np.zeros((40, 40))
 place, travel, reading = np.zeros((4, 2)), np.full(4, 1e-3), np.zeros((4, 15))
 calls = {CALLS}
@@ -238,9 +251,16 @@ CALLS = [
     ("mesh", "i2t.prepare_surface('star')"),
     ("mesh", "i2t.prepare_surfaces(['star'])"),
     ("meshes", "i2t.prepare_surfaces([])"),
-    ("key", "i2t.fit_predictor(0, None, None)"),
-    ("method", "i2t.fit_predictor(key, None, None, method='perfect')"),
-    ("method", "i2t.fit_predictor(key, None, None, method=None)"),
+    ("dataset", "i2t.fit_predictor(key, split=None)"),
+    ("split", "i2t.fit_predictor(dataset, 'object')"),
+    ("key", "i2t.fit_predictor(dataset, key=0)"),
+    ("method", "i2t.fit_predictor(dataset, method='perfect')"),
+    ("method", "i2t.fit_predictor(dataset, method=None)"),
+    ("dataset", "i2t.load_predictor('nominal').score(reading)"),
+    ("dataset", "i2t.fit_pad_model({'star': mesh})"),
+    ("meshes", "i2t.recognize([mesh, mesh], dataset, i2t.load_pad_model('nominal'))"),
+    ("meshes", "i2t.recognize({'star': mesh}, dataset, i2t.load_pad_model('nominal'))"),
+    ("pad_model", "i2t.recognize({'star': mesh, 'b': mesh}, dataset, i2t.load_pad_model('nominal').model)"),
     ("keys", "i2t.run_paper_loop(key, {}, {'star': surface}, pad, reading_std=reading, episodes=2)"),
     ("episodes_per_pool", "i2t.run_paper_loop(jax.random.split(key, 3), {}, {'star': surface}, pad, "
      "reading_std=reading, episodes=2, episodes_per_pool=0)"),

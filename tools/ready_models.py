@@ -7,6 +7,12 @@ predictor/, pad_model.npz and metrics.json in --out are the contents of i2t/mode
 `i2t.load_predictor("nominal")` and `i2t.load_pad_model("nominal")` read. metrics.json is the model's card: its training
 data, and its scores on unknown objects from the run's metrics. docs/model_card.md gives these figures.
 
+    python -m tools.ready_models --touches --out runs/ready_touches
+
+This simulates touches.h5 of i2t/models/nominal, the data set `i2t.load_dataset("nominal")`: few touches of the same
+pad, which fit into the package because the camera has no pixel noise. Their seed differs from that of the predictor's
+touches. Its card is the entry "data set" of i2t/models/nominal/metrics.json.
+
     python -m tools.ready_models --eflesh SESSION --out runs/ready_eflesh
 
 This makes the calibration of a real skin, calibration.npz and its card, the contents of i2t/models/eflesh
@@ -17,6 +23,7 @@ presses. All scores are at positions held out from the teacher and from the widt
 """
 
 import json
+import math
 import shutil
 import sys
 from dataclasses import dataclass, replace
@@ -28,8 +35,8 @@ import numpy as np
 from experiments.common.commands import command
 from experiments.common.options import RunOptions
 from experiments.common.runs import METRICS, begin, write_json
-from experiments.train.finished import FORMER_NAMES, PAD_MODEL, finished_runs, require_simulated_runs
 from i2t.cli.options import require_path
+from i2t.models.finished import FORMER_NAMES, PAD_MODEL, finished_runs, require_simulated_runs
 
 if TYPE_CHECKING:
     from i2t.skin_models import Calibration
@@ -54,26 +61,50 @@ SIZES = DistillationSizes()
 
 
 @dataclass(frozen=True)
+class ReadyTouches:
+    """Touches of the simulated data set, and the errors of its lab."""
+
+    objects: tuple[str, ...] = ("hexagon", "parallelogram", "star", "cylinder", "hammer", "screwdriver")
+    touches_per_session: int = 10
+    sessions: int = 3  # of each object
+    pad: int = 0
+    first_seed: int = 1000  # seed of the touches for --seed 0
+    # m and degrees, standard deviations of a camera whose pose was calibrated well, and averages its frames
+    hand_eye: float = 0.2e-3
+    hand_eye_degrees: float = 0.1
+    max_bytes: int = 400_000
+
+
+READY_TOUCHES = ReadyTouches()
+
+
+@dataclass(frozen=True)
 class ReadyModelsArgs(RunOptions):
-    """Make the models of the package for a simulated pad from a finished run, or for a real skin."""
+    """Make the models of the package for a simulated pad from a finished run, its data set, or those of a real skin."""
 
     FORMER_NAMES: ClassVar = FORMER_NAMES
 
     out: Path = Path("runs/ready_models")  # output folder
     pad_model: Path = Path("runs/train")  # folder of a run of experiments.train that simulated its touches
+    touches: bool = False  # simulate the data set of the package instead
     eflesh: Path | None = None  # a session of eFlesh (states.csv ...), for the calibration of that skin instead
 
     def check(self) -> None:
         """Refuse a missing run or session."""
         require_path("--eflesh", self.eflesh, "folder")
-        if self.eflesh is None:
+        if self.touches and self.eflesh:
+            raise ValueError("--touches simulates a data set, and --eflesh fits a calibration; pass one of them")
+        if self.eflesh is None and not self.touches:
             require_simulated_runs(self.pad_model)
 
 
 def run(args: ReadyModelsArgs) -> dict[str, Any]:
     """Make the models and write their card."""
     begin(args, args)
-    card = _of_a_run(args) if args.eflesh is None else _of_a_session(args, args.eflesh)
+    if args.touches:
+        card = _simulated_touches(args)
+    else:
+        card = _of_a_run(args) if args.eflesh is None else _of_a_session(args, args.eflesh)
     card["megabytes"] = round(sum(path.stat().st_size for path in args.out.rglob("*") if path.is_file()) / 1e6, 2)
     write_json(args.out / METRICS, card)
     print(f"models and card, {card['megabytes']} MB, are in {args.out}")
@@ -105,6 +136,50 @@ def _of_a_run(args: ReadyModelsArgs) -> dict[str, Any]:
             for name, scores in metrics["methods"].items()
         },
         "pad model": {"touches": origin.touches, "r2": pad_model.model.r2},
+    }
+
+
+def _simulated_touches(args: ReadyModelsArgs) -> dict[str, Any]:
+    """Simulate and save the data set; return its card, with the scores of a predictor that is fitted to it."""
+    import jax
+
+    from i2t.contact.press import PressLimits
+    from i2t.dataset import Dataset, save_dataset
+    from i2t.objects import catalogue
+    from i2t.prediction import fit_predictor
+    from i2t.recognition.site_pool import prepare_surfaces
+    from i2t.simulation.touches import SimulationErrors, simulate_touches
+    from i2t.skin.contact import FINE_GRID
+    from i2t.skin.pad import pad_from_seed
+
+    plan, pad = READY_TOUCHES, pad_from_seed(READY_TOUCHES.pad)
+    errors = SimulationErrors(
+        depth_noise=0.0, depth_bleed=0.0, hand_eye=plan.hand_eye, hand_eye_angle=math.radians(plan.hand_eye_degrees)
+    )
+    seed = plan.first_seed + args.seed
+    surfaces = prepare_surfaces([catalogue.make_object(name).mesh for name in plan.objects])
+    touches = simulate_touches(
+        jax.random.key(seed), surfaces, pad, errors,
+        plan.sessions * plan.touches_per_session, touches_per_session=plan.touches_per_session,
+        limits=PressLimits(final=FINE_GRID),
+    )  # fmt: skip
+    dataset = Dataset.simulated(
+        touches._replace(truth=None), plan.objects, pad, pad_name=f"simulated pad {plan.pad}",
+        meta={"made by": f"tools.ready_models --touches, seed {seed}"},
+    )  # fmt: skip
+    path = save_dataset(args.out / "touches.h5", dataset)
+    size = path.stat().st_size
+    if size > plan.max_bytes:
+        raise ValueError(f"{path} has {size} bytes, more than {plan.max_bytes}; simulate fewer touches")
+    score = fit_predictor(dataset).score(dataset)
+    return {
+        "source": dataset.source,
+        "pad": dataset.pads[0],
+        "objects": list(plan.objects),
+        "touches": len(dataset),
+        "sessions": len(dataset.sessions),
+        "kilobytes": round(size / 1e3),
+        "fit": score.to_json(),
     }
 
 

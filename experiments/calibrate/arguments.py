@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
-from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions
 from experiments.common.presets import choose_preset
 from experiments.common.runs import METRICS
 from i2t.cli.options import Count, Limits, require_with
+from i2t.models.checks import require_dataset
 
 TARGET_NAMES = ("position", "travel", "force", "shear")  # of `i2t.heads.heads`
 PressCount: TypeAlias = Annotated[int, Limits(2)]

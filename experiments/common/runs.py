@@ -6,7 +6,6 @@ import atexit
 import contextlib
 import hashlib
 import json
-import math
 import shutil
 import sys
 from collections.abc import Callable
@@ -17,10 +16,10 @@ from typing import Any
 
 from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import require_writable
-from i2t.files.writing import replacing
+from i2t.files.writing import replacing, write_json
+from i2t.models.finished import CONFIG, METRICS
 from i2t.objects.named import split_unit
 
-CONFIG, METRICS = "config.json", "metrics.json"
 # options that do not affect results, which config.json therefore leaves out
 RUN_OPTIONS = ("out", "resume", "overwrite", "workers", "config")
 # Nested dict of arrays: results of an experiment for one pad and seed. Its keys are names of methods and conditions,
@@ -195,20 +194,6 @@ def _is_ours(config: Path, kind: str) -> bool:
         return False
     ours = isinstance(about, dict) and about.keys() >= {"args", "versions", "experiment"}
     return ours and about.get("kind", kind) == kind
-
-
-def write_json(path: Path, values: dict[str, Any]) -> None:
-    """Write JSON atomically; NaN becomes null."""
-
-    def clean(node: Any) -> Any:
-        if isinstance(node, dict):
-            return {str(key): clean(value) for key, value in node.items()}
-        if isinstance(node, list | tuple):
-            return [clean(value) for value in node]
-        return None if isinstance(node, float) and not math.isfinite(node) else node
-
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(clean(values), indent=1, default=str) + "\n")
 
 
 def pictures_in(out: Path) -> str:

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions
+from i2t.models.checks import require_dataset
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ import numpy as np
 
 from experiments.fidelity.config import FidelityPreset
 from experiments.fidelity.sections import CannotTellError, Section
+from experiments.fidelity.tried import MIN_GAIN, TRIED_TOUCHES, Tried, explained, some_groups, tried_touches
 from experiments.train.configs import PRESETS
-from experiments.train.loads import MIN_GAIN, TRIED_TOUCHES, Tried, explained, some_groups, tried_touches
 from experiments.train.prepare import prepare
 from i2t.contact.pressure import PressureModelConfig
 from i2t.convert.press_table import sphere, tip_patches

@@ -6,13 +6,13 @@ from typing import Annotated, ClassVar, Literal
 
 import tyro
 
-from experiments.common.checks import require_dataset, require_objects
 from experiments.common.options import ResumableOptions, RunOptions, UnitName
-from experiments.train.finished import FORMER_NAMES, require_pad_model, require_simulated_runs
 from i2t.cli.options import Count, Limits, Probability, Seed, require_path
 from i2t.collect.arguments import ArmArgs, CameraArgs, SkinArgs
 from i2t.errors import did_you_mean, require_extra
-from i2t.objects.named import object_name
+from i2t.models.checks import require_dataset
+from i2t.models.finished import FORMER_NAMES, require_pad_model, require_simulated_runs
+from i2t.objects.named import object_name, require_objects
 
 PresetName = Literal["short", "paper", "debug"]
 NOT_REAL_KINDS = ("simulated", "emulated")

@@ -35,8 +35,7 @@ import numpy as np
 
 from experiments.common.runs import write_json
 from experiments.recognize.arguments import LIVE_OBJECTS, LIVE_PAD_MODELS, LiveArgs
-from experiments.recognize.plans import load_meshes, meshes_by_name
-from experiments.train.finished import find_pad_model
+from experiments.recognize.plans import meshes_by_name
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.recorder import list_touches
@@ -49,7 +48,8 @@ from i2t.errors import DeviceError
 from i2t.geometry import inverse
 from i2t.hardware.rig import Rig
 from i2t.hardware.world import WorldArgs
-from i2t.objects.named import object_name, units_of
+from i2t.models.finished import find_pad_model
+from i2t.objects.named import object_name, read_meshes, units_of
 from i2t.objects.solids import Mesh
 from i2t.recognition.policy import NUM_CANDIDATES
 from i2t.recognition.recognizer import (
@@ -80,7 +80,7 @@ def play(args: LiveArgs) -> tuple[dict[str, Any], EpisodeRecord]:
     """Read the pad model, predict touches, and run the episode. Returns its result and its record for the report."""
     refuse_used(args.out)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
-    meshes = load_meshes(args.objects, args.unit) or meshes_by_name(LIVE_OBJECTS)
+    meshes = read_meshes(args.objects, args.unit) or meshes_by_name(LIVE_OBJECTS)
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
     _, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
     pad_model = args.used_pad_model

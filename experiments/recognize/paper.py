@@ -41,7 +41,7 @@ from experiments.recognize.report import (
     EpisodeResults,
     Results,
 )
-from experiments.train.finished import FinishedRun
+from i2t.models.finished import FinishedRun
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig

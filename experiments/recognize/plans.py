@@ -1,16 +1,13 @@
 """Plans of episodes: sets of objects to distinguish, and the sites of touches."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from experiments.common.checks import require_objects
 from experiments.recognize.config import Recognition
 from i2t.objects import Mesh, catalogue
-from i2t.objects.named import read_objects
 from i2t.recognition.site_pool import SitePools, TouchPlan, plan_informative_touches, plan_random_touches, sample_pools
 from i2t.types import Surface
 
@@ -22,23 +19,6 @@ class ObjectSet(NamedTuple):
     episodes: int  # of each object
     heuristic: bool  # whether the paper's heuristic chooses the sites
     share: int = 1  # episodes with the same sites, for which predictions are computed once
-
-
-def load_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, Mesh]:
-    """Load meshes of the catalogue and of files.
-
-    Args:
-        paths: At least two names in the catalogue or mesh files, or nothing if the option was omitted.
-        unit: Unit of length in the files whose names have none.
-
-    Returns:
-        The meshes by name: the catalogue's name, or the file's stem.
-
-    Raises:
-        ValueError: An object does not exist, a file has no unit, two objects share a name, or there is only one object.
-    """
-    require_objects(paths, unit)
-    return read_objects(list(map(str, paths)), unit)
 
 
 def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:

@@ -40,10 +40,11 @@ from experiments.recognize import paper
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.plans import ObjectSet, load_meshes, meshes_by_name, object_groups, plan_touches
+from experiments.recognize.plans import ObjectSet, meshes_by_name, object_groups, plan_touches
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
-from experiments.train.finished import FinishedRun, finished_runs
+from i2t.models.finished import FinishedRun, finished_runs
 from i2t.objects import Mesh
+from i2t.objects.named import read_meshes
 from i2t.prediction.predictor import Predictor
 from i2t.recognition.belief import Particles
 from i2t.recognition.environment import EnvironmentConfig
@@ -70,7 +71,7 @@ class EpisodeWorld(NamedTuple):
 
 def run(args: SimulateArgs) -> dict[str, Any]:
     """Simulate the episodes of every pad and seed, and report the scores."""
-    cfg, own = configure(args), load_meshes(args.objects, args.unit)
+    cfg, own = configure(args), read_meshes(args.objects, args.unit)
     runs = finished_runs(args.pad_model, args.pads)
     begin(args, cfg)
     by_paper = args.method == "paper"

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.train.finished import FinishedRun
 from i2t import dataset as data
 from i2t.dataset import Dataset
+from i2t.models.finished import FinishedRun
 from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.skin.files import load_pad
 from i2t.skin_models.pad_model import PadModel, load_pad_model

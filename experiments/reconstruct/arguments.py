@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from experiments.common.checks import require_dataset
 from experiments.common.options import RunOptions, UnitName
 from experiments.common.presets import choose_preset
 from i2t.cli.options import Count, require_path, require_with
 from i2t.errors import require_extra
+from i2t.models.checks import require_dataset
 
 Sensing = Literal["reading", "pose", "patch"]  # a touch measures its reading, its pose alone, or the whole patch
 

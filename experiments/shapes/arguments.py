@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from experiments.common.checks import require_dataset
 from experiments.common.options import ResumableOptions
 from i2t.cli.options import require_path, require_with
 from i2t.errors import require_extra
+from i2t.models.checks import require_dataset
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from typing import ClassVar, Literal
 import tyro
 
 from experiments.common.options import ResumableOptions
-from experiments.train.finished import FORMER_NAMES, require_simulated_runs
 from i2t.cli.options import Count
 from i2t.errors import require_extra
+from i2t.models.finished import FORMER_NAMES, require_simulated_runs
 
 StudyName = Literal["open_set", "mismatch", "physics", "stopping"]
 

@@ -11,9 +11,9 @@ from jaxtyping import Array
 from experiments.recognize.config import Recognition
 from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
-from experiments.train.finished import FinishedRun
 from i2t.contact.press import PressLaw, PressLimits
 from i2t.dataset import Dataset
+from i2t.models.finished import FinishedRun
 from i2t.objects import Mesh
 from i2t.recognition.belief import Particles
 from i2t.recognition.environment import EnvironmentConfig

@@ -26,7 +26,7 @@ from experiments.studies.arguments import StudyArgs, StudyName
 from experiments.studies.lab import StudyLab, StudySize, prepare_lab
 from experiments.studies.report import report_settings
 from experiments.studies.tables import study_table
-from experiments.train.finished import FinishedRun, finished_runs
+from i2t.models.finished import FinishedRun, finished_runs
 
 
 class Study(NamedTuple):

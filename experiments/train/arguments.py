@@ -4,9 +4,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
-from experiments.common.checks import require_dataset, require_objects
 from experiments.common.options import ResumableOptions, UnitName
 from i2t.cli.options import Count, Limits, Seed, require_path, require_with
+from i2t.models.checks import require_dataset
+from i2t.objects.named import require_objects
 from i2t.paper.config import PaperOptions
 
 Registration = Literal["sessions", "camera"]

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.train.prepare import Prepared
 from i2t.intervals import grouped_interval, student_interval
+from i2t.prediction.fit import PreparedTouches
 from i2t.prediction.methods import Method
 from i2t.prediction.metrics import score
 from i2t.prediction.predictor import Predictor, coverage, std_scale
@@ -72,7 +72,7 @@ class Evaluation(NamedTuple):
 
 
 def evaluate(
-    prepared: Prepared,
+    prepared: PreparedTouches,
     methods: Sequence[Method],
     fitted: Mapping[str, Predictor],
     others: Mapping[str, Reading] | None = None,

@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from experiments.train.prepare import Prepared
 from experiments.train.simulate import predicted_by_gp
 from experiments.train.sources import KnownObjects
 from i2t.dataset import Dataset
+from i2t.prediction.fit import PreparedTouches
 from i2t.recognition.recorded import known_surfaces, with_placement
 from i2t.recordings.sets import corrected_dataset
 from i2t.registration import (
@@ -128,7 +128,7 @@ def correct_by_camera(registered: RegisteredSessions, train: np.ndarray, *, max_
     )
 
 
-def reading_row(prepared: Prepared, seed: int) -> np.ndarray | None:
+def reading_row(prepared: PreparedTouches, seed: int) -> np.ndarray | None:
     """Predict the readings (n, 3 chips) uT of the test touches with the Gaussian process on other views of the same
     touches, for comparison; None if they have no predicted pressure.
     """

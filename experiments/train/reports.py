@@ -11,15 +11,15 @@ import numpy as np
 from experiments.common.runs import write_json
 from experiments.common.tables import cell, text_table
 from experiments.train.evaluation import Evaluation, choice_over_pads
-from experiments.train.finished import CHECKPOINTS, KEPT, ON_PRESSURE, PAD_MODEL, FinishedRun, write_training
-from experiments.train.prepare import Prepared
 from i2t import viz
 from i2t.dataset import Dataset, Split, holds_simulated, source_phrase
 from i2t.errors import printable
 from i2t.files.writing import slug
 from i2t.intervals import MIN_CLUSTERS, grouped_interval, student_interval
+from i2t.models.finished import CHECKPOINTS, KEPT, ON_PRESSURE, PAD_MODEL, FinishedRun, write_training
+from i2t.prediction.fit import PreparedTouches
 from i2t.prediction.metrics import Score, score
-from i2t.prediction.predictor import Predictor, coverage, save
+from i2t.prediction.predictor import Predictor, coverage
 from i2t.prediction.touch_model import Reading
 from i2t.recognition.recorded import to_json
 from i2t.skin_models.pad_model import KnownPad
@@ -29,7 +29,7 @@ COLUMNS = ("method", "R²", "RMSE µT", "/ sigma", "cosine")
 
 def report(
     out: Path,
-    prepared: Prepared,
+    prepared: PreparedTouches,
     evaluation: Evaluation,
     pad_model: KnownPad | str,
     *,
@@ -85,12 +85,9 @@ def save_predictors(out: Path, evaluation: Evaluation, about: dict[str, Any]) ->
     kept |= {slug(name): name for name, fitted in evaluation.predictors.items() if "curve" in (fitted.metadata or {})}
     for folder, method in kept.items():
         predictor = evaluation.predictors[method]
-        from_training = {
-            name: value
-            for name, value in (predictor.metadata or {}).items()
-            if name in ("epochs", "force_range", "board")
-        }
-        save(out / CHECKPOINTS / folder, replace(predictor, metadata={"method": method, **about, **from_training}))
+        from_training = {name: value for name, value in (predictor.metadata or {}).items() if name != "curve"}
+        kept_predictor = replace(predictor, metadata={"method": method, **about, **from_training})
+        kept_predictor.save(out / CHECKPOINTS / folder)
     return kept
 
 
@@ -135,7 +132,7 @@ def by_object(dataset: Dataset, split: Split, truth: np.ndarray, predicted: dict
     }
 
 
-def figures(out: Path, prepared: Prepared, evaluation: Evaluation, metrics: dict[str, Any]) -> None:
+def figures(out: Path, prepared: PreparedTouches, evaluation: Evaluation, metrics: dict[str, Any]) -> None:
     """Draw all figures of one run into the folder `out`."""
     dataset, split = prepared.touches.dataset, prepared.split
     simulated = holds_simulated(dataset.source)

@@ -24,7 +24,7 @@ tuned Gaussian process and `i2t.calibrate`, which use the tip's position. The ro
 model without errors of camera and arm. A pad model for `experiments.recognize` is fitted to the touches of the training
 objects. With --dataset it needs the objects' meshes, and --rig gives the covariance of their poses. Results go to
 --out: metrics.json, config.json, figures, the data (data.h5), checkpoint/ for `i2t.load_predictor`, and pad_model.npz
-for `i2t.load_pad_model` (`experiments.train.finished` lists all files).
+for `i2t.load_pad_model` (`i2t.models.finished` lists all files).
 
 On two quiet cores the default took 101 s the first time, when everything is compiled, and 72 s the second; `--preset
 debug` 30 s and 16 s.
@@ -48,13 +48,14 @@ from experiments.train.arguments import TrainArgs
 from experiments.train.by_position import position_readings
 from experiments.train.configs import PRESETS, TrainExperiment
 from experiments.train.evaluation import evaluate, position_note, pressure_note
-from experiments.train.prepare import Prepared, prepare
+from experiments.train.prepare import prepare
 from experiments.train.registered import correct_by_camera, correct_by_sessions, reading_row, register_known_objects
 from experiments.train.reports import print_table, report, summarise
 from experiments.train.simulate import ceiling
 from experiments.train.sources import KnownObjects, RecordedSource, SimulatedSource, TouchSource
 from i2t.dataset import Dataset, source_phrase
 from i2t.errors import printable
+from i2t.prediction.fit import PreparedTouches
 from i2t.prediction.methods import find_methods
 from i2t.recognition.recorded import describe
 from i2t.skin_models.pad_model import KnownPad
@@ -156,7 +157,7 @@ def run_pad(source: TouchSource, cfg: TrainExperiment, *, seed: int, pad_model_s
 
 def prepare_registered(
     dataset: Dataset, objects: KnownObjects, cfg: TrainExperiment, seed: int
-) -> tuple[Prepared, KnownObjects, dict[str, np.ndarray]]:
+) -> tuple[PreparedTouches, KnownObjects, dict[str, np.ndarray]]:
     """Prepare touches with corrected views. Returns these, their objects, and predictions from other views by title."""
     as_prepared = partial(prepare, split_by=cfg.split, seed=seed, softness=cfg.softness)
     uncorrected = as_prepared(dataset, replace(cfg, registered=None))
@@ -189,7 +190,7 @@ def fit_or_explain(fit: Callable[[], KnownPad]) -> KnownPad | str:
     return pad_model
 
 
-def describe_split(prepared: Prepared) -> str:
+def describe_split(prepared: PreparedTouches) -> str:
     """State the number of touches in each part of the split, and all notes."""
     dataset, split = prepared.touches.dataset, prepared.split
     counts = f"{split.train.sum()} train, {split.validation.sum()} validate, {split.test.sum()} test"

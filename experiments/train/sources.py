@@ -9,15 +9,14 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.train.configs import Simulation
-from experiments.train.finished import PAD, TOUCHES
 from experiments.train.simulate import simulated_dataset
 from i2t import dataset as data
-from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset
 from i2t.hardware.rig import Rig
+from i2t.models.finished import PAD, TOUCHES
 from i2t.objects import Mesh, catalogue
 from i2t.objects.named import read_objects
-from i2t.recognition.recorded import named_surfaces, recorded_touches, with_placement
+from i2t.recognition.recorded import fit_pad_model, named_surfaces, with_placement
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import PadAbout, load_pad, load_pad_about, save_pad
 from i2t.skin.pad import pad_from_seed
@@ -107,8 +106,9 @@ class RecordedSource:
         """Fit a pad model to touches of objects whose mesh is known (ValueError: it cannot be fitted)."""
         rows = np.ones(len(dataset), bool) if self.all_touches else train
         made_from = f"experiments.train --dataset {self.recording}, seed {seed}"
-        touches = recorded_touches(dataset, rows, objects.meshes, made_from)
-        return ContactModel(objects.errors, PressLimits()).fit(fit_key(seed), touches)
+        return fit_pad_model(
+            dataset, objects.meshes, rows=rows, key=fit_key(seed), errors=objects.errors, made_from=made_from
+        )
 
 
 TouchSource: TypeAlias = SimulatedSource | RecordedSource

@@ -35,6 +35,8 @@ COMMANDS = {
     "imagine": SubCommand("i2t.imagine", "predict and draw the readings of a skin on an object"),
     "collect": SubCommand("i2t.collect.command", "collect simulated or real touches"),
     "convert": SubCommand("i2t.convert.commands", "convert recordings to data sets, and back"),
+    "fit": SubCommand("i2t.commands.fit", "fit a predictor and a pad model to a data set"),
+    "recognize": SubCommand("i2t.commands.recognize", "recognise the objects of recorded sessions"),
     "view": SubCommand("i2t.view.command", "show recordings as a page and in Rerun"),
     "place": SubCommand("i2t.place", "find the pose of an object with a camera"),
     "skin": SubCommand("i2t.hardware.reskin.monitor", "show and record the readings of a skin"),

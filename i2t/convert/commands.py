@@ -19,6 +19,7 @@ import json as json_text
 import math
 import sys
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -117,7 +118,7 @@ class WriteCommand(ReadCommand):
         parts = ((dataset.objects, "object"), (dataset.pads, "skin"), (dataset.sessions, "session"))
         counts = ", ".join(f"{len(names)} {noun}{'s' if len(names) > 1 else ''}" for names, noun in parts)
         print(f"wrote {len(dataset)} touches ({counts}) to {path}")
-        print(f"next: python -m i2t.view {self.target}")
+        print(f"next: i2t view {self.target}")
 
     def _print_notes(self, notes: Sequence[str], brief: Sequence[str]) -> None:
         """Print all notes or the brief ones."""

@@ -50,6 +50,22 @@ class Dataset:
             f"{len(self.sessions)} sessions, {self.board.num_chips} chips)"
         )
 
+    def __str__(self) -> str:
+        """Count the touches by object, name the skins, and count missing values."""
+        summary = self.summary()
+        objects = [f"{name} {count}" for name, count in summary["objects"].items() if count]
+        missing = [f"{name} {count}" for name, count in summary["missing"].items() if count]
+        pads = [name for name, count in summary["pads"].items() if count]
+        sessions = sum(count > 0 for count in summary["sessions"].values())
+        return "\n  ".join(
+            [
+                f"Dataset of {len(self)} touches in {sessions} sessions ({source_phrase(self.source)})",
+                f"objects: {_listed(objects)}",
+                f"skins: {_listed(pads)}, with {self.board.num_chips} chips",
+                *([f"missing: {_listed(missing)}"] if missing else []),
+            ]
+        )
+
     def __post_init__(self) -> None:
         def numpy(name: str, values: Any) -> np.ndarray:
             # Unix time in float32 would have steps of two minutes.
@@ -404,6 +420,11 @@ def _merged(values: list[str]) -> str:
     different = list(dict.fromkeys(values))
     more = [f"and {len(different) - 8} more"] if len(different) > 8 else []
     return "; ".join(different[:8] + more)
+
+
+def _listed(texts: Sequence[str], shown: int = 8) -> str:
+    """Join texts by commas; of many, only the first."""
+    return ", ".join([*texts[:shown], *([f"and {len(texts) - shown} more"] if len(texts) > shown else [])])
 
 
 def _counts(indices: np.ndarray, names: tuple[str, ...]) -> dict[str, int]:

@@ -66,6 +66,25 @@ class Split:
             raise DataError(f"{kind} {', '.join(both)}: is held out for validation and for test; choose one of them")
         return cls(~(validating | testing), validating, testing, dataset.touches.session, kind)
 
+    def __str__(self) -> str:
+        """Count the touches and groups of each part."""
+        parts = {"training": self.train, "validation": self.validation, "test": self.test}
+        counts = (f"{rows.sum()} {name} ({len(np.unique(self.groups[rows]))} groups)" for name, rows in parts.items())
+        return f"Split by {self.description}: {', '.join(counts)}"
+
+    def select(self, rows: np.ndarray) -> "Split":
+        """Select the split of some of the touches.
+
+        Args:
+            rows: `(n,)` mask, or indices, of touches.
+
+        Returns:
+            The split of the selected touches.
+        """
+        return Split(
+            self.train[rows], self.validation[rows], self.test[rows], self.groups[rows], self.description
+        )  # fmt: skip
+
 
 def by_group(labels: np.ndarray) -> dict[int, np.ndarray]:
     """Group row numbers by an integer label of each row.

@@ -27,6 +27,7 @@ from i2t.dataset.sets import Dataset, concatenate, missing_views, validate
 from i2t.errors import DataError
 from i2t.files.reading import explain_no_dataset
 from i2t.files.writing import as_path
+from i2t.models import ready_hint, ready_path
 from i2t.types import Board, Touches, Truth
 
 # Units that a file of touches states for its fields.
@@ -241,7 +242,7 @@ def load_dataset(
     temporary files of an interrupted writer, index.json and the card README.md are ignored.
 
     Args:
-        path: Path of a file or folder.
+        path: Path of a file or folder, or the name of a ready data set: "nominal" (`i2t.models`), of one simulated pad.
         skip_bad: Whether to leave out unusable files and touches in which a chip did not answer. A BadFileWarning names
             them.
         missing_chips: Whether to keep touches in which a chip did not answer. Its values are NaN, which the caller must
@@ -259,8 +260,9 @@ def load_dataset(
     Example:
         touches = i2t.load_dataset("data/mug").touches
     """
-    path = as_path("path", path)
-    files = _files(path)
+    hint = ready_hint(path, "touches.h5", list_all=False)
+    path = ready_path(str(as_path("path", path)), "touches.h5")
+    files = _files(path, hint)
     good: list[Dataset] = []
     bad: list[str] = []
     for file in files:
@@ -308,11 +310,11 @@ def _with_all_chips(path: Path, dataset: Dataset, skip_bad: bool) -> Dataset:
     return dataset.select(~incomplete)
 
 
-def _files(path: Path) -> list[Path]:
+def _files(path: Path, hint: str) -> list[Path]:
     if path.is_file():
         return [path]
     if not path.is_dir():
-        raise DataError(f"{path}: no such file or folder; check the path")
+        raise DataError(f"{path}: no such file or folder{hint or '; check the path'}")
     files = [
         file
         for file in sorted(path.rglob("*"))

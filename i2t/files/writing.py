@@ -1,5 +1,7 @@
 """Writing of files whole or not at all, and checks that file names stay inside their folder."""
 
+import json
+import math
 import os
 import re
 import secrets
@@ -74,6 +76,28 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
     except OSError as error:
         raise unwritable(path, error) from error
+
+
+def write_json(path: Path, values: dict[str, Any]) -> None:
+    """Write JSON atomically.
+
+    Args:
+        path: Path of the file.
+        values: Values by name. Numbers that are not finite become null, and objects of other types texts.
+
+    Raises:
+        DataError: The file cannot be written.
+    """
+
+    def clean(node: Any) -> Any:
+        if isinstance(node, dict):
+            return {str(key): clean(value) for key, value in node.items()}
+        if isinstance(node, list | tuple):
+            return [clean(value) for value in node]
+        return None if isinstance(node, float) and not math.isfinite(node) else node
+
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(clean(values), indent=1, default=str) + "\n")
 
 
 def file_in(folder: Path, name: str, listed_in: str | Path, *, below: bool = False) -> Path:

@@ -2,6 +2,7 @@
 
     predictor = i2t.load_predictor("nominal")
     pad_model = i2t.load_pad_model("nominal")
+    dataset = i2t.load_dataset("nominal")
     calibration = i2t.load_calibration("eflesh")
 
 "nominal" is one simulated pad, number 0 of `i2t.skin.pad.pad_from_seed`: a layer drawn about the nominal one, with its
@@ -18,10 +19,10 @@ from i2t.errors import closest, did_you_mean
 from i2t.files.reading import read_json
 from i2t.files.writing import as_path
 
-Part = Literal["predictor", "pad_model.npz", "calibration.npz", "metrics.json"]
+Part = Literal["predictor", "pad_model.npz", "touches.h5", "calibration.npz", "metrics.json"]
 # Files of each model that comes with the package.
 READY_MODELS: dict[str, tuple[Part, ...]] = {
-    "nominal": ("predictor", "pad_model.npz", "metrics.json"),
+    "nominal": ("predictor", "pad_model.npz", "touches.h5", "metrics.json"),
     "eflesh": ("calibration.npz", "metrics.json"),
 }
 
@@ -46,19 +47,21 @@ def ready_path(name: str | os.PathLike[str], part: Part) -> Path:
     return path
 
 
-def ready_hint(name: str | os.PathLike[str], part: Part) -> str:
+def ready_hint(name: str | os.PathLike[str], part: Part, *, list_all: bool = True) -> str:
     """Word the remedy for a path that does not exist, by naming the ready model that may be meant.
 
     Args:
         name: The name or path that the user gave.
         part: Part of the model.
+        list_all: Whether all ready models are named if the name resembles none of them.
 
     Returns:
-        The end of a sentence: "; did you mean nominal?", or ", or a ready model, nominal".
+        The end of a sentence: "; did you mean nominal?", or ", or a ready model, nominal", or nothing.
     """
     names = [model for model, parts in READY_MODELS.items() if part in parts]
     close = closest(as_path("path", name).name, names)
-    return f"; did you mean {close}?" if close else f", or a ready model, {' or '.join(names)}"
+    others = f", or a ready model, {' or '.join(names)}" if list_all else ""
+    return f"; did you mean {close}?" if close else others
 
 
 def model_card(name: str) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from i2t.errors import did_you_mean
+from i2t.errors import DataError, did_you_mean
 from i2t.files.kinds import MESH_SUFFIXES, METRE_SUFFIXES, METRES_PER_UNIT
 
 if TYPE_CHECKING:
@@ -147,6 +147,80 @@ def read_objects(names: Sequence[str], unit: str | None) -> "dict[str, Mesh]":
     """
     units = units_of(names, unit)
     return {object_name(name): read_object(name, own).mesh for name, own in zip(names, units, strict=True)}
+
+
+def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2, catalogue: bool = True) -> None:
+    """Refuse objects that do not exist, that share a name, or that are too few.
+
+    Args:
+        paths: Values of --objects: names of the catalogue or mesh files; empty if the option was omitted.
+        unit: Unit of the files whose names have none.
+        minimum: Minimum number of objects.
+        catalogue: Whether names of the catalogue are allowed.
+
+    Raises:
+        ValueError: The objects are refused, or a file has no unit.
+    """
+    if not paths:
+        if unit is not None:
+            raise ValueError("--unit is the unit of the mesh files of --objects; pass both, or omit --unit")
+        return
+    names = list(map(str, paths))
+    for name, own_unit in zip(names, units_of(names, unit), strict=True):
+        require_object(name, own_unit, flag="--objects", catalogue=catalogue)
+    if len(paths) < minimum:
+        raise ValueError("--objects needs at least two objects to distinguish")
+    seen: dict[str, str] = {}
+    for name in names:
+        own = object_name(name)
+        if own in seen:
+            raise ValueError(
+                f"--objects: {seen[own]} and {name} are both called {own}, and objects are identified by name; rename "
+                "one of them"
+            )
+        seen[own] = name
+
+
+def read_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, "Mesh"]:
+    """Load meshes of the catalogue and of files.
+
+    Args:
+        paths: At least two names in the catalogue or mesh files, or nothing if the option was omitted.
+        unit: Unit of length in the files whose names have none.
+
+    Returns:
+        The meshes by name: the catalogue's name, or the file's stem.
+
+    Raises:
+        ValueError: An object does not exist, a file has no unit, two objects share a name, or there is only one object.
+    """
+    require_objects(paths, unit)
+    return read_objects(list(map(str, paths)), unit)
+
+
+def meshes_of_dataset(names: Sequence[str], dataset: str) -> dict[str, "Mesh"]:
+    """Load the meshes of a data set's objects from the catalogue.
+
+    Args:
+        names: Names of the objects of the data set.
+        dataset: Name of the data set, for messages.
+
+    Returns:
+        The meshes by name.
+
+    Raises:
+        DataError: The catalogue lacks an object, or there is only one object.
+    """
+    from i2t.objects.catalogue import NAMES, make_object
+
+    if missing := [name for name in names if name not in NAMES]:
+        raise DataError(
+            f"{dataset} has touches of {', '.join(missing)}, of which there is no mesh; name all objects to "
+            f"distinguish, with a mesh of that name, for instance --objects star {missing[0]}.stl --unit mm"
+        )
+    if len(names) < 2:
+        raise DataError(f"{dataset} has touches of {names[0]} only; name the objects to distinguish: --objects")
+    return {name: make_object(name).mesh for name in names}
 
 
 def describe_placement(thing: "Object") -> str:

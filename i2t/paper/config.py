@@ -17,7 +17,7 @@ class PaperOptions:
 
     Example:
         paper = i2t.PaperOptions(bottleneck=3)
-        predictor = i2t.fit_predictor(jax.random.key(0), dataset, split, paper=paper)
+        predictor = i2t.fit_predictor(dataset, split, method="paper-depth", paper=paper)
     """
 
     encoder_width: int = 200

@@ -24,13 +24,13 @@ from jaxtyping import Array, Key
 
 from i2t.contact.pressure import ContactPressure, PressureModelConfig
 from i2t.dataset import Dataset, Split
-from i2t.installation import checkout
 from i2t.paper.config import PaperOptions
+from i2t.prediction.loads import ASSUMED_FORCE_N, usual_load
 from i2t.prediction.predictor import Predictor
-from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, to_disk
+from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, recorded_batch, to_disk
+from i2t.prediction.used_touches import describe_training, touch_digests
 from i2t.skin.boards import board_as_lists
 from i2t.training import TrainConfig
-from i2t.validation import random_key
 
 # Prediction methods, by the name on the command line; of equally good methods the first one is kept.
 METHODS: Mapping[str, str] = {
@@ -50,7 +50,6 @@ METHODS: Mapping[str, str] = {
     "pressure-network": "i2t.prediction.networks:OnPressure",
     "gp": "i2t.prediction.gp_method:GaussianProcess",
 }
-ASSUMED_FORCE_N = 1.0  # N, force assumed for touches whose force was not recorded
 
 Shared = TypeVar("Shared")
 
@@ -103,17 +102,8 @@ class TrainingTouches:
         Returns:
             Patches, views and conditions of these touches, without their readings.
         """
-        touches = self.dataset.touches
-        return TouchBatch(
-            touches.patch,
-            views_of(self.dataset),
-            self.dataset.window / touches.patch.shape[1],
-            force=touches.force,
-            nearest=touches.nearest,
-            travel=touches.travel,
-            pressure=self.pressure,
-            pressure_model=self.pressure_model,
-        ).rows(np.flatnonzero(rows))
+        batch = recorded_batch(self.dataset)._replace(pressure=self.pressure, pressure_model=self.pressure_model)
+        return batch.rows(np.flatnonzero(rows))
 
     def predictor(self, model: TouchModel, split: Split) -> Predictor:
         """Wrap a fitted model in a predictor.
@@ -134,10 +124,15 @@ class TrainingTouches:
         except (LookupError, TypeError, AttributeError) as error:
             raise ValueError(f"a {type(model).__name__} could not be loaded again: {error}") from error
         pressed = self.dataset.touches
-        force, travel = _usual_force(pressed.force[split.train]), _median(pressed.travel[split.train], 0.3e-3)
+        force, travel = _usual_force(pressed.force[split.train]), usual_load(pressed.travel[split.train], 0.3e-3)
         forces = pressed.force[split.train]
         forces = forces[np.isfinite(forces)]
-        metadata: dict[str, Any] = {"board": board_as_lists(self.dataset.board)}
+        used = self.dataset.select(split.train | split.validation)
+        metadata: dict[str, Any] = {
+            "board": board_as_lists(self.dataset.board),
+            "trained_on": describe_training(self.dataset, split),
+            "used_touches": touch_digests(used),
+        }
         if len(forces):
             metadata["force_range"] = [float(forces.min()), float(forces.max())]
         return Predictor(model, self.dataset.window, self.dataset.reach, force, travel, metadata=metadata)
@@ -224,77 +219,7 @@ def find_methods(names: Sequence[str]) -> tuple[Method, ...]:
     return tuple(methods.values())
 
 
-def fit_predictor(
-    key: Key[Array, ""],
-    dataset: Dataset,
-    split: Split,
-    *,
-    method: str | Method = "paper-depth",
-    paper: PaperOptions | None = None,
-    training: TrainConfig | None = None,
-) -> Predictor:
-    """Fit a predictor of readings to the patches of a data set.
-
-    `python -m experiments.train` also predicts contact pressures, which some methods need, and compares methods.
-
-    Args:
-        key: Random key of initial weights and minibatches.
-        dataset: Data set of touches.
-        split: Touches to fit to, and those on which a network chooses its epoch.
-        method: The method, or its name as for `find_method`; by default the paper's network on depths.
-        paper: Sizes and loss of the paper's network.
-        training: Options of the training of networks.
-
-    Returns:
-        The fitted predictor.
-
-    Raises:
-        TypeError: `key` is no random key, or `method` is neither a method nor a name.
-        ValueError: There is no method of this name, the touches lack an input of the method, or the split is of another
-            data set.
-
-    Example:
-        split = i2t.Split.hold_out(dataset, "object", validation=["cutter"])
-        predictor = i2t.fit_predictor(jax.random.key(0), dataset, split, training=i2t.TrainConfig(epochs=60))
-    """
-    random_key("key", key)
-    chosen = find_method(method) if isinstance(method, str) else method
-    if not isinstance(chosen, Method):
-        raise TypeError(f"method: is {chosen!r}; give the name of a method, or an instance of a subclass of Method")
-    if len(split.groups) != len(dataset):
-        raise ValueError(
-            f"split: has {len(split.groups)} touches, but the data set {len(dataset)}; split this data set"
-        )
-    touches = TrainingTouches(dataset, paper=paper or PaperOptions(), training=training or TrainConfig())
-    predictor = chosen.fit(key, touches, split)
-    if predictor is None:
-        raise ValueError(
-            f"method: {chosen.title} needs more than the patches of the touches; choose another method"
-            + (", or train by python -m experiments.train" if checkout() else "")
-        )
-    return predictor
-
-
-def views_of(dataset: Dataset) -> np.ndarray:
-    """Return a data set's views (patches with their surroundings) if every touch has one, otherwise its patches.
-
-    Args:
-        dataset: Data set of n touches.
-
-    Returns:
-        `(n, w, w)` views (m), w pixels along an edge.
-    """
-    view = dataset.touches.view
-    centre = view.shape[-1] // 2
-    return dataset.touches.patch if np.isnan(view[:, centre, centre]).any() else view
-
-
 def _usual_force(force: np.ndarray) -> float:
     """Compute the median force (N); if it does not press, that of the pressing touches."""
-    median = _median(force, ASSUMED_FORCE_N)
-    return median if median > 0 else _median(np.where(force > 0, force, np.nan), ASSUMED_FORCE_N)
-
-
-def _median(values: np.ndarray, default: float) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else default
+    median = usual_load(force, ASSUMED_FORCE_N)
+    return median if median > 0 else usual_load(np.where(force > 0, force, np.nan), ASSUMED_FORCE_N)

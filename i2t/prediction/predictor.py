@@ -2,8 +2,8 @@
 deviation.
 
 A predictor holds a model (`i2t.prediction.touch_model.TouchModel`) of any method (`i2t.prediction.methods`) and calls
-its `predict_batch`. `save` writes predictors and `load_predictor` reads them, including the conversion from a patch to
-the model's input. For a board with n chips a reading has 3 n values.
+its `predict_batch`. `Predictor.save` writes predictors and `load_predictor` reads them, including the conversion from a
+patch to the model's input. For a board with n chips a reading has 3 n values.
 
     predictor = i2t.load_predictor("runs/train")
     seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)                    # or i2t.render_patch of a mesh
@@ -22,23 +22,30 @@ from typing import Any, TypeAlias
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 from orbax.checkpoint import v1 as ocp
 
 from i2t.contact.pressure import PressureModelConfig
-from i2t.errors import CheckpointError
+from i2t.dataset import Dataset
+from i2t.errors import CheckpointError, DataError
 from i2t.files.archives import max_unpacked_size
 from i2t.files.checkpoints import custom_metadata
+from i2t.files.writing import as_path
 from i2t.installation import training_command
 from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.models import ready_hint, ready_path
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.patches.views import PatchView
 from i2t.prediction import user_input
-from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, to_disk
+from i2t.prediction.loads import rows_with_load
+from i2t.prediction.metrics import PredictorScore, score_readings
+from i2t.prediction.splitting import touches_with_contact
+from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, recorded_batch, to_disk
+from i2t.prediction.used_touches import touch_digests
+from i2t.recordings.sets import corrected_dataset
 from i2t.rendering.render import prepare_surface, render_view
 from i2t.runtime.batching import size_classes
-from i2t.skin.boards import board_from_lists
+from i2t.skin.boards import board_from_lists, same_board
 from i2t.types import Board, Surface
 
 PREDICTOR_FORMAT = "i2t predictor"  # name of the format in the description of a saved predictor
@@ -60,7 +67,7 @@ class Predictor:
         default_force: Force (N) if a user gives none: the median of the training touches.
         default_travel: Travel (m) past first contact if a user gives none: the median of the training touches.
         std_scale: Factor on the model's standard deviations that gives the errors on validation touches unit variance.
-        metadata: Provenance: method, data and seed of the training.
+        metadata: Provenance: method, data and seed of the training, and digests of the touches that were used.
 
     Example:
         predictor = i2t.load_predictor("runs/train")
@@ -82,6 +89,22 @@ class Predictor:
             f"Predictor({type(self.model).__name__}, {self.model.channels // 3} chips, "
             f"patch {self.window * 1e3:g} mm, default force {self.default_force:.2g} N, {source})"
         )
+
+    def __str__(self) -> str:
+        """Describe the method, the touches of the fit, the input and the output."""
+        about = self.metadata or {}
+        lines = [
+            f"Predictor: {about.get('method', type(self.model).__name__)} ({about.get('source', 'unknown source')})"
+        ]
+        if trained := about.get("trained_on"):
+            lines += [f"fitted to {trained['training']} touches of {', '.join(trained['training_objects'])}"]
+            if trained["validation"]:
+                lines[-1] += f"; tuned on {trained['validation']} of {', '.join(trained['validation_objects'])}"
+        load = "travel" if self.pressure is not None and self.pressure.control == "travel" else "force"
+        usual = f"{self.default_force:.2g} N" if load == "force" else f"{1e3 * self.default_travel:.2g} mm"
+        lines += [f"takes patches of {1e3 * self.window:g} mm and a {load} ({usual} by default)"]
+        lines += [f"predicts {self.model.channels} values (uT) of {self.model.channels // 3} chips, with their errors"]
+        return "\n  ".join(lines)
 
     @property
     def largest_force(self) -> float | None:
@@ -280,26 +303,118 @@ class Predictor:
         mean, std = self.model.predict_batch(touches)
         return Reading(mean, std * self.std_scale)
 
+    def score(
+        self,
+        dataset: Dataset,
+        rows: Bool[np.ndarray, " n"] | Int[np.ndarray, " m"] | None = None,
+        *,
+        groups: Shaped[np.ndarray, " n"] | None = None,
+    ) -> PredictorScore:
+        """Compare predictions with the readings of a data set's touches that were not used in the fit.
 
-def save(directory: Path | str, predictor: Predictor) -> None:
-    """Write a predictor into a folder, which appears completely or not at all.
+        Touches count as used if the predictor was fitted to them, or chose or scaled something on them, also when they
+        are in another file now. They are identified by their readings.
 
-    Args:
-        directory: Folder to create or to replace.
-        predictor: The predictor to write.
-    """
-    arrays, model = to_disk(predictor.model)
-    about = {
-        "format": PREDICTOR_FORMAT,
-        "version": PREDICTOR_VERSION,
-        "model": model,
-        **{name: getattr(predictor, name) for name in _PREDICTOR_FIELDS},
-        "shapes": jax.tree.map(lambda leaf: [str(leaf.dtype), *leaf.shape], arrays),
-    }
-    kept = _with_values(arrays)
-    ocp.save_checkpointables(
-        Path(directory).absolute(), kept, custom_metadata=json.loads(json.dumps(about)), overwrite=True
-    )
+        Args:
+            dataset: Data set of n touches of the predictor's skin. Its forces and travels are corrected as for a fit.
+            rows: Mask or indices of the touches to score. By default, all touches with contact and a known load that
+                were not used in the fit; with the split of the fit, these are its test touches.
+            groups: Labels of groups of touches that are not independent; sessions by default.
+
+        Returns:
+            R2, root mean square error, cosine and coverage, with 95 % intervals over the groups. It prints itself, with
+            the number of touches that were used in the fit.
+
+        Raises:
+            DataError: All touches were used in the fit, no touch is selected, or board or patch differ from those of
+                the predictor.
+            TypeError: `dataset` is not a data set.
+
+        Example:
+            predictor = i2t.fit_predictor(dataset)
+            print(predictor.score(dataset))
+        """
+        if not isinstance(dataset, Dataset):
+            raise TypeError(f"dataset: is a {type(dataset).__name__}; give a data set, as i2t.load_dataset reads it")
+        self._check_dataset(dataset)
+        corrected, _ = corrected_dataset(dataset)
+        digests = (self.metadata or {}).get("used_touches")
+        used = np.isin(touch_digests(dataset), digests or [])
+        if rows is None:
+            with_load, _ = rows_with_load(corrected)
+            scored = np.flatnonzero(touches_with_contact(corrected.touches) & with_load & ~used)
+            if not len(scored) and used.any():
+                raise DataError(
+                    "dataset: all its usable touches were used in the fit; give other touches, or name the rows to "
+                    "score (rows=)"
+                )
+        else:
+            scored = np.arange(len(dataset))[rows]
+        if not len(scored):
+            raise DataError("rows: no touch is selected; select touches with contact")
+        touches = corrected.select(scored).touches
+        batch = recorded_batch(corrected.select(scored))
+        reading = self._predict_classes(
+            batch._replace(
+                force=np.where(np.isfinite(batch.force), batch.force, np.float32(self.default_force)),
+                travel=np.where(np.isfinite(batch.travel), batch.travel, np.float32(self.default_travel)),
+            )
+        )
+        labels = np.asarray(dataset.touches.session if groups is None else groups)[scored]
+        return PredictorScore(
+            *score_readings(touches.reading, reading, labels),
+            touches=len(scored),
+            objects=tuple(dataset.objects[i] for i in np.unique(touches.object)),
+            groups=len(np.unique(labels)),
+            grouped_by="sessions" if groups is None else "groups",
+            used=None if digests is None else int(used[scored].sum()),
+            source=dataset.source,
+            measured=touches.reading,
+            predicted=reading,
+        )
+
+    def _check_dataset(self, dataset: Dataset) -> None:
+        """Refuse a data set of another board or with other patches (DataError)."""
+        trained_on = self.board
+        if self.model.channels != dataset.board.num_readings or (
+            trained_on is not None and not same_board(trained_on, dataset.board)
+        ):
+            raise DataError(
+                f"dataset: its board has {dataset.board.num_chips} chips, and the predictor was fitted to another "
+                f"board with {self.model.channels // 3}; give touches of the same skin"
+            )
+        if not np.allclose((dataset.window, dataset.reach), (self.window, self.reach), rtol=1e-6, atol=0):
+            raise DataError(
+                f"dataset: its patches cover {1e3 * dataset.window:g} mm with a reach of {1e3 * dataset.reach:g} mm, "
+                f"and those of the fit {1e3 * self.window:g} mm with {1e3 * self.reach:g} mm; convert the recording "
+                "with the same patches"
+            )
+
+    def save(self, directory: Path | str) -> None:
+        """Write the predictor into a folder, which appears completely or not at all (`load_predictor`).
+
+        Args:
+            directory: Folder to create or to replace.
+
+        Raises:
+            TypeError: The directory is neither text nor a path.
+
+        Example:
+            predictor.save("runs/mine")
+            predictor = i2t.load_predictor("runs/mine")
+        """
+        arrays, model = to_disk(self.model)
+        about = {
+            "format": PREDICTOR_FORMAT,
+            "version": PREDICTOR_VERSION,
+            "model": model,
+            **{name: getattr(self, name) for name in _PREDICTOR_FIELDS},
+            "shapes": jax.tree.map(lambda leaf: [str(leaf.dtype), *leaf.shape], arrays),
+        }
+        ocp.save_checkpointables(
+            as_path("directory", directory).absolute(), _with_values(arrays),
+            custom_metadata=json.loads(json.dumps(about)), overwrite=True,
+        )  # fmt: skip
 
 
 def load_predictor(directory: Path | str) -> Predictor:

@@ -30,6 +30,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures
+from i2t.dataset import Dataset
 from i2t.errors import CheckpointError
 from i2t.runtime.batching import select_rows
 from i2t.types import Touches, in_one_line
@@ -121,6 +122,36 @@ def stacked(touches: Touches | TouchBatch, names: Sequence[str]) -> np.ndarray:
     """
     values = [getattr(touches, name) for name in names]
     return np.stack(values, -1) if values else np.zeros((len(touches.patch), 0))
+
+
+def views_of(dataset: Dataset) -> np.ndarray:
+    """Return a data set's views (patches with their surroundings) if every touch has one, otherwise its patches.
+
+    Args:
+        dataset: Data set of n touches.
+
+    Returns:
+        `(n, w, w)` views (m), w pixels along an edge.
+    """
+    view = dataset.touches.view
+    centre = view.shape[-1] // 2
+    return dataset.touches.patch if np.isnan(view[:, centre, centre]).any() else view
+
+
+def recorded_batch(dataset: Dataset) -> TouchBatch:
+    """Convert a data set to the form that predictors take.
+
+    Args:
+        dataset: Data set of n touches.
+
+    Returns:
+        Patches, views and conditions of the touches, without their readings.
+    """
+    touches = dataset.touches
+    return TouchBatch(
+        touches.patch, views_of(dataset), dataset.window / touches.patch.shape[1],
+        force=touches.force, nearest=touches.nearest, travel=touches.travel,
+    )  # fmt: skip
 
 
 class TouchModel(ABC):

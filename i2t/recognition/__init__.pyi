@@ -30,12 +30,15 @@ from .recognizer import RecognizerConfig as RecognizerConfig
 from .recognizer import RecognizerState as RecognizerState
 from .recognizer import SiteObservation as SiteObservation
 from .recognizer import TouchEvidence as TouchEvidence
+from .recorded import fit_pad_model as fit_pad_model
 from .rollout import POLICIES as POLICIES
 from .rollout import RunningEpisodes as RunningEpisodes
 from .rollout import advance as advance
 from .rollout import begin_episodes as begin_episodes
 from .rollout import episodes_of as episodes_of
 from .rollout import run_episodes as run_episodes
+from .sessions import RecognizedSessions as RecognizedSessions
+from .sessions import recognize as recognize
 from .site_pool import SitePool as SitePool
 from .site_pool import SitePools as SitePools
 from .site_pool import prepare_surfaces as prepare_surfaces

@@ -65,7 +65,12 @@ class MeasuredTouches(NamedTuple):
 
 
 def episodes_from_dataset(
-    recorded: Dataset, names: Sequence[str], touches: int, *, overtravel: float = PressLimits.overtravel
+    recorded: Dataset,
+    names: Sequence[str],
+    touches: int,
+    *,
+    overtravel: float = PressLimits.overtravel,
+    require_known: bool = True,
 ) -> tuple[SitePool, Episodes]:
     """Take each session of a recorded data set as an episode of its first usable touches, unless it has too few.
 
@@ -78,6 +83,8 @@ def episodes_from_dataset(
         names: Names of the objects with meshes.
         touches: Number of touches of each episode; sessions with fewer usable ones are left out.
         overtravel: Distance (m) beyond its site after which a recorded press gave up.
+        require_known: Whether the object of each session must be among `names`; otherwise the true object of the other
+            episodes is -1.
 
     Returns:
         Sites as T_o_site of the believed object, and the episodes.
@@ -92,7 +99,7 @@ def episodes_from_dataset(
     rows = np.stack(episodes)
     kinds = [recorded.objects[i] for i in recording.object[rows[:, 0]]]
     unknown = sorted(set(kinds) - set(names))
-    if unknown:
+    if unknown and require_known:
         raise DataError(
             f"the data set has touches of {', '.join(unknown)}, but no object to recognise has this name; pass a mesh "
             f"of that name among --objects, such as {unknown[0]}.stl"
@@ -108,7 +115,7 @@ def episodes_from_dataset(
         advance=jnp.asarray(advance),
         contact=jnp.asarray(contact),
     )
-    truth = np.array([list(names).index(kind) for kind in kinds])
+    truth = np.array([list(names).index(kind) if kind in names else -1 for kind in kinds])
     sites = SitePool(jnp.float32(T_o_site.reshape(-1, 4, 4)), np.repeat(truth, touches))
     return sites, Episodes(truth, np.arange(rows.size).reshape(rows.shape), observations, T_o_t.astype(np.float32))
 

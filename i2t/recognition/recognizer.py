@@ -261,6 +261,17 @@ class ObjectRecognizer:
             f"ObjectRecognizer({len(self.names)} objects: {', '.join(self.names[:5])}{', ...' * (len(self.names) > 5)})"
         )
 
+    def __str__(self) -> str:
+        """Describe the objects, the candidate sites and the options."""
+        poses, config = len(self.particles.twist), self.config
+        safe = int(np.sum(np.asarray(self.safe)))
+        return (
+            f"ObjectRecognizer of {len(self.names)} objects: {', '.join(self.names)}\n"
+            f"  {len(self.safe)} candidate sites, {safe} of them safe; {poses} poses of each object\n"
+            f"  at most {config.max_touches} touches, until the probability of an error is at most "
+            f"{config.max_error_probability:g}"
+        )
+
     @property
     def channels(self) -> int:
         """Number of values in a reading."""

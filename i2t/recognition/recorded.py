@@ -1,7 +1,7 @@
 """Recorded touches for recognition: touches to which a pad model is fitted, and samples of one contact as one touch.
 
-    touches = recorded_touches(dataset, rows, {"mug": mug}, "DATA/known")
-    known = ContactModel(SimulationErrors(), PressLimits()).fit(jax.random.key(0), touches)
+    pad_model = i2t.fit_pad_model(dataset, {"mug": mug})
+    pad_model.save("skin.npz")
 
 Units are metres, newtons and microtesla.
 """
@@ -10,8 +10,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
+import jax
 import numpy as np
+from jaxtyping import Array, Bool, Key
 
+from i2t import validation
+from i2t.contact.press import PressLimits
 from i2t.dataset import Dataset
 from i2t.dataset.sets import times_of
 from i2t.errors import DataError
@@ -21,8 +25,9 @@ from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.recognition.episodes import usable_touches
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recordings.samples import first_samples, mean_samples
+from i2t.recordings.sets import corrected_dataset
 from i2t.simulation.touches import SimulationErrors
-from i2t.skin_models.pad_fit import ObjectTouches
+from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 from i2t.skin_models.pad_model import KnownPad
 from i2t.types import ReturnCode, Surface
 
@@ -72,6 +77,49 @@ def recorded_touches(dataset: Dataset, rows: np.ndarray, meshes: Mapping[str, Me
     chosen = _seen_from_object(dataset.select(usable))
     names = [chosen.objects[i] for i in np.unique(chosen.touches.object)]
     return ObjectTouches(chosen, np.ones(len(chosen), bool), known_surfaces(names, meshes), made_from)
+
+
+def fit_pad_model(
+    dataset: Dataset,
+    meshes: Mapping[str, Any] | None = None,
+    *,
+    rows: Bool[np.ndarray, " n"] | None = None,
+    key: Key[Array, ""] | None = None,
+    errors: SimulationErrors | None = None,
+    limits: PressLimits | None = None,
+    made_from: str = "touches at hand",
+) -> KnownPad:
+    """Fit a pad model, which predicts the reading of any contact of one skin, to touches of objects with a mesh.
+
+    Args:
+        dataset: n touches with forces, travels and poses. Signs of forces and travels are corrected.
+        meshes: Meshes of objects that the catalogue lacks or has in another form, by name.
+        rows: `(n,)` mask of the touches that may be used; all by default.
+        key: Random key of the registrations of the objects; `jax.random.key(0)` by default.
+        errors: Errors of the objects' believed poses; those of a usual lab by default.
+        limits: Limits at which the touches were pressed; those of a usual lab by default.
+        made_from: Name of the touches, for messages about the pad model.
+
+    Returns:
+        The pad model with its skin, for `i2t.recognize` and `i2t.ObjectRecognizer`.
+
+    Raises:
+        DataError: Too few touches can be used, or they are of one session only, or of several skins.
+        TypeError: `dataset` is no data set, or `key` no random key.
+        ValueError: The touches do not determine how soft the pad is.
+
+    Example:
+        pad_model = i2t.fit_pad_model(dataset, {"mug": i2t.load_mesh("mug.stl", unit="mm")})
+        pad_model.save("skin.npz")
+    """
+    if not isinstance(dataset, Dataset):
+        raise TypeError(f"dataset: is a {type(dataset).__name__}; give a data set, as i2t.load_dataset reads it")
+    key = jax.random.key(0) if key is None else key
+    validation.random_key("key", key)
+    corrected, _ = corrected_dataset(dataset)
+    usable = np.ones(len(dataset), bool) if rows is None else rows
+    touches = recorded_touches(corrected, usable, meshes or {}, made_from)
+    return ContactModel(errors or SimulationErrors(), limits or PressLimits()).fit(key, touches)
 
 
 def named_surfaces(meshes: Mapping[str, Mesh]) -> dict[str, Surface]:

@@ -22,7 +22,7 @@ from i2t.skin.contact import GRID, Contact, Grid, solve, solve_force
 from i2t.skin.dipoles import response, rest_field
 from i2t.skin.faults import RANGE_XY_UT, RANGE_Z_UT
 from i2t.skin.friction import Shear, shear, without_traction
-from i2t.types import Board, Pad, in_one_line
+from i2t.types import Board, Pad, in_one_line, shown
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,14 @@ class Press(NamedTuple):
     indentation: Float[Array, ""]  # m
     pressure: Float[Array, "n n"]  # Pa
     converged: Bool[Array, ""]
+
+    def __str__(self) -> str:
+        """Describe force, indentation and reading."""
+        force, indentation, converged = map(shown, (self.force, self.indentation, self.converged))
+        return (
+            f"Press with {force} N at an indentation of {indentation} m (converged: {converged})\n"
+            f"  reading of {self.reading.shape[-1]} values (uT), pressure on {shown(self.pressure)} cells (Pa)"
+        )
 
 
 def press(

@@ -84,6 +84,16 @@ class Calibration:
             f"{self.about_board})"
         )
 
+    def __str__(self) -> str:
+        """Describe the presses of the fit, the input and the output."""
+        load = {"travel": "a travel (m)", "force": "a force (N)"}.get(self.load_kind, f"loads ({self.load_kind})")
+        earlier = "" if self.previous is None else ", on a calibration of an earlier session"
+        return (
+            f"Calibration of a skin with {len(self.interval_scaling) // 3} chips, {self.about_board}\n"
+            f"  fitted to {len(self.gp.readings)} presses of one tip{earlier}\n"
+            f"  takes positions (m) and {load}, predicts {len(self.interval_scaling)} values (uT) with their errors"
+        )
+
     @property
     def board_shares(self) -> dict[str, float]:
         """Weights of kernels with the board's chip positions, by its name, and without ("none"); they sum to 1."""

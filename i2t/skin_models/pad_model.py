@@ -66,6 +66,16 @@ class KnownPad(NamedTuple):
     board: Board
     origin: PadOrigin
 
+    def __str__(self) -> str:
+        """Describe the skin, the touches of the fit and the accuracy."""
+        origin = self.origin
+        r2 = f", R2 {self.model.r2:.2f} of touches left out one at a time" if np.isfinite(self.model.r2) else ""
+        return (
+            f'Pad model of "{origin.pad}" with {len(self.board.chips)} chips ({origin.source})\n'
+            f"  fitted to {origin.touches} touches of {', '.join(origin.objects)}{r2}\n"
+            f"  made from {origin.made_from}"
+        )
+
     @property
     def leave_one_out(self) -> Float[np.ndarray, "n c"]:
         """Measured minus predicted readings (uT) of the touches of the fit, each predicted from all others."""

@@ -15,8 +15,8 @@ from experiments.calibrate.evaluate import explained, learning_curves, over_bloc
 from experiments.calibrate.held_out import EACH_PRESS, RANDOM, HeldOut, hold_out, share_masks
 from experiments.train.configs import PRESETS as TRAINING
 from experiments.train.configs import Simulation
+from experiments.train.prepare import split_dataset
 from experiments.train.sources import SimulatedSource
-from experiments.train.splitting import split_dataset
 from i2t import dataset as data
 from i2t import skin_models as calibration
 from i2t.dataset import Dataset, square_blocks

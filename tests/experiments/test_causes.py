@@ -11,9 +11,9 @@ from experiments.fidelity import causes
 from experiments.fidelity.causes import SOFTNESS
 from experiments.fidelity.config import FIDELITY_PRESETS
 from experiments.fidelity.sections import written
-from experiments.train.loads import press_load, with_known_load
 from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import save_dataset
+from i2t.prediction.loads import press_load, rows_with_load
 from i2t.recordings.diagnose import FindingName
 from i2t.skin import boards
 
@@ -57,10 +57,10 @@ def test_the_source_of_loads_is_reported_before_anything_is_computed(force, trav
 def test_a_few_touches_without_a_load_are_left_out():
     force = np.ones(200)
     force[::40] = np.nan
-    left, said = with_known_load(recording(force=force))
-    assert (len(left), said) == (195, "left out: 5 touches whose force is not known")
+    rows, said = rows_with_load(recording(force=force))
+    assert (rows.sum(), said) == (195, ("left out: 5 touches whose force is not known",))
     force[::2] = np.nan
-    assert len(with_known_load(recording(force=force))[0]) == 200
+    assert rows_with_load(recording(force=force))[0].all()
 
 
 @pytest.mark.parametrize("lag", [0, 1, -2])

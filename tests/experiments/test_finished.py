@@ -10,7 +10,8 @@ from helpers.random_touches import make
 from experiments.calibrate import __main__ as calibrate
 from experiments.recognize import __main__ as recognize
 from experiments.studies.arguments import StudyArgs
-from experiments.train.finished import (
+from i2t.dataset import save_dataset
+from i2t.models.finished import (
     PAD_MODEL,
     TRAINING,
     FinishedRun,
@@ -20,7 +21,6 @@ from experiments.train.finished import (
     require_pad_model,
     write_training,
 )
-from i2t.dataset import save_dataset
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 from tools.reproduce.__main__ import main as reproduce
@@ -65,10 +65,11 @@ def test_the_message_states_what_a_folder_without_a_finished_run_holds(tmp_path)
         (tmp_path / "mesh.stl", "is a file and holds no finished run; name the folder"),
         (
             folder_with(tmp_path / "data", touches={}),
-            "but no finished run; name a folder that experiments.train wrote$",
+            "but no finished run; name a folder that python -m experiments.train wrote$",
         ),
-        (tmp_path / "touches", r"train on these touches: python -m experiments.train --dataset \S+touches$"),
+        (tmp_path / "touches", r"train on these touches: i2t fit \S+touches$"),
         (folder_with(tmp_path / "begun", config={"kind": "TrainArgs"}), "was interrupted; .* --resume"),
+        (folder_with(tmp_path / "fit", config={"kind": "FitArgs"}), "was interrupted; repeat it with --overwrite"),
         (
             folder_with(tmp_path / "calibrated", config={"kind": "CalibrateArgs"}, metrics={}),
             r"run of another command \(CalibrateArgs\)",
@@ -114,7 +115,7 @@ def test_a_path_without_a_pad_model_is_refused_with_the_command_that_fits_one(tm
         (tmp_path / "none.npz", "none.npz: there is no such file"),
         (tmp_path / "junk.npz", "is damaged"),
         (tmp_path / "left.npz", r"holds a pad; .* experiments.train --pad \S+left.npz"),
-        (tmp_path / "session.h5", r"holds a data set; .* experiments.train --dataset \S+session.h5"),
+        (tmp_path / "session.h5", r"holds a data set; .* i2t fit \S+session.h5"),
         (tmp_path / "nowhere", "holds no finished run; make one"),
     ):
         with pytest.raises(ValueError, match=said):

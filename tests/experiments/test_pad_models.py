@@ -10,15 +10,15 @@ import pytest
 import trimesh
 from helpers.random_touches import recorded_presses
 
-from experiments.recognize.plans import load_meshes
-from experiments.train import sources
 from experiments.train.arguments import TrainArgs
 from experiments.train.configs import Simulation
 from experiments.train.run import fit_or_explain
 from experiments.train.sources import RecordedSource, SimulatedSource
 from i2t.hardware.rig import Rig
+from i2t.objects.named import read_meshes
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
+from i2t.skin_models.pad_fit import ContactModel
 from i2t.skin_models.pad_model import PadModel, add_press_errors
 
 CORNERS = ((0, 0, 0), (0, 20, 0), (20, 0, 0), (0, 0, 20))
@@ -34,7 +34,7 @@ def mug(tmp_path):
 
 def test_all_touches_or_those_that_train_make_the_pad_model_of_a_recording(monkeypatch):
     fitted_to = []
-    monkeypatch.setattr(sources.ContactModel, "fit", lambda self, key, touches: fitted_to.append(len(touches.dataset)))
+    monkeypatch.setattr(ContactModel, "fit", lambda self, key, touches: fitted_to.append(len(touches.dataset)))
     dataset = recorded_presses(60, objects=("star", "hammer"))
     train = np.arange(60) < 40
     for every in (False, True):
@@ -88,9 +88,9 @@ def test_mesh_files_need_a_unit_and_names_of_their_own(tmp_path, mug):
 
 
 def test_names_of_the_catalogue_and_mesh_files_mix(tmp_path, mug):
-    meshes = load_meshes([*map(Path, ["star", "hammer"]), mug], "mm")
+    meshes = read_meshes([*map(Path, ["star", "hammer"]), mug], "mm")
     assert list(meshes) == ["star", "hammer", "mug"]
-    assert list(load_meshes([Path("star"), Path("hammer")], None)) == ["star", "hammer"]
+    assert list(read_meshes([Path("star"), Path("hammer")], None)) == ["star", "hammer"]
     star = tmp_path / "star.stl"
     star.write_bytes(mug.read_bytes())
     for names, unit, said in (
@@ -100,4 +100,4 @@ def test_names_of_the_catalogue_and_mesh_files_mix(tmp_path, mug):
         (["star", "cup"], "mm", "cup: is neither a mesh file nor an object of the catalogue"),
     ):
         with pytest.raises(ValueError, match=said):
-            load_meshes([Path(name) for name in names], unit)
+            read_meshes([Path(name) for name in names], unit)

@@ -1,32 +1,15 @@
-"""Recorded touches as episodes: sessions that count, intervals of few episodes, and the skin that predicts them."""
+"""Recorded touches as episodes: intervals of few episodes, and the skin that predicts them."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.random_touches import sessions_of
 
 from experiments.recognize import __main__ as recognize
-from experiments.recognize import recorded, report
+from experiments.recognize import report
 from experiments.recognize.report import EpisodeResults
-from i2t.errors import DataError
 from i2t.hardware.rig import Rig
 from i2t.skin_models.pad_model import load_pad_model
-
-
-def test_every_long_enough_session_counts_and_the_limit_is_reported():
-    dataset = sessions_of(36, 12, 4, 20)
-    chosen = recorded.choose_sessions(dataset, 10, None)
-    assert (chosen.names, chosen.touches) == (("run 0", "run 1", "run 3"), 12)
-    assert "left out, with too few: run 2 (4)" in chosen.describe()
-    chosen = recorded.choose_sessions(dataset, 10, 20)
-    assert (chosen.names, chosen.touches) == (("run 0", "run 3"), 20)
-    with pytest.raises(DataError, match="no session has 40 touches with a measured force; the longest has 36"):
-        recorded.choose_sessions(dataset, 10, 40)
-    chosen = recorded.choose_sessions(sessions_of(3, 2), 10, None)
-    assert chosen.names == ("run 0",)
-    assert "1 sessions of 3 usable touches; no session has the 10 that were asked for" in chosen.describe()
 
 
 @pytest.mark.parametrize("episodes", [1, 2, 8])
@@ -47,15 +30,6 @@ def test_few_sessions_get_no_interval(episodes, capsys):
     assert f"{episodes} sessions, 1 pads" in said
     assert "95 %, over sessions, for this pad" in said
     assert ("[" in said) == (episodes == 8)
-
-
-def test_candidates_are_those_of_the_data_set_where_the_catalogue_has_them():
-    names, path = ("star", "square", "hammer"), Path("DATA")
-    assert tuple(recorded.meshes_of(names, path)) == names
-    with pytest.raises(DataError, match=r"touches of mug, of which there is no mesh.*--objects star mug.stl"):
-        recorded.meshes_of(("star", "mug"), path)
-    with pytest.raises(DataError, match="touches of star only; name the objects to distinguish"):
-        recorded.meshes_of(("star",), path)
 
 
 REAL = ["live", "--arm", "ur", "--host", "127.0.0.1", "--skin", "reskin"]

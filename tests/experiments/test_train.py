@@ -22,14 +22,14 @@ from experiments.train import __main__ as command
 from experiments.train import simulate
 from experiments.train.configs import PRESETS
 from experiments.train.evaluation import evaluate
-from experiments.train.finished import ON_PRESSURE, read_run
-from experiments.train.prepare import Prepared
 from experiments.train.reports import print_table, summarise
 from experiments.train.run import CEILING
 from experiments.train.sources import simulated_touches
 from i2t import dataset
 from i2t.contact.pressure import ContactPressure, PressureModelConfig
 from i2t.dataset import Split
+from i2t.models.finished import ON_PRESSURE, read_run
+from i2t.prediction.fit import PreparedTouches
 from i2t.prediction.gp_method import GaussianProcess
 from i2t.prediction.methods import METHODS, TrainingTouches, find_method
 from i2t.prediction.metrics import Score, score
@@ -167,7 +167,7 @@ def test_the_predictor_is_chosen_on_validation_touches_and_scaled_on_them(valida
     part = np.repeat([0, 1, 2], 4)
     split = Split(part == 0, part == 1, part == 2, part, "object")
     pressure = ContactPressure(blank, nothing)
-    prepared = Prepared(TrainingTouches(dataset, pressure=pressure), split, ())
+    prepared = PreparedTouches(TrainingTouches(dataset, pressure=pressure), split, ())
     held_out, error = readings[4:], rng.normal(size=(4, 6))
     validated, tested = held_out.copy(), held_out.copy()
     validated[:4] += 0.1 * error
@@ -199,7 +199,7 @@ def test_touches_that_only_choose_are_neither_trained_on_nor_tested_nor_scaled_b
     blank = np.zeros((12, 4, 4))
     part = np.repeat([0, 1, 2, 3], 3)
     split = Split(part == 0, part == 1, part == 2, part, "object")
-    prepared = Prepared(TrainingTouches(bare_dataset(blank, readings)), split, (), selection=part == 3)
+    prepared = PreparedTouches(TrainingTouches(bare_dataset(blank, readings)), split, (), selection=part == 3)
     error = np.random.default_rng(1).normal(size=(9, 6))
     wrong = {"tuned": np.repeat([0.1, 1.0, 3.0], 3), "judged": np.repeat([0.5, 1.0, 0.1], 3)}
     both = {name: foretold(readings[3:] + size[:, None] * error) for name, size in wrong.items()}

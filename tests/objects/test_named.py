@@ -4,8 +4,17 @@ import numpy as np
 import pytest
 import trimesh
 
+from i2t.errors import DataError
 from i2t.objects.catalogue import NAMES, make_object
-from i2t.objects.named import object_name, read_object, read_objects, require_object, split_unit, units_of
+from i2t.objects.named import (
+    meshes_of_dataset,
+    object_name,
+    read_object,
+    read_objects,
+    require_object,
+    split_unit,
+    units_of,
+)
 
 TETRAHEDRON = "v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 
@@ -83,3 +92,12 @@ def test_several_objects_are_read_in_their_own_units(tmp_path):
     assert list(meshes) == ["a", "b", "c", "d"]
     for mesh in meshes.values():
         np.testing.assert_allclose(mesh.vertices.max(0), [0.015, 0.015, 0.03], rtol=1e-6)
+
+
+def test_candidates_are_those_of_the_data_set_where_the_catalogue_has_them():
+    names, path = ("star", "square", "hammer"), "DATA"
+    assert tuple(meshes_of_dataset(names, path)) == names
+    with pytest.raises(DataError, match=r"touches of mug, of which there is no mesh.*--objects star mug.stl"):
+        meshes_of_dataset(("star", "mug"), path)
+    with pytest.raises(DataError, match="touches of star only; name the objects to distinguish"):
+        meshes_of_dataset(("star",), path)

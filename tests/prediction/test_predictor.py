@@ -113,7 +113,7 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
     assert len(baseline_predictors) == 9
     patches = np.random.default_rng(4).uniform(0, REACH, (7, 8, 8))
     for saved in baseline_predictors.values():
-        predictor.save(tmp_path / "p", saved)
+        saved.save(tmp_path / "p")
         loaded = predictor.load_predictor(tmp_path / "p")
         assert type(loaded.model) is type(saved.model)
         assert_same_predictions(loaded, saved, patches, force=0.9, nearest=0.9e-3)
@@ -127,7 +127,7 @@ def test_baselines_are_predictors_like_the_others(baseline_predictors, tmp_path)
 @pytest.mark.parametrize("name", ["anyskin", "grid-5x1"])
 def test_the_board_of_the_training_is_kept(network, tmp_path, name):
     board = make_board(name)
-    predictor.save(tmp_path / "p", replace(network, metadata={"board": board_as_lists(board)}))
+    replace(network, metadata={"board": board_as_lists(board)}).save(tmp_path / "p")
     loaded = predictor.load_predictor(tmp_path / "p")
     assert same_board(loaded.board, board)
     assert name_of_board(loaded.board) == name
@@ -156,7 +156,7 @@ def test_an_unknown_name_of_a_predictor_hints_at_the_ready_model(monkeypatch, tm
 def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_path):
     original = request.getfixturevalue(which)
     original = original[0] if which == "process" else original
-    predictor.save(tmp_path / "p", original)
+    original.save(tmp_path / "p")
     loaded = predictor.load_predictor(tmp_path / "p")
     assert type(loaded.model) is type(original.model)
     fields = ("pressure", "window", "reach", "default_force", "default_travel", "std_scale", "metadata")
@@ -174,7 +174,7 @@ def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_pa
 )
 def test_predictors_that_cannot_be_read_are_refused_in_one_sentence(network, tmp_path, change, words):
     """They are predictors of later versions, incomplete ones, and foreign files."""
-    predictor.save(tmp_path / "p", network)
+    network.save(tmp_path / "p")
     path = tmp_path / "p" / "_CHECKPOINT_METADATA"
     about = json.loads(path.read_text())
     about["custom_metadata"].update(change or {})
@@ -197,7 +197,7 @@ def edit_metadata(folder, edit):
 def test_a_predictor_that_calls_travel_depth_is_read(on_pressure, patches, tmp_path):
     """As version 4 does in its conditions, its default and the control of its pressure."""
     original = replace(on_pressure, model=replace(on_pressure.model, pressure=replace(PRESSURE, control="travel")))
-    predictor.save(tmp_path / "p", original)
+    original.save(tmp_path / "p")
 
     def as_version_4(about):
         about["version"], about["default_depth"] = 4, about.pop("default_travel")
@@ -216,7 +216,7 @@ def test_a_predictor_that_calls_travel_depth_is_read(on_pressure, patches, tmp_p
 )
 def test_an_old_predictor_with_unusual_sign_conventions_is_refused(patches, tmp_path, sign, offset, force):
     fitted, _ = fitted_gp(patches, 12)
-    predictor.save(tmp_path / "p", replace(fitted, default_force=0.8))
+    replace(fitted, default_force=0.8).save(tmp_path / "p")
 
     def add_conventions(about):
         about["default_force"] = force

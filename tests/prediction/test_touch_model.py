@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from i2t.prediction.predictor import Predictor, load_predictor, save
+from i2t.prediction.predictor import Predictor, load_predictor
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, to_disk
 
 
@@ -51,7 +51,7 @@ def anything(extra: Any = None) -> Anything:
 
 def test_all_fields_of_a_model_are_restored(tmp_path):
     original = anything()
-    save(tmp_path / "p", Predictor(original, 17e-3, 4e-3, 1.0, 3e-4))
+    Predictor(original, 17e-3, 4e-3, 1.0, 3e-4).save(tmp_path / "p")
     back: Any = load_predictor(tmp_path / "p").model
     assert type(back) is Anything
     assert (back.sizes, back.other, back.number) == (original.sizes, None, 2.5)

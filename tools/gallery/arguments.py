@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal, get_args
 
-from experiments.train.finished import FORMER_NAMES, require_simulated_runs
+from i2t.models.finished import FORMER_NAMES, require_simulated_runs
 
 FigureName = Literal[
     "overview", "patches", "press", "episode", "calibration_curve", "predictors", "registration", "rig",

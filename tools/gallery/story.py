@@ -13,8 +13,8 @@ import i2t
 from experiments.recognize.config import PRESETS, Recognition
 from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
-from experiments.train.finished import FinishedRun, finished_runs
 from i2t.geometry import inverse
+from i2t.models.finished import FinishedRun, finished_runs
 from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import touch_simulator

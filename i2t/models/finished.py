@@ -1,4 +1,4 @@
-"""Layout of the folders of finished runs of `experiments.train`, and functions that find their files.
+"""Layout of the folders of finished runs of `i2t fit` and `experiments.train`, and functions that find their files.
 
 The folder of a run, or each folder `pad-P-seed-S` of a run of several pads or seeds, holds:
 
@@ -6,6 +6,7 @@ The folder of a run, or each folder `pad-P-seed-S` of a run of several pads or s
   pad_model.npz     pad model of the skin (`i2t.load_pad_model`), fitted to the training touches
   checkpoint/       predictors (`i2t.load_predictor`): `predictor`, the best of all, `on_pressure`, the best on
                     predicted contact pressure, and one for each network of the paper
+  config.json       its options and package versions
   data.h5, pad.npz  touches that the run simulated, and their pad (`i2t.load_dataset`, `i2t.load_pad`)
   metrics.json      scores, written last, so that the run is finished if it exists
 
@@ -17,14 +18,17 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-from experiments.common.runs import CONFIG, METRICS, write_json
 from i2t.cli.options import require_path
 from i2t.errors import closest
+from i2t.files.writing import write_json
+from i2t.installation import training_command
 from i2t.models import READY_MODELS
 
+CONFIG, METRICS = "config.json", "metrics.json"
 TRAINING, PAD_MODEL, CHECKPOINTS, TOUCHES, PAD = "training.json", "pad_model.npz", "checkpoint", "data.h5", "pad.npz"
 KEPT, ON_PRESSURE = "predictor", "on_pressure"  # folders in CHECKPOINTS
 FORMER_NAMES = {"--trained-run": "--pad-model", "--pad": "--pad-model"}  # for options that name a run or a pad model
+RUN_KINDS = ("TrainArgs", "FitArgs")  # options, by their names in config.json, of the commands that make runs
 
 
 @dataclass(frozen=True)
@@ -112,8 +116,8 @@ def read_run(folder: Path) -> FinishedRun:
     """
     if not (folder / TRAINING).is_file():
         raise ValueError(
-            f"{folder} is a run of an earlier version, which kept no pad model; make it again: python -m "
-            f"experiments.train --overwrite, with the options in its {CONFIG} (--config)"
+            f"{folder} is a run of an earlier version, which kept no pad model; make it again: "
+            f"{training_command()} --overwrite, with the options in its {CONFIG} (--config)"
         )
     try:
         return FinishedRun(folder, **json.loads((folder / TRAINING).read_text()))
@@ -207,33 +211,35 @@ def _is_kept_pad_model(path: Path) -> bool:
 
 
 def _require_kind(path: Path) -> None:
-    """Refuse touches and pads, to which `experiments.train` fits a pad model (ValueError)."""
+    """Refuse touches and pads, to which a pad model can be fitted (ValueError)."""
     from i2t.files.serialization import file_kind  # a slow import
 
     kind = "data set" if path.suffix == ".h5" else file_kind(path)
     if option := {"data set": "--dataset", "i2t pad": "--pad"}.get(kind):
+        fit = f"i2t fit {path}" if option == "--dataset" else f"{training_command()} {option} {path}"
         raise ValueError(
-            f"--pad-model {path}: holds a {kind.removeprefix('i2t ')}; fit a pad model to it, python -m "
-            f"experiments.train {option} {path} --out runs/skin, and pass --pad-model runs/skin"
+            f"--pad-model {path}: holds a {kind.removeprefix('i2t ')}; fit a pad model to it, {fit} --out runs/skin, "
+            "and pass --pad-model runs/skin"
         )
 
 
 def _why_no_run(folder: Path, first: Path) -> str:
-    """Complete the sentence on a folder without a finished run of `experiments.train`; empty if there is one."""
+    """Complete the sentence on a folder without a finished run; empty if there is one."""
     if folder.is_file():
-        return "is a file and holds no finished run; name the folder that experiments.train wrote"
+        return f"is a file and holds no finished run; name the folder that {training_command()} wrote"
     if not folder.exists() or not any(folder.iterdir()):
-        return f"holds no finished run; make one: python -m experiments.train --out {folder}"
+        return f"holds no finished run; make one: {training_command()} --out {folder}"
     try:
         kind = json.loads((folder / CONFIG).read_text()).get("kind")
     except (OSError, ValueError, AttributeError):  # missing, or of another program
         kind = None
-    if kind not in (None, "TrainArgs"):
-        return f"holds a run of another command ({kind}); name a folder that experiments.train wrote"
+    if kind not in (None, *RUN_KINDS):
+        return f"holds a run of another command ({kind}); name a folder that {training_command()} wrote"
     if (first / METRICS).exists():
         return ""
-    if kind == "TrainArgs" or (folder / CONFIG).exists():
-        return "holds a run that was interrupted; continue it: the same command with --resume"
+    if (folder / CONFIG).exists():
+        remedy = "repeat it with --overwrite" if kind == "FitArgs" else "continue it: the same command with --resume"
+        return f"holds a run that was interrupted; {remedy}"
     touches = next(folder.glob("*.h5"), None)
-    remedy = f"; train on these touches: python -m experiments.train --dataset {folder}" if touches else ""
-    return f"holds other files but no finished run; name a folder that experiments.train wrote{remedy}"
+    remedy = f"; train on these touches: i2t fit {folder}" if touches else ""
+    return f"holds other files but no finished run; name a folder that {training_command()} wrote{remedy}"

@@ -1,19 +1,15 @@
-"""Selection of the load of a recording, and input of the Gaussian process in tests of likely causes."""
+"""Loads of the touches of a data set: the load from which contact pressure is predicted, and touches without one."""
 
 from typing import Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 
-from i2t.contact.pressure import PressureModelConfig, predict_pressures
+from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import Dataset
-from i2t.prediction.methods import ASSUMED_FORCE_N, views_of
 from i2t.recordings.sets import MIN_TRAVEL_M
-from i2t.skin_models import pressure_gp as gp
 from i2t.types import Touches
 
-MIN_GAIN = 0.05  # minimum gain of R2 by a correction that is reported as a likely cause
-TRIED_TOUCHES = 200  # maximum number of touches for trying corrections
+ASSUMED_FORCE_N = 1.0  # N, force assumed for touches whose force was not recorded
 
 
 class PressLoad(NamedTuple):
@@ -74,23 +70,37 @@ def _travel_load(travel: np.ndarray) -> PressLoad:
     return PressLoad("travel", (note,))
 
 
-def with_known_load(dataset: Dataset, max_share: float = 0.1) -> tuple[Dataset, str | None]:
+def rows_with_load(dataset: Dataset, max_share: float = 0.1) -> tuple[np.ndarray, tuple[str, ...]]:
     """Leave out touches without the force or the travel, whichever is known more often, if they are few.
 
     Args:
-        dataset: The touches.
+        dataset: n touches.
         max_share: Maximum share of touches that may be left out.
 
     Returns:
-        The data set, and a sentence if touches were left out.
+        `(n,)` mask of the touches that are kept, and a sentence if touches were left out.
     """
     touches = dataset.touches
     finite = {name: np.isfinite(getattr(touches, name)) for name in ("force", "travel")}
     name = max(finite, key=lambda quantity: int(finite[quantity].sum()))  # the force if both are known as often
     lost = int(np.sum(~finite[name]))
     if not 0 < lost <= max_share * len(dataset):
-        return dataset, None
-    return dataset.select(finite[name]), f"left out: {lost} touches whose {name} is not known"
+        return np.ones(len(dataset), bool), ()
+    return finite[name], (f"left out: {lost} touches whose {name} is not known",)
+
+
+def usual_load(values: np.ndarray, default: float) -> float:
+    """Compute the median of the finite forces (N) or travels (m) of touches.
+
+    Args:
+        values: `(n,)` loads, NaN if unknown.
+        default: Load that is returned if no value is finite.
+
+    Returns:
+        The median load.
+    """
+    finite = values[np.isfinite(values)]
+    return float(np.median(finite)) if len(finite) else default
 
 
 def several_skins(dataset: Dataset) -> list[str]:
@@ -103,39 +113,3 @@ def several_skins(dataset: Dataset) -> list[str]:
         f"touches of {len(skins)} skins ({named}) are predicted as if there were one skin; convert them separately "
         "(--board, --pad of the converter)"
     ]
-
-
-class Tried(NamedTuple):
-    """Inputs of n touches for a method on predicted pressure."""
-
-    views: np.ndarray  # (n, w, w) m
-    force: np.ndarray  # (n,) N
-    travel: np.ndarray  # (n,) m
-    readings: np.ndarray  # (n, 3 chips) uT
-    groups: np.ndarray  # (n,)
-
-
-def tried_touches(dataset: Dataset, which: np.ndarray, groups: np.ndarray) -> Tried:
-    """Select touches for a method on predicted pressure."""
-    touches, views = dataset.touches, np.asarray(views_of(dataset)[which])
-    return Tried(views, touches.force[which], touches.travel[which], touches.reading[which], groups[which])
-
-
-def explained(seen: Tried, cfg: PressureModelConfig) -> float:
-    """Compute R2 of the Gaussian process on held-out groups; minus infinity if it cannot be fitted."""
-    pressure = predict_pressures(cfg, seen.views, seen.force, seen.travel)
-    try:
-        _, r2 = gp.choose_hyperparameters(
-            pressure, jnp.asarray(seen.readings), seen.groups, steps=20, limit=TRIED_TOUCHES
-        )
-    except ValueError:
-        return float("-inf")
-    return float(np.nanmax(np.asarray(r2)))
-
-
-def some_groups(which: np.ndarray, groups: np.ndarray, count: int) -> np.ndarray:
-    """Select rows of whole groups in random order, up to a number of rows."""
-    rng = np.random.default_rng(0)
-    names, of = np.unique(groups[which], return_inverse=True)
-    rank = rng.permutation(len(names))[of.ravel()]
-    return np.sort(which[np.argsort(rank, kind="stable")[:count]])

@@ -1,0 +1,184 @@
+"""Fit a predictor and a pad model to a data set: `i2t fit` scores them on touches that it holds out.
+
+    i2t fit nominal                                        the simulated touches that come with i2t
+    i2t fit DATA --out runs/mine                           recorded or converted touches of your own
+    i2t fit DATA --objects mug.stl bowl.stl --unit mm      objects outside the catalogue, for the pad model
+    i2t fit DATA --method ridge --split session            another method, and whole sessions held out
+
+The predictor computes readings from a depth patch and a force (`i2t.load_predictor`, `i2t imagine --model`). The pad
+model computes the reading of any contact on a mesh (`i2t.load_pad_model`, `i2t recognize --pad-model`). It needs tool
+poses, forces, travels and the meshes of the touched objects; without them, only the predictor is fitted. --out then
+holds both, with config.json, metrics.json and a picture of measured and predicted values (`i2t.models.finished` lists
+the files). In a checkout, `python -m experiments.train` compares all methods on the same touches.
+"""
+
+import platform
+import shutil
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import tyro
+
+from i2t.cli.exit_codes import command
+from i2t.cli.options import Count, Seed, docstring_of, require_writable
+from i2t.errors import printable
+from i2t.files.reading import read_json
+from i2t.files.writing import write_json
+from i2t.models.checks import require_dataset
+from i2t.models.finished import CHECKPOINTS, CONFIG, KEPT, METRICS, PAD_MODEL, FinishedRun, write_training
+from i2t.objects.named import read_object, require_objects
+
+if TYPE_CHECKING:
+    from i2t.dataset import Dataset, Split
+    from i2t.skin_models.pad_model import KnownPad
+
+KIND = "FitArgs"  # name of the options in config.json
+PICTURE = "agreement.png"
+
+
+@dataclass(frozen=True)
+class FitArgs:
+    """Fit a predictor and a pad model to a data set, and score the predictor on touches that are held out."""
+
+    dataset: tyro.conf.Positional[Path]
+    """Folder or file of touches, or nominal, the simulated touches that come with i2t."""
+    method: str = "gp"
+    """Method of the predictor, by its name (docs/prediction.md) or as my_package.module:Method."""
+    split: Literal["auto", "object", "session", "block", "time"] = "auto"
+    """What is held out for validation and test."""
+    objects: tuple[Path, ...] = ()
+    """Mesh files of touched objects that are not in the catalogue, for the pad model."""
+    unit: Literal["m", "cm", "mm", "inch"] | None = None
+    """Unit of the mesh files."""
+    skin_name: str | None = None
+    """Skin to fit, if each touch has readings of several."""
+    epochs: Count | None = None
+    """Epochs of a network."""
+    out: Path = Path("runs/fit")
+    """Folder for the results."""
+    seed: Seed = 0
+    """Seed of the split and of the fits."""
+    overwrite: bool = False
+    """Replace the results of an earlier fit in --out."""
+
+
+def _fit(args: FitArgs) -> None:
+    _check(args)
+    started = time.perf_counter()
+    import jax
+
+    from i2t.dataset import load_dataset, source_phrase
+    from i2t.prediction import choose_split, find_method, fit_predictor
+    from i2t.prediction.fit import correct_touches
+    from i2t.recognition.recorded import describe
+    from i2t.recognition.recorded import to_json as pad_model_to_json
+    from i2t.training import TrainConfig
+
+    find_method(args.method)  # before the data are read
+    dataset = load_dataset(args.dataset, skin=args.skin_name)
+    split = choose_split(dataset, args.split, seed=args.seed, rows=correct_touches(dataset).rows)
+    print(f"{len(dataset)} touches ({source_phrase(dataset.source)}). {split}")
+    training = TrainConfig() if args.epochs is None else replace(TrainConfig(), epochs=args.epochs)
+    predictor = fit_predictor(dataset, split, method=args.method, key=jax.random.key(args.seed), training=training)
+    by_session = bool((split.groups == dataset.touches.session).all())
+    score = predictor.score(dataset, split.test, groups=None if by_session else split.groups)
+    print(f"\n{predictor}\n\nScore on held-out touches:\n{score}\n")
+    pad_model = _pad_model(args, dataset, split)
+    reason = pad_model if isinstance(pad_model, str) else None
+    about = predictor.metadata or {}
+    metrics = {
+        "source": dataset.source,
+        "seed": args.seed,
+        "pad": None,
+        "notes": about["notes"],
+        "split": split.description,
+        "counts": {part: int(getattr(split, part).sum()) for part in ("train", "validation", "test")},
+        "best": about["method"],
+        "methods": {about["method"]: score.to_json()},
+        "pad_model": pad_model if isinstance(pad_model, str) else pad_model_to_json(pad_model),
+    }
+    if args.out.exists():
+        shutil.rmtree(args.out)  # `_check` has refused any other folder
+    args.out.mkdir(parents=True)
+    write_json(args.out / CONFIG, _config(args))
+    predictor.save(args.out / CHECKPOINTS / KEPT)
+    if not isinstance(pad_model, str):
+        print(printable(describe(pad_model)))
+        pad_model.save(args.out / PAD_MODEL)
+    write_training(FinishedRun(args.out, None, {KEPT: about["method"]}, reason))
+    _draw(args, score)
+    write_json(args.out / METRICS, metrics | {"seconds": round(time.perf_counter() - started, 1)})
+    print(f"\nwrote {args.out}: the predictor{'' if reason else ', the pad model'}, {METRICS} and {PICTURE}")
+    print(f"next: i2t imagine star --model {args.out}")
+    if reason is None:
+        print(f"      i2t recognize --dataset {args.dataset} --pad-model {args.out}")
+
+
+def _check(args: FitArgs) -> None:
+    """Refuse wrong options before JAX is imported."""
+    require_dataset("DATASET", args.dataset)
+    require_objects(args.objects, args.unit, minimum=1, catalogue=False)
+    require_writable("--out", args.out)
+    if not args.out.exists():
+        return
+    if args.out.is_file():
+        raise ValueError(f"--out {args.out}: is a file; name a folder")
+    if not any(args.out.iterdir()):
+        return
+    try:
+        kind = read_json(args.out / CONFIG, 2**20).get("kind")
+    except (OSError, ValueError, AttributeError):
+        kind = None
+    if kind != KIND:
+        raise ValueError(f"--out {args.out}: is not empty and holds no earlier fit; name another folder")
+    if not args.overwrite:
+        raise ValueError(f"--out {args.out}: holds an earlier fit; pass --overwrite, or name another folder")
+    if Path.cwd().is_relative_to(args.out.resolve()):
+        raise ValueError(f"--out {args.out}: is the folder in which this command runs; name another folder")
+
+
+def _pad_model(args: FitArgs, dataset: "Dataset", split: "Split") -> "KnownPad | str":
+    """Fit a pad model to the training touches, or return the reason why they do not suffice for it."""
+    import jax
+
+    from i2t.recognition.recorded import fit_pad_model
+
+    print("fitting a pad model")
+    meshes = {path.stem: read_object(str(path), args.unit).mesh for path in args.objects}
+    try:
+        return fit_pad_model(
+            dataset, meshes, rows=split.train, key=jax.random.key(args.seed),
+            made_from=f"i2t fit {args.dataset}, seed {args.seed}",
+        )  # fmt: skip
+    except ValueError as error:
+        print(printable(f"note: no pad model, so these results cannot be used for recognition: {error}"))
+        return str(error)
+
+
+def _draw(args: FitArgs, score: Any) -> None:
+    from i2t import viz
+    from i2t.dataset import holds_simulated
+
+    figure = viz.plot_predictions(
+        score.measured.ravel(), score.predicted.mean.ravel(), score.predicted.std.ravel(),
+        f"{score.touches} held-out touches, R² {score.r2.mean:.2f}", holds_simulated(score.source),
+    )  # fmt: skip
+    viz.save_figure(figure, args.out / PICTURE)
+
+
+def _config(args: FitArgs) -> dict[str, Any]:
+    """Collect the options and the versions of packages."""
+    options = {name: value for name, value in asdict(args).items() if name not in ("out", "overwrite")}
+    packages = {name: version(name) for name in ("jax", "flax", "optax", "numpy")}
+    return {"kind": KIND, "args": options, "versions": {"python": platform.python_version(), **packages}}
+
+
+main = command(FitArgs, _fit, program="i2t fit", description=docstring_of("i2t.commands.fit"))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""The commands `i2t fit` and `i2t recognize`: their files, what they print, and wrong options."""
+
+import json
+
+import pytest
+
+import i2t
+from i2t.commands import fit, recognize
+from i2t.models.finished import find_pad_model, read_run
+
+
+@pytest.mark.full
+def test_a_fit_writes_a_run_that_recognises(tmp_path, capsys, monkeypatch):
+    out = tmp_path / "fit"
+    assert fit.main(["nominal", "--method", "ridge-measured", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "180 touches (simulated). Split by object: 90 training (9 groups)" in said
+    assert "60 touches of 2 objects in 6 sessions (simulated), none of them used in the fit" in said
+    metrics = json.loads((out / "metrics.json").read_text())
+    assert metrics["counts"] == {"train": 90, "validation": 30, "test": 60}
+    predictor = i2t.load_predictor(out)
+    score = predictor.score(i2t.load_dataset("nominal"))
+    assert metrics["methods"][metrics["best"]]["r2"] == pytest.approx(list(score.r2))
+    assert (out / "agreement.png").stat().st_size > 1000
+    assert find_pad_model(out) == (str(out / "pad_model.npz"), read_run(out))
+    assert i2t.load_pad_model(out / "pad_model.npz").origin.pad == "simulated pad 0"
+
+    words = ["--dataset", "nominal", "--pad-model", str(out), "--objects", "star", "hammer", "--touches", "3"]
+    assert recognize.main([*words, "--poses", "4"]) == 0
+    said = capsys.readouterr().out
+    assert "18 sessions of 3 touches, 2 objects (simulated)" in said
+    assert "cylinder (no candidate)" in said
+
+    assert fit.main(["nominal", "--out", str(out)]) == 2
+    assert "holds an earlier fit; pass --overwrite" in capsys.readouterr().err
+
+
+def test_wrong_options_of_a_fit_are_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "notes.txt").write_text("keep")
+    (tmp_path / "file").write_text("a file")
+    for words, reason in (
+        (["nowhere"], "DATASET nowhere: there is no such data set; check the name"),
+        (["nominl"], "DATASET nominl: there is no such data set; did you mean nominal?"),
+        (["nominal", "--out", "mine", "--overwrite"], "--out mine: is not empty and holds no earlier fit"),
+        (["nominal", "--out", "file"], "--out file: is a file; name a folder"),
+        (["nominal", "--method", "best"], "there is no method best; choose mean"),
+        (["nominal", "--unit", "mm"], "--unit is the unit of the mesh files of --objects"),
+    ):
+        assert fit.main(words) == 2
+        assert reason in capsys.readouterr().err
+    assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
+
+
+def test_wrong_options_of_a_recognition_are_refused(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for words, reason in (
+        (["nowhere"], "--dataset nowhere: there is no such data set"),
+        (["nominal", "--pad-model", "none.npz"], "--pad-model none.npz: there is no such file"),
+        (["nominal", "--objects", "star"], "--objects needs at least two objects"),
+    ):
+        assert recognize.main(["--dataset", *words]) == 2
+        assert reason in capsys.readouterr().err
