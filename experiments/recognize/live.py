@@ -126,7 +126,9 @@ def mounted_board(args: LiveArgs, expected: Board) -> Board:
 def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | None) -> CollectArgs:
     """Convert the options to those of a collection whose sites the recogniser chooses."""
     names = list(map(str, args.objects))
-    sources = dict(zip(map(object_name, names), zip(names, units_of(names, args.unit), strict=True), strict=True))
+    sources: dict[str, Any] = dict(
+        zip(map(object_name, names), zip(names, units_of(names, args.unit), strict=True), strict=True)
+    )
     # For a real arm, only the height of the tallest object matters.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
     name = true_object or tallest

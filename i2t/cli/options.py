@@ -89,9 +89,10 @@ def read_options(
     try:
         try:
             text = description or None
-            if default is not None:
-                return tyro.cli(kind, args=words, prog=program, description=text, config=config, default=default)
-            return tyro.cli(kind, args=words, prog=program, description=text, config=config)
+            cli: Any = tyro.cli
+            more = {} if default is None else {"default": default}
+            options: Options = cli(kind, args=words, prog=program, description=text, config=config, **more)
+            return options
         except SystemExit:
             sys.stdout.flush()  # here, where a failure can be handled
             raise

@@ -10,7 +10,7 @@
 import logging
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -102,13 +102,13 @@ def prepare_touches(
     prepared = PreparedTouches(TrainingTouches(dataset, tuple(measured)), split, notes)
     if load.control is None or not pressure:
         return prepared
-    model = choose_pressure_model(dataset, load, softness=softness, rendered=rendered, hidden_tilt=hidden_tilt)
+    model = choose_pressure_model(dataset, load.control, softness=softness, rendered=rendered, hidden_tilt=hidden_tilt)
     return _with_pressure(prepared, model, load)
 
 
 def choose_pressure_model(
     dataset: Dataset,
-    load: PressLoad,
+    control: Literal["force", "travel"],
     *,
     softness: float = 1.0,
     rendered: bool = False,
@@ -119,7 +119,7 @@ def choose_pressure_model(
 
     Args:
         dataset: The touches.
-        load: Their load, which is known.
+        control: Load from which contact pressure is predicted.
         softness: Softness of the skin, relative to the nominal skin.
         rendered: Whether the views were rendered.
         hidden_tilt: Uncertainty (rad) of the tilt in a noisy or rendered view.
@@ -137,7 +137,7 @@ def choose_pressure_model(
         window=round(dataset.window * 500) / 500 if large else PressureModelConfig.window,
         smooth=noisy,
         tilt=hidden_tilt if noisy or rendered else 0.0,
-        control=load.control,
+        control=control,
         softness=softness,
         cell=1e-3 if large else PressureModelConfig.cell,
     )

@@ -2,14 +2,18 @@
 
 import gzip
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import authors_layout
 from helpers.damage import VARIANTS, Recorded, press
-from helpers.recordings import READING_NAMES, converted, write_session, write_table
+from helpers.recordings import READING_NAMES, converted, run, write_session, write_table
 
+from i2t.dataset import load_dataset
+from i2t.errors import DataError
 from i2t.recordings import diagnose as unknowns
+from i2t.recordings.log import ReadingLog
 from i2t.recordings.sets import corrected_dataset
 from i2t.types import ReturnCode
 
@@ -109,3 +113,39 @@ def test_presses_to_one_height_have_no_depth_but_keep_frame_and_times(shared_dat
     assert not unknowns.find(findings_in(dataset), "height zero").identifiable
     given = converted("eflesh", tmp_path / "src", tmp_path / "given", "--z0-mm", 145, "--as-stated")
     np.testing.assert_allclose(given.touches.travel, 2.4e-3, atol=1e-8)
+
+
+def test_the_default_output_is_brief_and_the_data_set_holds_every_note(tmp_path, capsys):
+    """Changes come first, and doubts share a line."""
+    log = ReadingLog(skip_bad=True, unit="presses")
+    for line in ("a 1", "a 2", "a 2"):
+        log.change("a", line)
+    log.info("only a note")
+    log.finding(unknowns.Finding("units", "They fit.", identifiable=True), " in s")
+    log.finding(unknowns.Finding("height zero", "It is unknown.", identifiable=False), " in s")
+    assert log.brief() == ["a 1 (and 1 more of this kind)", "doubtful in s: It is unknown."]
+    log.finding(unknowns.Finding("lag", "It is 2 rows.", identifiable=True, wrong=True), kept=True)
+    log.skip_row(DataError("line 3 is damaged"))
+    damaged = "left out: 1 damaged rows; the first: line 3 is damaged"
+    assert log.brief() == ["a 1 (and 1 more of this kind)", damaged, "doubtful: height zero, lag"]
+    log.change("b", "b 1")
+    log.change("c", "c 1")
+    assert len(log.brief()) == 4
+    later = ReadingLog(skip_bad=True)
+    later.include(log)
+    assert set(later.sentences()) == set(log.sentences())
+    assert list(later.doubts) == ["height zero", "lag"]
+
+    presses = Path(__file__).parents[2] / "examples" / "data" / "presses.csv"
+    words = ("presses", presses, tmp_path / "brief", "--indenter", "sphere:4.0")
+    assert run(*words) == 0
+    brief = capsys.readouterr().out.splitlines()
+    assert len(brief) <= 6
+    assert brief[-2:] == [
+        f"wrote 100 touches (1 object, 1 skin, 1 session) to {tmp_path / 'brief' / 'touches.h5'}",
+        f"next: python -m i2t.view {tmp_path / 'brief'}",
+    ]
+    notes = load_dataset(tmp_path / "brief").meta["notes"].split(" | ")
+    assert brief[-3] == f"--verbose prints all {len(notes)} notes on the conversion"
+    assert any(note.startswith("found in session: ") for note in notes)
+    assert not any(line.startswith("found") for line in brief)
