@@ -132,13 +132,14 @@ def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | Non
     # For a real arm, only the height of the tallest object matters.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
     name = true_object or tallest
+    source, unit = sources.get(name, (name, None))
     return CollectArgs(
         out=args.out / "touches",
         touches=args.max_touches,
         arm=args.arm,
         skin=args.skin,
         camera=args.camera,
-        world=WorldArgs(*sources.get(name, (name, None)), pad=args.pad_file, seed=args.seed),
+        world=WorldArgs(object=source, unit=unit, pad=args.pad_file, seed=args.seed),
         lab=LabArgs(args.rig),
         name=args.truth or "unknown",
         pad_name=args.mounted_pad,
