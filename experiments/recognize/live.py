@@ -26,6 +26,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from experiments.common.options import UnitName
 from experiments.common.runs import write_json
 from experiments.recognize.arguments import LiveArgs
 from experiments.recognize.config import Recognition
@@ -105,17 +106,19 @@ def mounted_board(args: LiveArgs, expected: Board) -> Board:
 def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | None) -> CollectArgs:
     """Convert the options to those of a collection whose sites the recogniser chooses."""
     names = list(map(str, args.objects))
-    sources = dict(zip(map(object_name, names), zip(names, units_of(names, args.unit), strict=True), strict=True))
+    units: list[UnitName | None] = units_of(names, args.unit)
+    sources = dict(zip(map(object_name, names), zip(names, units, strict=True), strict=True))
     # For a real arm, only the height of the tallest object matters.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))
     name = true_object or tallest
+    source, unit = sources.get(name, (name, None))
     return CollectArgs(
         out=args.out / "touches",
         touches=args.max_touches,
         arm=args.arm,
         skin=args.skin,
         camera=args.camera,
-        world=WorldArgs(*sources.get(name, (name, None)), pad=args.pad_file, seed=args.seed),
+        world=WorldArgs(source, unit, pad=args.pad_file, seed=args.seed),
         lab=LabArgs(args.rig),
         name=args.truth or "unknown",
         pad_name=args.mounted_pad,

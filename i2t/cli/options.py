@@ -89,9 +89,9 @@ def read_options(
     try:
         try:
             text = description or None
-            if default is not None:
-                return tyro.cli(kind, args=words, prog=program, description=text, config=config, default=default)
-            return tyro.cli(kind, args=words, prog=program, description=text, config=config)
+            defaults: dict[str, Any] = {} if default is None else {"default": default}
+            read: Options = tyro.cli(kind, args=words, prog=program, description=text, config=config, **defaults)
+            return read
         except SystemExit:
             sys.stdout.flush()  # here, where a failure can be handled
             raise
