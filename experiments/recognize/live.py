@@ -21,7 +21,7 @@ unknown.stl.
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import jax
 import numpy as np
@@ -106,7 +106,7 @@ def mounted_board(args: LiveArgs, expected: Board) -> Board:
 def collect_args(args: LiveArgs, meshes: dict[str, Mesh], true_object: str | None) -> CollectArgs:
     """Convert the options to those of a collection whose sites the recogniser chooses."""
     names = list(map(str, args.objects))
-    units: list[UnitName | None] = units_of(names, args.unit)
+    units = cast("list[UnitName | None]", units_of(names, args.unit))
     sources = dict(zip(map(object_name, names), zip(names, units, strict=True), strict=True))
     # For a real arm, only the height of the tallest object matters.
     tallest = max(meshes, key=lambda name: float(meshes[name].vertices[:, 2].max()))

@@ -8,7 +8,7 @@ Modules that load or read meshes are imported inside functions, so that the help
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 from i2t.errors import did_you_mean
 from i2t.files.kinds import MESH_SUFFIXES, METRE_SUFFIXES, METRES_PER_UNIT
@@ -16,7 +16,6 @@ from i2t.files.kinds import MESH_SUFFIXES, METRE_SUFFIXES, METRES_PER_UNIT
 if TYPE_CHECKING:
     from i2t.objects.solids import Mesh, Object
 
-Unit = TypeVar("Unit", bound=str)
 # Remedy in messages about an object name that is not in the catalogue.
 CATALOGUE_HINT = 'see its names with: python -c "import i2t.objects; print(i2t.objects.NAMES)"'
 
@@ -57,7 +56,7 @@ def object_name(name: str) -> str:
     return Path(split_unit(name)[0]).stem
 
 
-def units_of(names: Sequence[str], unit: Unit | None) -> list[Unit | None]:
+def units_of(names: Sequence[str], unit: str | None) -> list[str | None]:
     """Determine which unit `--unit` gives to each of several objects.
 
     Args:
