@@ -100,10 +100,8 @@ def prepare_touches(
         name for name in ("force", "nearest", "travel") if np.isfinite(getattr(dataset.touches, name)[used]).all()
     )
     prepared = PreparedTouches(TrainingTouches(dataset, tuple(measured)), split, notes)
-    if load.control is None or not pressure:
-        return prepared
     model = choose_pressure_model(dataset, load, softness=softness, rendered=rendered, hidden_tilt=hidden_tilt)
-    return _with_pressure(prepared, model, load)
+    return _with_pressure(prepared, model, load) if pressure and model is not None else prepared
 
 
 def choose_pressure_model(
@@ -114,20 +112,22 @@ def choose_pressure_model(
     rendered: bool = False,
     hidden_tilt: float = HIDDEN_TILT,
     noisy_curvature: float = 20e-6,
-) -> PressureModelConfig:
+) -> PressureModelConfig | None:
     """Choose the model of contact pressure for a data set.
 
     Args:
         dataset: The touches.
-        load: Their load, which is known.
+        load: Their load.
         softness: Softness of the skin, relative to the nominal skin.
         rendered: Whether the views were rendered.
         hidden_tilt: Uncertainty (rad) of the tilt in a noisy or rendered view.
         noisy_curvature: Median second difference (m) of pixels above which views are noisy and are smoothed.
 
     Returns:
-        Configuration of the predicted contact pressure.
+        Configuration of the predicted contact pressure; None if no load is known.
     """
+    if load.control is None:
+        return None
     patches = dataset.touches.patch
     curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
     noisy = float(np.median(np.abs(curvature))) > noisy_curvature
