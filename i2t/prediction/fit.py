@@ -10,7 +10,7 @@
 import logging
 import math
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -100,34 +100,34 @@ def prepare_touches(
         name for name in ("force", "nearest", "travel") if np.isfinite(getattr(dataset.touches, name)[used]).all()
     )
     prepared = PreparedTouches(TrainingTouches(dataset, tuple(measured)), split, notes)
-    if load.control is None or not pressure:
-        return prepared
-    model = choose_pressure_model(dataset, load.control, softness=softness, rendered=rendered, hidden_tilt=hidden_tilt)
-    return _with_pressure(prepared, model, load)
+    model = choose_pressure_model(dataset, load, softness=softness, rendered=rendered, hidden_tilt=hidden_tilt)
+    return _with_pressure(prepared, model, load) if pressure and model is not None else prepared
 
 
 def choose_pressure_model(
     dataset: Dataset,
-    control: Literal["force", "travel"],
+    load: PressLoad,
     *,
     softness: float = 1.0,
     rendered: bool = False,
     hidden_tilt: float = HIDDEN_TILT,
     noisy_curvature: float = 20e-6,
-) -> PressureModelConfig:
+) -> PressureModelConfig | None:
     """Choose the model of contact pressure for a data set.
 
     Args:
         dataset: The touches.
-        control: Load from which contact pressure is predicted.
+        load: Their load.
         softness: Softness of the skin, relative to the nominal skin.
         rendered: Whether the views were rendered.
         hidden_tilt: Uncertainty (rad) of the tilt in a noisy or rendered view.
         noisy_curvature: Median second difference (m) of pixels above which views are noisy and are smoothed.
 
     Returns:
-        Configuration of the predicted contact pressure.
+        Configuration of the predicted contact pressure; None if no load is known.
     """
+    if load.control is None:
+        return None
     patches = dataset.touches.patch
     curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
     noisy = float(np.median(np.abs(curvature))) > noisy_curvature
@@ -137,7 +137,7 @@ def choose_pressure_model(
         window=round(dataset.window * 500) / 500 if large else PressureModelConfig.window,
         smooth=noisy,
         tilt=hidden_tilt if noisy or rendered else 0.0,
-        control=control,
+        control=load.control,
         softness=softness,
         cell=1e-3 if large else PressureModelConfig.cell,
     )

@@ -104,7 +104,14 @@ def usual_load(values: np.ndarray, default: float) -> float:
 
 
 def several_skins(dataset: Dataset) -> list[str]:
-    """Note that one predictor is trained on the readings of several skins, as a list of at most one sentence."""
+    """Note that one predictor is trained on the readings of several skins.
+
+    Args:
+        dataset: The touches.
+
+    Returns:
+        A list of one sentence, or an empty list.
+    """
     skins = [dataset.pads[i] for i in np.unique(dataset.touches.pad)]
     if len(skins) < 2 or dataset.source == "simulated":
         return []

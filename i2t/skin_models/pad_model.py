@@ -60,7 +60,12 @@ class PadOrigin:
 
 @in_one_line
 class KnownPad(NamedTuple):
-    """Pad model with the board and provenance of its skin."""
+    """Pad model with the board and provenance of its skin.
+
+    Example:
+        known = i2t.load_pad_model("nominal")
+        recognizer = i2t.ObjectRecognizer(jax.random.key(0), known.model, {"mug": mug, "bowl": bowl})
+    """
 
     model: PadModel
     board: Board

@@ -82,7 +82,7 @@ def test_standard_deviations_are_scaled_on_the_validation_touches(dataset, fitte
     error = (score.predicted.mean - score.measured) / score.predicted.std
     assert np.sqrt(np.mean(error**2)) == pytest.approx(1, rel=1e-3)
     no_validation = replace(split, validation=np.zeros(160, bool))
-    assert i2t.fit_predictor(dataset, no_validation, method="ridge-measured").std_scale == 1.0
+    assert i2t.fit_predictor(dataset, no_validation, method="mean").std_scale == 1.0
 
 
 def test_a_split_of_the_data_set_is_followed_where_touches_are_left_out(dataset):
@@ -91,7 +91,7 @@ def test_a_split_of_the_data_set_is_followed_where_touches_are_left_out(dataset)
     code = np.where(np.arange(160) == 159, ReturnCode.AIR, dataset.touches.code)
     some = replace(dataset, touches=dataset.touches._replace(force=force, code=code))
     split = i2t.Split.hold_out(some, "session", validation=["run 14"], test=["run 15"])
-    predictor = i2t.fit_predictor(some, split, method="nearest-measured")
+    predictor = i2t.fit_predictor(some, split, method="mean")
     assert predictor.metadata["trained_on"]["training"] == 135
     assert predictor.metadata["notes"] == ["left out: 5 touches whose force is not known"]
     assert predictor.score(some).touches == 9  # without the press without contact, and those without a force
@@ -113,13 +113,10 @@ def test_the_former_order_of_arguments_and_other_boards_are_refused(dataset, fit
         i2t.fit_predictor(key, dataset, split)
     with pytest.raises(TypeError):
         i2t.fit_predictor(dataset, split, key)
-    grid = i2t.prediction.fit_predictor(
-        placed_dataset(
-            np.zeros((40, 2)), round_tip(np.zeros((40, 2)), 48), np.random.default_rng(0).normal(size=(40, 12))
-        ),
-        i2t.Split(*(np.arange(40) // 20 == part for part in (0, 1, 2)), np.arange(40), "time"),
-        method="nearest",
-    )
+    place = np.zeros((40, 2))
+    of_a_grid = placed_dataset(place, round_tip(place, 48), np.random.default_rng(0).normal(size=(40, 12)))
+    parts = (np.arange(40) // 20 == part for part in (0, 1, 2))
+    grid = i2t.fit_predictor(of_a_grid, i2t.Split(*parts, np.arange(40), "time"), method="mean")
     with pytest.raises(DataError, match="its board has 5 chips, and the predictor was fitted to another board with 4"):
         grid.score(dataset)
     with pytest.raises(DataError, match="patches cover 20 mm"):
