@@ -87,9 +87,10 @@ def _a_robot() -> Names:
 
 SET_UPS: dict[str, Callable[[], Names]] = {
     "analysis": _recorded, "calibration": _pressed, "data": _a_data_set, "depth": _a_depth_image, "fidelity": _a_head,
-    "model_card": dict, "reconstruction": _a_robot, "tutorial_touch_to_shape": dict,
+    "model_card": dict, "prediction": dict, "reconstruction": _a_robot, "tutorial_touch_to_shape": dict,
 }  # fmt: skip
 IN_PLACE: dict[str, dict[str, str]] = {
+    "prediction": {"fit_predictor(dataset)": "fit_predictor(dataset, method='mean')"},
     "reconstruction": {"range(20)": "range(2)"},
     "tutorial_touch_to_shape": {"range(1, 21)": "range(1, 4)", "across=32": "across=20", "range(8)": "range(2)"},
 }

@@ -55,8 +55,7 @@ EXPERIMENTS = {
 }
 # The most common commands, which are listed by default.
 COMMON_COMMANDS = (
-    "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.commands.fit", "i2t.commands.recognize", "i2t.view",
-    "i2t.hardware.reskin", "i2t.hardware.rig",
+    "i2t.imagine", "i2t.collect", "i2t.convert", "i2t.view", "i2t.hardware.reskin", "i2t.hardware.rig",
     "experiments.train", "experiments.recognize", "experiments.calibrate", "experiments.fidelity",
 )  # fmt: skip
 
