@@ -4,19 +4,18 @@ python examples/08_recognize_an_object.py
 """
 
 import jax
-import numpy as np
 
 import i2t
-from i2t.skin_models.pad_fit import ContactModel, ObjectTouches
 
 
-def main(training_touches: int = 36, config: i2t.RecognizerConfig | None = None) -> str | None:
+def main(training_touches: int = 48, config: i2t.RecognizerConfig | None = None) -> str | None:
     """Fit a pad model to touches of a hexagon, recognise a hidden object among three, and return its name."""
     pad, errors, limits = i2t.sample_pad(jax.random.key(0)), i2t.SimulationErrors(), i2t.PressLimits()
     hexagon = i2t.prepare_surface(i2t.make_object("hexagon").mesh)
-    touches = i2t.simulate_touches(jax.random.key(1), [hexagon], pad, errors, training_touches)
-    dataset, rows = i2t.Dataset.simulated(touches, ("hexagon",), pad), np.ones(training_touches, bool)
-    fitted = ContactModel(errors, limits).fit(jax.random.key(2), ObjectTouches(dataset, rows, {"hexagon": hexagon}))
+    touches = i2t.simulate_touches(
+        jax.random.key(1), [hexagon], pad, errors, training_touches, touches_per_session=training_touches // 2
+    )
+    fitted = i2t.fit_pad_model(i2t.Dataset.simulated(touches, ("hexagon",), pad), key=jax.random.key(2))
 
     meshes = {name: i2t.make_object(name).mesh for name in ("star", "cylinder", "hammer")}
     config = config or i2t.RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, to start sooner

@@ -79,9 +79,12 @@ def _a_robot() -> Names:
 
 SET_UPS: dict[str, Callable[[], Names]] = {
     "analysis": _recorded, "calibration": _pressed, "data": _a_data_set, "depth": _a_depth_image, "fidelity": _a_head,
-    "model_card": dict, "reconstruction": _a_robot,
+    "model_card": dict, "prediction": dict, "reconstruction": _a_robot,
 }  # fmt: skip
-IN_PLACE: dict[str, dict[str, str]] = {"reconstruction": {"range(20)": "range(2)"}}
+IN_PLACE: dict[str, dict[str, str]] = {
+    "prediction": {"fit_predictor(dataset)": "fit_predictor(dataset, method='mean')"},
+    "reconstruction": {"range(20)": "range(2)"},
+}
 
 
 @pytest.fixture(autouse=True)
