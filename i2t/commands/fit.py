@@ -30,7 +30,7 @@ from i2t.files.reading import read_json
 from i2t.files.writing import write_json
 from i2t.models.checks import require_dataset
 from i2t.models.finished import CHECKPOINTS, CONFIG, KEPT, METRICS, PAD_MODEL, FinishedRun, write_training
-from i2t.objects.named import read_object, require_objects
+from i2t.objects.named import read_objects, require_objects
 
 if TYPE_CHECKING:
     from i2t.dataset import Dataset, Split
@@ -115,7 +115,7 @@ def _fit(args: FitArgs) -> None:
     print(f"\nwrote {args.out}: the predictor{'' if reason else ', the pad model'}, {METRICS} and {PICTURE}")
     print(f"next: i2t imagine star --model {args.out}")
     if reason is None:
-        print(f"      i2t recognize --dataset {args.dataset} --pad-model {args.out}")
+        print(f"      i2t recognize {args.dataset} --pad-model {args.out}")
 
 
 def _check(args: FitArgs) -> None:
@@ -148,7 +148,7 @@ def _pad_model(args: FitArgs, dataset: "Dataset", split: "Split") -> "KnownPad |
     from i2t.recognition.recorded import fit_pad_model
 
     print("fitting a pad model")
-    meshes = {path.stem: read_object(str(path), args.unit).mesh for path in args.objects}
+    meshes = read_objects(list(map(str, args.objects)), args.unit)
     try:
         return fit_pad_model(
             dataset, meshes, rows=split.train, key=jax.random.key(args.seed),

@@ -1,8 +1,8 @@
 """Recognise the objects of recorded sessions: `i2t recognize` prints the most probable object of each.
 
-    i2t recognize --dataset nominal                        the simulated touches that come with i2t
-    i2t recognize --dataset DATA --pad-model runs/mine     a pad model of your own skin, which `i2t fit` wrote
-    i2t recognize --dataset DATA --pad-model runs/mine --objects mug.stl bowl.stl star --unit mm
+    i2t recognize nominal                        the simulated touches that come with i2t
+    i2t recognize DATA --pad-model runs/mine     a pad model of your own skin, which `i2t fit` wrote
+    i2t recognize DATA --pad-model runs/mine --objects mug.stl:mm bowl.stl:mm star
 
 In each session, one object was touched at one place of the table. Touches need forces, tool poses, and the believed
 pose of the object, whose uncertainty --rig gives. The candidates are the objects of the data set, or --objects. A pad
@@ -14,6 +14,8 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
+
+import tyro
 
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Seed, docstring_of, require_path
@@ -27,7 +29,7 @@ from i2t.objects.named import meshes_of_dataset, read_meshes, require_objects
 class RecognizeArgs:
     """Recognise the objects of recorded sessions."""
 
-    dataset: Path
+    dataset: tyro.conf.Positional[Path]
     """Folder or file of touches, or nominal, the simulated touches that come with i2t."""
     pad_model: Path = Path("nominal")
     """Pad model of the skin: folder of a fit, file, or nominal, of the simulated pad of the data set nominal."""
@@ -50,7 +52,7 @@ class RecognizeArgs:
 
 
 def _recognize(args: RecognizeArgs) -> None:
-    require_dataset("--dataset", args.dataset)
+    require_dataset("DATASET", args.dataset)
     require_objects(args.objects, args.unit)
     require_path("--rig", args.rig, "file")
     require_pad_model(args.pad_model)
@@ -70,7 +72,7 @@ def _recognize(args: RecognizeArgs) -> None:
         meshes, dataset, pad_model, covariance=rig.object_covariance, touches=args.touches, other_skin=args.other_skin,
         config=RecognizerConfig(num_particles=args.poses, seed=args.seed),
     )  # fmt: skip
-    print(result)
+    print(result.table())
 
 
 main = command(RecognizeArgs, _recognize, program="i2t recognize", description=docstring_of("i2t.commands.recognize"))

@@ -41,7 +41,7 @@ class Sessions(NamedTuple):
         fewest, most = min(self.usable), max(self.usable)
         sentence = f"{len(self.names)} sessions of {fewest if fewest == most else f'{fewest} to {most}'} usable touches"
         if most > self.touches:
-            sentence += f", of which the first {self.touches} are used (--max-touches N for more from longer sessions)"
+            sentence += f", of which the first {self.touches} are used"
         if self.touches < self.asked:
             sentence += f"; no session has the {self.asked} that were asked for"
         if self.left_out:
@@ -166,7 +166,17 @@ class RecognizedSessions:
         return f"RecognizedSessions({len(self.sessions)} sessions, {len(self.names)} objects, {self.source})"
 
     def __str__(self) -> str:
-        """Write a line for each session, and the number that were recognised."""
+        return self.table(max_sessions=6)
+
+    def table(self, max_sessions: int | None = None) -> str:
+        """Write a line for each session, and the number that were recognised.
+
+        Args:
+            max_sessions: Maximum number of sessions to list; by default, all are listed.
+
+        Returns:
+            Lines of text: the number of sessions, notes, the table, and the rate of recognition.
+        """
         count, touches = self.probability.shape[:2]
         known = np.isin(self.touched, self.names)
         rows = [("session", "object", "most probable", "probability")]
@@ -178,6 +188,8 @@ class RecognizedSessions:
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         table = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+        if max_sessions is not None and count > max_sessions:
+            table[1 + max_sessions :] = [f"... {count - max_sessions} more"]
         title = f"{count} sessions of {touches} touches, {len(self.names)} objects ({source_phrase(self.source)})"
         lines = [title, *(f"note: {note}" for note in self.notes), *table]
         if known.any():

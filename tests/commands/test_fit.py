@@ -25,7 +25,7 @@ def test_a_fit_writes_a_run_that_recognises(tmp_path, capsys, monkeypatch):
     assert find_pad_model(out) == (str(out / "pad_model.npz"), read_run(out))
     assert i2t.load_pad_model(out / "pad_model.npz").origin.pad == "simulated pad 0"
 
-    words = ["--dataset", "nominal", "--pad-model", str(out), "--objects", "star", "hammer", "--touches", "3"]
+    words = ["nominal", "--pad-model", str(out), "--objects", "star", "hammer", "--touches", "3"]
     assert recognize.main([*words, "--poses", "4"]) == 0
     said = capsys.readouterr().out
     assert "18 sessions of 3 touches, 2 objects (simulated)" in said
@@ -56,9 +56,9 @@ def test_wrong_options_of_a_fit_are_refused(tmp_path, capsys, monkeypatch):
 def test_wrong_options_of_a_recognition_are_refused(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for words, reason in (
-        (["nowhere"], "--dataset nowhere: there is no such data set"),
+        (["nowhere"], "DATASET nowhere: there is no such data set"),
         (["nominal", "--pad-model", "none.npz"], "--pad-model none.npz: there is no such file"),
         (["nominal", "--objects", "star"], "--objects needs at least two objects"),
     ):
-        assert recognize.main(["--dataset", *words]) == 2
+        assert recognize.main(words) == 2
         assert reason in capsys.readouterr().err
