@@ -152,7 +152,7 @@ def plot_predictions(
         "alpha": 0.5,
         "color": Colour.BLUE,
         "ms": 3,
-        "label": "presses, 90 % bars",
+        "label": "values, 90 % bars",
     }
     axes.errorbar(measured, predicted, STDS_WITHIN_90 * np.asarray(std), fmt="o", **bars)
     ends = [min(np.min(measured), np.min(predicted)), max(np.max(measured), np.max(predicted))]
