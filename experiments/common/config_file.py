@@ -26,7 +26,7 @@ def config_path(words: Sequence[str]) -> Path | None:
         The config.json, also if its folder is named; None without --config.
     """
     path = None
-    for word, following in zip(words, [*words[1:], ""], strict=True):
+    for word, following in zip(words, [*words[1:], ""], strict=False):
         flag, equals, value = word.partition("=")
         if flag == FLAG and (equals or following):
             path = Path(value if equals else following)

@@ -14,6 +14,8 @@ COMMANDS = {  # modules of commands, and what the command alone uses
     "collect/dry_run.py",
     "collect/session.py",
     "collect/start.py",
+    "commands/fit.py",
+    "commands/recognize.py",
     "convert/commands.py",
     "emulators/reskin_board.py",
     "emulators/ur_controller.py",

@@ -60,7 +60,7 @@ def test_the_command_replaces_its_own_folder_on_request_and_no_other(tmp_path, c
 
 def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingExtraError, match=r"imagine2touch\[lerobot\]"):
+    with pytest.raises(MissingExtraError, match=r'pip install -e "\.\[lerobot\]"'):
         lerobot.write(tmp_path / "out", make(2, pixels=6))
     assert not list(tmp_path.iterdir())
 

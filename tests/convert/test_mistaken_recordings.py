@@ -143,7 +143,7 @@ def test_the_default_output_is_brief_and_the_data_set_holds_every_note(tmp_path,
     assert len(brief) <= 6
     assert brief[-2:] == [
         f"wrote 100 touches (1 object, 1 skin, 1 session) to {tmp_path / 'brief' / 'touches.h5'}",
-        f"next: python -m i2t.view {tmp_path / 'brief'}",
+        f"next: i2t view {tmp_path / 'brief'}",
     ]
     notes = load_dataset(tmp_path / "brief").meta["notes"].split(" | ")
     assert brief[-3] == f"--verbose prints all {len(notes)} notes on the conversion"

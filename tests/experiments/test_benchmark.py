@@ -57,7 +57,7 @@ def test_unequal_work_is_not_compared() -> None:
 
 def test_a_missing_peer_is_named_with_its_remedy_before_any_section_runs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    with pytest.raises(MissingExtraError, match=r"section training needs torch, .* 'imagine2touch\[bench\]'"):
+    with pytest.raises(MissingExtraError, match=r'section training needs torch, .* pip install -e "\.\[bench\]"'):
         BenchmarkArgs(sections=("latency", "training")).check()
 
 

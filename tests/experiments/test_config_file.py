@@ -123,6 +123,7 @@ def test_the_command_line_overrides_the_file_and_the_file_chooses_the_part(tmp_p
     assert given_options.pop() == FidelityArgs(dataset=(tmp_path / "table.csv",), seed=4, out=out, config=path)
     assert main(["one", "--config", str(path)]) == 2
     assert config_path(["--dataset", "x"]) is None
+    assert config_path([]) is None
 
 
 @pytest.mark.parametrize(
