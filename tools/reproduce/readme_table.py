@@ -19,24 +19,30 @@ VOTES = {
 
 
 def overview(results: Mapping[str, Measured]) -> str:
-    """Table of the README: at most one number in a cell, from real devices or recordings and from simulation."""
-    real, _ = _real_presses(results)
+    """Table of the README: a number in a cell, with its baseline, from real devices or recordings and simulation."""
+    real, baseline = _real_presses(results)
     bonded = results["calibrate_simulated"]["cases"]["bonded, travel"]["r2"][CALIBRATED]["100"]
-    pads = results["study"]["over_pads"][GP]["r2"]
+    study = results["study"]
+    pads = study["over_pads"]
+    simulated_baseline = max((pads[name]["r2"] for name in study["baselines"]), key=lambda r2: r2[0])
     fused = at(results["recognize"]["sets"]["all"]["methods"]["fused"]["accuracy"], -1)
     read, posed = _with_and_without_readings(results["reconstruct_baselines"])
     rows = [
         [
             "held-out presses of one skin, R²",
-            f"one eFlesh skin, 1000 presses: {r2_of(2, real)}",
+            f"one eFlesh skin, 1000 presses: {r2_of(2, real)}; best baseline {cell(baseline['r2'], 2)}",
             f"bonded skins, 100 presses: {cell(bonded, 2)}",
         ],
-        ["touches of objects not trained on, R²", NOT_DONE, f"six objects: {cell(pads, 2)}"],
+        [
+            "touches of objects not trained on, R²",
+            NOT_DONE,
+            f"six objects: {cell(pads[GP]['r2'], 2)}; best baseline {cell(simulated_baseline[0], 2)}",
+        ],
         ["one of five objects recognised (chance .20)", NOT_DONE, f"ten touches: {cell(fused, 2)}"],
         [
-            f"distance to an unseen shape, share left (without readings {cell(posed['ratio'][0], 2)})",
+            "an unknown shape, share of the error left (less is better)",
             NOT_DONE,
-            f"five touches: {cell(read['ratio'], 2)}",
+            f"five touches: {cell(read['ratio'], 2)}; without readings {cell(posed['ratio'][0], 2)}",
         ],
         ["ReSkin board, UR arm, RealSense camera", NOT_DONE, "emulators of their protocols"],
     ]
