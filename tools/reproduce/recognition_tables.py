@@ -128,10 +128,11 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
 
 
 def physics_by_touches(measured: Measured) -> str:
-    """Table with a row for each physics and a column for each evidence and number of touches of the skin: mean accuracy
+    """Table with a row for each physics and columns for each evidence by numbers of touches of the skin: mean accuracy
     over touches, and its difference from the matched physics with all touches.
     """
-    shown_columns = [(evidence, touches) for evidence in ("readings", "fused") for touches in ("none", "20", "200")]
+    touches_shown = {"readings": ("none", "20", "200"), "fused": ("none", "200")}
+    shown_columns = [(evidence, touches) for evidence, counts in touches_shown.items() for touches in counts]
     cells: dict[str, dict[tuple[str, str], str]] = {}
     for evidence in ("readings", "fused"):
         rows_of = [row for row in measured["tables"]["methods"]["rows"] if row[1] == evidence]

@@ -242,7 +242,9 @@ TABLES: dict[str, dict[str, Table]] = {
     "train_registered": {"predictors": predictors_by_object},
     "train_camera": {"predictors": predictors_over_pads},
     "second_world": {
-        "predictors": rows_over("methods", ("method ({source}, other physics)", "R² [95 % over skins]"), r2_over),
+        "predictors": rows_over(
+            "methods", ("method ({source}, other physics)", "R² [95 % over skins]"), r2_over, hidden=["nearest patches"]
+        ),
     },
     "calibrate": {
         "random presses": press_counts("random presses", "random presses"),
