@@ -105,7 +105,7 @@ def kinds_of_skin(measured: Measured) -> str:
 
 def ranges_of_pads(measured: Measured) -> str:
     """Coverage of the true values by the intervals of fitted pads, for all parameters and for those that are covered
-    least, and R² on held-out presses.
+    least, and R² at held-out places.
     """
     by_load = measured["by_load"]
     counts = [part["inside"] | {"all parameters": part["inside_all"]} for part in by_load.values()]
@@ -113,8 +113,8 @@ def ranges_of_pads(measured: Measured) -> str:
         [name.replace("_", " "), *(" of ".join(map(str, part[name])) for part in counts)]
         for name in ("tip_offset", "gains", "all parameters")
     ]
-    for key, title in (("r2", "mean R² on held-out presses"), ("r2_places", "mean R² at held-out places")):
-        rows.append([title, *(cell(sum(part[key]) / len(part[key])) for part in by_load.values())])
+    at_places = [cell(sum(part["r2_places"]) / len(part["r2_places"])) for part in by_load.values()]
+    rows.append(["mean R² at held-out places", *at_places])
     return markdown([f"parameter, {measured['source']}", *(f"presses by {load}" for load in by_load)], rows)
 
 
