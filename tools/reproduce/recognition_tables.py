@@ -29,13 +29,12 @@ LARGEST = "fitted to the largest: "  # begins the columns of this temperature in
 
 METHOD_HEAD = (
     "method", "after 10 [95 %]", "[95 %] for similar objects",
-    "mean over 1 to 10 touches [95 %]", "ECE",
+    "mean over 1 to 10 touches [95 %]",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
     last,
     lambda scores: cell(scores["last_other_objects"], 2).partition(" ")[2],
     lambda scores: cell(scores["mean"], 2),
-    partial(mean_of, "calibration_error", 2),
 )
 
 
@@ -149,12 +148,13 @@ def physics_by_touches(measured: Measured) -> str:
 
 def stopping_errors(measured: Measured) -> str:
     """Episodes stopped early and their error rates by placement error and requested error, with the temperature fitted
-    to the largest placement errors and without the smallest placement errors, at which hardly any decision is wrong.
+    to the largest placement errors. The smallest placement errors, at which hardly any decision is wrong, and the
+    largest requested error are not shown.
     """
     table = measured["tables"]["errors"]
     names = [column["name"] for column in table["columns"]]
     start = next(i for i, name in enumerate(names) if name.startswith(LARGEST))
-    rows = [[*row[:2], *row[start:]] for row in table["rows"]]
+    rows = [[*row[:2], *row[start:]] for row in table["rows"] if row[1] != "10%"]
     stopped = table["columns"][start] | {"name": names[start].removeprefix(LARGEST)}
     columns = [*table["columns"][:2], stopped, *table["columns"][start + 1 :]]
     return study_table("errors", hidden=("half",))({"tables": {"errors": {"columns": columns, "rows": rows}}})
@@ -206,5 +206,6 @@ TABLES: dict[str, dict[str, Table]] = {
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
 }
 TABLES["mismatch"]["settings"] = settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "hysteresis"))
+TABLES["open_set"]["auroc"] = study_table("auroc", hidden=("3",))
 TABLES["physics"]["by touches"] = physics_by_touches
 TABLES["stopping"]["errors"] = stopping_errors
