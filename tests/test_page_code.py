@@ -32,12 +32,6 @@ NOT_RUN = ("environments", "hardware", "local_shape", "registration")
 Names = dict[str, Any]
 
 
-def _recorded() -> Names:
-    Path("runs/train").mkdir(parents=True)
-    save_dataset("runs/train/data.h5", random_dataset(60))
-    return {}
-
-
 def _pressed() -> Names:
     random = np.random.default_rng(0)
     positions, travels = random.uniform(-5e-3, 5e-3, (30, 2)), random.uniform(0.1e-3, 0.5e-3, 30)
@@ -67,8 +61,7 @@ def _a_head() -> Names:
 
 
 SET_UPS: dict[str, Callable[[], Names]] = {
-    "analysis": _recorded, "calibration": _pressed, "data": _a_data_set, "fidelity": _a_head, "model_card": dict,
-    "prediction": dict,
+    "calibration": _pressed, "data": _a_data_set, "fidelity": _a_head, "model_card": dict, "prediction": dict,
 }  # fmt: skip
 IN_PLACE: dict[str, dict[str, str]] = {
     "prediction": {"fit_predictor(dataset)": "fit_predictor(dataset, method='mean')"},

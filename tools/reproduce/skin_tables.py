@@ -226,9 +226,9 @@ TABLES: dict[str, dict[str, Table]] = {
             *numbers_of([RMSE]),
         )
     },
-    "train_blocks": {"predictors": predictors_on_recording("blocks", hidden=("ridge", "pressures + measured"))},
+    "train_blocks": {"predictors": predictors_on_recording("blocks", hidden=("ridge",))},
     "train_time": {
-        "predictors": predictors_on_recording("groups of 20 presses", hidden=("ridge", "pressures + measured", "paper's", "mean reading"))
+        "predictors": predictors_on_recording("groups of 20 presses", hidden=("ridge", "paper's", "mean reading"))
     },
     "study": {
         "predictors": rows_over(
