@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 from helpers.random_touches import make as random_dataset
 from helpers.skin_presses import presses_of_a_skin
-from PIL import Image
 
 import i2t
 from i2t.dataset import save_dataset
@@ -31,12 +30,6 @@ DOCS = ROOT / "docs"
 NOT_RUN = ("environments", "hardware", "local_shape", "registration")
 
 Names = dict[str, Any]
-
-
-def _recorded() -> Names:
-    Path("runs/train").mkdir(parents=True)
-    save_dataset("runs/train/data.h5", random_dataset(60))
-    return {}
 
 
 def _pressed() -> Names:
@@ -60,11 +53,6 @@ def _a_data_set() -> Names:
     }  # fmt: skip
 
 
-def _a_depth_image() -> Names:
-    Image.fromarray(np.full((360, 640), 104, np.uint16)).save("depth.tif")
-    return {}
-
-
 def _a_head() -> Names:
     recording, budget = presses_of_a_skin(120), HeadBudget(selection_rows=60, known_rows=100)
     Path("runs/calibrate").mkdir(parents=True)
@@ -72,18 +60,11 @@ def _a_head() -> Names:
     return {"readings": recording.readings[:5]}
 
 
-def _a_robot() -> Names:
-    meshes = [i2t.make_object(name).mesh for name in ("star", "cylinder", "hexagon")]
-    return {"meshes": meshes, "touch": lambda site: (site, True)}
-
-
 SET_UPS: dict[str, Callable[[], Names]] = {
-    "analysis": _recorded, "calibration": _pressed, "data": _a_data_set, "depth": _a_depth_image, "fidelity": _a_head,
-    "model_card": dict, "prediction": dict, "reconstruction": _a_robot,
+    "calibration": _pressed, "data": _a_data_set, "fidelity": _a_head, "model_card": dict, "prediction": dict,
 }  # fmt: skip
 IN_PLACE: dict[str, dict[str, str]] = {
     "prediction": {"fit_predictor(dataset)": "fit_predictor(dataset, method='mean')"},
-    "reconstruction": {"range(20)": "range(2)"},
 }
 
 

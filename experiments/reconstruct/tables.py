@@ -15,7 +15,7 @@ def reconstructions(measured: Measured) -> str:
 
 def conditions(measured: Measured) -> str:
     """Distances and coverage of every condition."""
-    return _main_columns(*_surfaces(measured), "IoU", "90 % half-width, mm")
+    return _main_columns(*_surfaces(measured), "initial distance, mm", "IoU")
 
 
 def conditions_and_goals(measured: Measured) -> str:
@@ -26,7 +26,9 @@ def conditions_and_goals(measured: Measured) -> str:
 
 
 def _main_columns(head: list[str], rows: list[list[str]], *others: str) -> str:
-    columns = [i for i, column in enumerate(head) if column not in ("1 touch", "F-score", *others)]
+    columns = [
+        i for i, column in enumerate(head) if column not in ("1 touch", "F-score", "90 % half-width, mm", *others)
+    ]
     return markdown([head[i] for i in columns], [[row[i] for i in columns] for row in rows])
 
 

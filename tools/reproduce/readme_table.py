@@ -105,12 +105,12 @@ def _objects(results: Mapping[str, Measured]) -> list[list[str]]:
             "the paper's [recognition](recognition.md), mean of its five objects, chance .40",
             NOT_DONE,
             f"{votes}; the paper's real skin .58, proprioception .46",
-            "masks do worse than proprioception on tools; depths are not shown to do better on the mean",
+            "masks lose to proprioception on tools; depths are not shown to beat it on the mean",
         ],
         [
             "recognition by the belief, ten touches, chance .20",
             NOT_DONE,
-            f"{cell(fused, 2)} on six pads; interval for similar objects {others}; from readings alone "
+            f"{cell(fused, 2)}; interval for similar objects {others}; from readings alone "
             f"{cell(readings_alone['mean'], 2)}",
             "less on [skins of other physics](recognition.md#a-skin-of-other-physics)",
         ],
@@ -139,7 +139,7 @@ def _others(results: Mapping[str, Measured]) -> list[list[str]]:
             f"stamps: predicted touch {stamps['predicted touch']}, paper's classifier {of_paper}, a tuned one with "
             f"pose and force {with_pose}",
             "each digit is one recording, which the ambient field identifies: with it, the best baseline reaches "
-            f"{cell(with_ambient['accuracy'][0], 2)}; samples at rest, median subtracted, reach "
+            f"{cell(with_ambient['accuracy'][0], 2)}; samples at rest, median subtracted, "
             f"{cell(at_rest['accuracy'][0], 2)}",
         ],
         [

@@ -29,13 +29,12 @@ LARGEST = "fitted to the largest: "  # begins the columns of this temperature in
 
 METHOD_HEAD = (
     "method", "after 10 [95 %]", "[95 %] for similar objects",
-    "mean over 1 to 10 touches [95 %]", "ECE",
+    "mean over 1 to 10 touches [95 %]",
 )  # fmt: skip
 METHOD_CELLS: tuple[Cell, ...] = (
     last,
     lambda scores: cell(scores["last_other_objects"], 2).partition(" ")[2],
     lambda scores: cell(scores["mean"], 2),
-    partial(mean_of, "calibration_error", 2),
 )
 
 
@@ -128,10 +127,11 @@ def settings_by_evidence(*kinds: str, hidden: Sequence[str] = ()) -> Table:
 
 
 def physics_by_touches(measured: Measured) -> str:
-    """Table with a row for each physics and a column for each evidence and number of touches of the skin: mean accuracy
+    """Table with a row for each physics and columns for each evidence by numbers of touches of the skin: mean accuracy
     over touches, and its difference from the matched physics with all touches.
     """
-    shown_columns = [(evidence, touches) for evidence in ("readings", "fused") for touches in ("none", "20", "200")]
+    touches_shown = {"readings": ("none", "20", "200"), "fused": ("none", "200")}
+    shown_columns = [(evidence, touches) for evidence, counts in touches_shown.items() for touches in counts]
     cells: dict[str, dict[tuple[str, str], str]] = {}
     for evidence in ("readings", "fused"):
         rows_of = [row for row in measured["tables"]["methods"]["rows"] if row[1] == evidence]
@@ -148,12 +148,13 @@ def physics_by_touches(measured: Measured) -> str:
 
 def stopping_errors(measured: Measured) -> str:
     """Episodes stopped early and their error rates by placement error and requested error, with the temperature fitted
-    to the largest placement errors and without the smallest placement errors, at which hardly any decision is wrong.
+    to the largest placement errors. The smallest placement errors, at which hardly any decision is wrong, and the
+    largest requested error are not shown.
     """
     table = measured["tables"]["errors"]
     names = [column["name"] for column in table["columns"]]
     start = next(i for i, name in enumerate(names) if name.startswith(LARGEST))
-    rows = [[*row[:2], *row[start:]] for row in table["rows"]]
+    rows = [[*row[:2], *row[start:]] for row in table["rows"] if row[1] != "10%"]
     stopped = table["columns"][start] | {"name": names[start].removeprefix(LARGEST)}
     columns = [*table["columns"][:2], stopped, *table["columns"][start + 1 :]]
     return study_table("errors", hidden=("half",))({"tables": {"errors": {"columns": columns, "rows": rows}}})
@@ -205,5 +206,6 @@ TABLES: dict[str, dict[str, Table]] = {
     **{step: {name: study_table(name) for name in names} for step, names in STUDY_TABLES.items()},
 }
 TABLES["mismatch"]["settings"] = settings_by_evidence("fused", "readings", hidden=("meshes", "arm ", "hysteresis"))
+TABLES["open_set"]["auroc"] = study_table("auroc", hidden=("3",))
 TABLES["physics"]["by touches"] = physics_by_touches
 TABLES["stopping"]["errors"] = stopping_errors

@@ -88,7 +88,7 @@ def strokes(measured: Measured) -> str:
             cell(scores[LEAD], 2, signed=True) if LEAD in scores else "",
         ]
         for name, scores in measured["splits"]["in file order"]["methods"].items()
-        if shown(name, "logistic", "paper's classifier, raw")
+        if shown(name, "logistic", "paper's classifier, raw", "paths")
     ]
     goal = ["goal", "0.95", "0.030", ""]
     head = ["method", "accuracy on later strokes [95 %]", "calibration error (expected by chance)", LEAD]
