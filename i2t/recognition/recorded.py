@@ -162,7 +162,7 @@ def describe(pad: KnownPad) -> str:
         Sentence without its full stop.
     """
     origin = pad.origin
-    score = f", R2 {pad.model.r2:.3f} on held-out touches" if np.isfinite(pad.model.r2) else ""
+    score = f", R2 {pad.model.r2:.3f} of touches left out one at a time" if np.isfinite(pad.model.r2) else ""
     return (
         f'pad model of "{origin.pad}" from {origin.made_from}: {origin.touches} {origin.source} touches of '
         f"{', '.join(origin.objects)}{score}"
