@@ -17,7 +17,6 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -104,17 +103,21 @@ class CommandLine:
         Returns:
             The exit code.
         """
-        if code := exit_code_of(partial(refuse_renamed, self.kind, words)):
-            return code
         program = program or _installed_script() or self.program
-        options = read_options(self.kind, words, program=program, description=self.description)
+        options: list[Any] = []  # none until the command line is read
 
-        def checked() -> Any:
-            check_options(options)
-            return self.work(options)
+        def read_and_work() -> Any:
+            refuse_renamed(self.kind, words)
+            options.append(read_options(self.kind, words, program=program, description=self.description))
+            check_options(options[0])
+            return self.work(options[0])
 
-        sentence = self.interrupted
-        return exit_code_of(checked, sentence if isinstance(sentence, str) else sentence(options))
+        def interrupted() -> str:
+            if isinstance(self.interrupted, str):
+                return self.interrupted
+            return self.interrupted(options[0]) if options else "interrupted"
+
+        return exit_code_of(read_and_work, interrupted)
 
 
 def command(

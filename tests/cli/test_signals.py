@@ -11,6 +11,7 @@ import weakref
 
 import pytest
 
+from i2t.cli import exit_codes
 from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.signals import ENDING_SIGNALS, SignalInterrupt, ended_by_ctrl_c
 from i2t.errors import DeviceError
@@ -163,3 +164,10 @@ def test_a_nested_command_and_one_in_a_thread_leave_the_handlers_as_they_are(num
             signal.raise_signal(number)
 
     assert exit_code_of(nested) == 0
+
+
+def test_a_signal_while_the_command_line_is_read_ends_the_command(number, monkeypatch, capsys):
+    monkeypatch.setattr(exit_codes, "read_options", lambda *_, **__: signal.raise_signal(number))
+    main = exit_codes.command(dict, lambda _: 0, program="i2t", interrupted=lambda options: f"stopped: {options}")
+    assert main([]) == 128 + number
+    assert capsys.readouterr().err == "\ninterrupted\n"
