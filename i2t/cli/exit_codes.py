@@ -3,25 +3,26 @@
 0    success
 1    failure: a device, the disk, or a missed goal
 2    wrong use: options, files or folders must change
+129  a closed terminal (SIGHUP)
 130  Ctrl-C
 141  the reader of the output has ended, as `head` does; the command ends silently
+143  SIGTERM
 """
 
 import errno
 import logging
 import signal
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
-from types import FrameType
+from pathlib import Path
 from typing import Any
 
 from i2t.cli.options import check_options, read_options, refuse_renamed
 from i2t.cli.pipes import ExitCode, output_is_closed
+from i2t.cli.signals import interrupted_by_signals
 from i2t.errors import WRONG_PATH_ERRORS, DeviceError, FullDiskError, printable
 from i2t.runtime.compile_cache import use_compile_cache
 
@@ -40,18 +41,18 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
 
     Args:
         work: The work of the command. If it returns an int, that is the exit code.
-        interrupted: The sentence to print after Ctrl-C, or a function that returns it.
+        interrupted: The sentence to print after Ctrl-C, SIGTERM or SIGHUP, or a function that returns it.
 
     Returns:
         0 after success; 2 if the work cannot be done as requested (a ValueError, or a file or folder that does not fit
-        the command line); 1 if a device or the disk failed; 130 after Ctrl-C; 141 if the reader of the output has
-        ended.
+        the command line); 1 if a device or the disk failed; 130 after Ctrl-C, 143 after SIGTERM and 129 after SIGHUP;
+        141 if the reader of the output has ended.
     """
     show_warning, warnings.showwarning = warnings.showwarning, _show_warning
     try:
         with _shown_log():
             use_compile_cache()
-            with _delayed_interrupts():
+            with interrupted_by_signals():
                 result = work()
         if sys.stdout is not None and not sys.stdout.closed:
             sys.stdout.flush()  # here, where a failure can be reported
@@ -62,9 +63,10 @@ def exit_code_of(work: Callable[[], Any], interrupted: str | Callable[[], str] =
         print(f"error: {printable(_sentence(error))}", file=sys.stderr)
         wrong_use = isinstance(error, (ValueError, *WRONG_PATH_ERRORS)) and not isinstance(error, FullDiskError)
         return ExitCode.WRONG_USE if wrong_use else ExitCode.FAILED
-    except KeyboardInterrupt:
-        print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
-        return ExitCode.INTERRUPTED
+    except KeyboardInterrupt as interrupt:
+        with suppress(OSError):  # the terminal may be closed
+            print(f"\n{interrupted() if callable(interrupted) else interrupted}", file=sys.stderr)
+        return 128 + int(getattr(interrupt, "number", signal.SIGINT))
     except MemoryError:
         print("error: this machine is out of memory; process less at a time", file=sys.stderr)
         return ExitCode.FAILED
@@ -79,9 +81,9 @@ class CommandLine:
     Args:
         kind: The dataclass of options, or a union of those of the sub-commands.
         work: Function that takes the options. If it returns an int, that is the exit code.
-        program: The command as a user types it, unless the call names it.
+        program: The command as a user types it, unless the call or the installed script names it.
         description: Text of the help, as in `read_options`.
-        interrupted: The sentence to print after Ctrl-C, or a function that takes the options and returns it.
+        interrupted: The sentence to print after a signal, or a function that takes the options and returns it.
     """
 
     kind: Any
@@ -95,21 +97,27 @@ class CommandLine:
 
         Args:
             words: The words after the program's name; by default, those of `sys.argv`.
-            program: The command as the user typed it; by default, `self.program`.
+            program: The command as the user typed it; by default, the installed script that runs, such as
+                `i2t-collect`, or else `self.program`.
 
         Returns:
             The exit code.
         """
-        if code := exit_code_of(partial(refuse_renamed, self.kind, words)):
-            return code
-        options = read_options(self.kind, words, program=program or self.program, description=self.description)
+        program = program or _installed_script() or self.program
+        options: list[Any] = []  # none until the command line is read
 
-        def checked() -> Any:
-            check_options(options)
-            return self.work(options)
+        def read_and_work() -> Any:
+            refuse_renamed(self.kind, words)
+            options.append(read_options(self.kind, words, program=program, description=self.description))
+            check_options(options[0])
+            return self.work(options[0])
 
-        sentence = self.interrupted
-        return exit_code_of(checked, sentence if isinstance(sentence, str) else sentence(options))
+        def interrupted() -> str:
+            if isinstance(self.interrupted, str):
+                return self.interrupted
+            return self.interrupted(options[0]) if options else "interrupted"
+
+        return exit_code_of(read_and_work, interrupted)
 
 
 def command(
@@ -128,13 +136,19 @@ def command(
         work: Function that takes the options. If it returns an int, that is the exit code.
         program: The command as a user types it, unless a call names it.
         description: Text of the help, as in `read_options`.
-        interrupted: The sentence to print after Ctrl-C, or a function that takes the options and returns it.
+        interrupted: The sentence to print after a signal, or a function that takes the options and returns it.
 
     Returns:
         A callable that takes the words after the program's name, by default those of `sys.argv`, and returns the exit
         code.
     """
     return CommandLine(kind, work, program, description or "", interrupted)
+
+
+def _installed_script() -> str:
+    """Return the name of the installed script that runs, such as i2t-collect; empty if another program runs."""
+    name = Path(sys.argv[0]).name.removesuffix(".exe")
+    return name if name.startswith("i2t-") else ""
 
 
 def _sentence(error: Exception) -> str:
@@ -146,39 +160,6 @@ def _sentence(error: Exception) -> str:
         return str(error)
     remedy = next((f"; {advice}" for kind, advice in OS_ERROR_REMEDIES.items() if isinstance(error, kind)), "")
     return f"{error.filename}: {error.strerror[:1].lower()}{error.strerror[1:]}{remedy}"
-
-
-@contextmanager
-def _delayed_interrupts() -> Iterator[None]:
-    """Delay Ctrl-C briefly where it would be lost or do harm.
-
-    Python drops exceptions in callbacks of its garbage collector, and JAX has such a callback. A compiled module that
-    is interrupted during its import may crash the process, as jaxlib does.
-    """
-    previous, unraisable_hook = signal.getsignal(signal.SIGINT), sys.unraisablehook
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        if _importing():
-            _send_again()
-        else:
-            signal.default_int_handler(number, frame)
-
-    def hook(unraisable: "sys.UnraisableHookArgs") -> None:
-        if issubclass(unraisable.exc_type, KeyboardInterrupt):
-            _send_again()
-        else:
-            unraisable_hook(unraisable)
-
-    is_default = previous is signal.default_int_handler and threading.current_thread() is threading.main_thread()
-    sys.unraisablehook = hook
-    if is_default:
-        signal.signal(signal.SIGINT, handler)
-    try:
-        yield
-    finally:
-        sys.unraisablehook = unraisable_hook
-        if is_default:
-            signal.signal(signal.SIGINT, previous)
 
 
 class _PlainLines(logging.Handler):
@@ -214,22 +195,6 @@ def _shown_log() -> Iterator[None]:
         log.removeHandler(handler)
         log.setLevel(level)
         log.propagate = propagates
-
-
-def _importing() -> bool:
-    """Test whether a module is being imported."""
-    specs = (getattr(module, "__dict__", {}).get("__spec__") for module in list(sys.modules.values()))
-    return any(getattr(spec, "_initializing", False) for spec in specs)
-
-
-def _send_again(delay_s: float = 0.05) -> None:
-    """Send Ctrl-C again after a delay."""
-    if hasattr(signal, "pthread_kill"):  # wakes up a waiting main thread as well
-        timer = threading.Timer(delay_s, signal.pthread_kill, (threading.main_thread().ident, signal.SIGINT))
-    else:
-        timer = threading.Timer(delay_s, signal.raise_signal, (signal.SIGINT,))
-    timer.daemon = True
-    timer.start()
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *where: Any, **_: Any) -> None:

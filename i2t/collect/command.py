@@ -10,48 +10,19 @@ The same command resumes a collection where it stopped. Ctrl-C, SIGTERM or a clo
 everything. The result is a data set, to which `i2t fit DATA` fits a predictor.
 """
 
-import signal
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Any
-
 from i2t.cli.exit_codes import command
 from i2t.collect.arguments import CollectArgs
 
 
-@contextmanager
-def exiting_on_signals() -> Iterator[None]:
-    """Within the block, make signals that end a program (SIGTERM, SIGHUP) run every `finally` before it ends."""
-    # A terminal that is closed ends its programs by SIGHUP, which Windows does not have.
-    signals = [signal.Signals[name] for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    before = {number: signal.signal(number, exit_on_signal) for number in signals}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-def exit_on_signal(number: int, *_: Any) -> None:
-    """Handle a signal: end the program with exit code 128 + `number`, but run every `finally` before.
-
-    Args:
-        number: Number of the signal.
-    """
-    sys.exit(128 + number)
-
-
 def _collect(args: CollectArgs) -> int:
-    with exiting_on_signals():
-        args.check()
-        from i2t.collect.start import begin
+    args.check()
+    from i2t.collect.start import begin
 
-        begun = begin(args)
-        # Imported late, because JAX takes seconds and a refusal does not need it.
-        from i2t.collect.session import collect
+    begun = begin(args)
+    # Imported late, because JAX takes seconds and a refusal does not need it.
+    from i2t.collect.session import collect
 
-        return collect(begun)
+    return collect(begun)
 
 
 main = command(

@@ -30,6 +30,7 @@ from jaxtyping import Float
 
 from i2t.cli.exit_codes import exit_code_of
 from i2t.cli.options import read_options
+from i2t.cli.signals import ended_by_ctrl_c
 from i2t.emulators import processes
 from i2t.hardware.reskin.layouts import Format, encode
 from i2t.skin.boards import make_board
@@ -222,10 +223,9 @@ def main(args: Sequence[str] | None = None) -> int:
             raise ValueError(f"--fail takes chips 0 to {board.num_chips - 1}, --empty takes 1 or more; correct them")
         port = BoardPort(options.link)
         try:
-            print(port.plug(), flush=True)
-            _serve(port, board, options)
-        except KeyboardInterrupt:
-            pass
+            with ended_by_ctrl_c():
+                print(port.plug(), flush=True)
+                _serve(port, board, options)
         finally:
             port.unplug()
 

@@ -52,6 +52,7 @@ import numpy as np
 import tyro
 
 from i2t.cli.options import read_options
+from i2t.cli.signals import ended_by_ctrl_c
 from i2t.emulators.processes import run_emulator
 from i2t.emulators.robot_motion import Contact, Robot, plane
 from i2t.emulators.ur_program import PLAYING as PLAYING
@@ -147,7 +148,7 @@ def run(options: ControllerArgs, contact: Contact, noise: float) -> None:
     robot = Robot(np.array(options.pose), contact, noise if options.noise is None else options.noise)
     server = Server(Controller(robot), options.host, options.tethered)
     try:
-        with contextlib.suppress(KeyboardInterrupt):
+        with ended_by_ctrl_c():
             asyncio.run(server.run(lambda: print(f"emulated UR controller on {options.host}, ready", flush=True)))
     except (OSError, ValueError) as error:
         sys.exit(f"The emulator cannot start on {options.host}: {error}.")

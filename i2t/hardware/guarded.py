@@ -17,6 +17,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from i2t.cli.signals import ENDING_SIGNALS
 from i2t.errors import DeviceError, DeviceTimeoutError, MotionStoppedError, NotConnectedError
 from i2t.hardware.base import DeviceBase
 from i2t.hardware.clock import Clock, MonotonicClock
@@ -27,8 +28,6 @@ from i2t.hardware.protocols import ApproachResult, Arm, ArmFeatures, ArmState, S
 from i2t.types import Array
 
 T = TypeVar("T")
-# Signals at which the arm is braked before the program ends. Windows has no SIGHUP.
-BRAKING_SIGNALS = [signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 # Advice in errors about late states: if the arm may have caused them, and if only this computer can have.
 CHECK_CONNECTION = "check its connection"
 BUSY = "this computer is too busy: close other programs"
@@ -509,7 +508,7 @@ class PolledArm(DeviceBase):
 def signals_ignored() -> Iterator[None]:
     """Within the block, ignore SIGINT, SIGTERM and SIGHUP; has an effect on the main thread only."""
     main = threading.current_thread() is threading.main_thread()
-    before = {number: signal.signal(number, lambda *_: None) for number in BRAKING_SIGNALS if main}
+    before = {number: signal.signal(number, lambda *_: None) for number in ENDING_SIGNALS if main}
     try:
         yield
     finally:

@@ -1,7 +1,7 @@
 """Reading of mesh files, cleaned, with a report on the cleaning.
 
-STL, OBJ, PLY and OFF files state no unit, so the caller has to give it; glTF files are in metres. `i2t.objects.formats`
-reads the triangles.
+STL, OBJ, PLY and OFF files state no unit, so the caller has to give it. glTF files are in metres, and their y axis
+points up. `i2t.objects.formats` reads the triangles.
 Everything in a file is one object, however many bodies it has (`i2t.objects.mesh_cleaning`). The object's frame stands
 on the table, and `Object.T_file_object` transforms it back to the file's frame.
 """
@@ -26,7 +26,7 @@ MIN_USUAL_M, MAX_USUAL_M = 5e-3, 1.0  # m, longest sides outside which the unit 
 
 
 def read_mesh(
-    path: str | Path, unit: str | None = None, *, table: bool = True, largest_piece: bool = False, up: str = "z"
+    path: str | Path, unit: str | None = None, *, table: bool = True, largest_piece: bool = False, up: str | None = None
 ) -> tuple[Object, CleaningReport]:
     """Read and clean a mesh file.
 
@@ -39,7 +39,8 @@ def read_mesh(
         table: Whether to place the object on the table, with its bounding box centred in x and y and its lowest point
             on z = 0, without turning it. Otherwise it keeps the file's frame.
         largest_piece: Whether only the largest connected piece is touched; `Object.obstacles` holds the others.
-        up: The file's upward axis, "z" or "y" (GLB files usually use y).
+        up: The file's upward axis, "y" or "z". By default, it is y in a glTF file, as its standard defines, and z in
+            others. A glTF mesh that keeps the file's frame (`table=False`) is turned only if `up` is given.
 
     Returns:
         The object, named by the file, in metres, and a report on the cleaning.
@@ -51,7 +52,9 @@ def read_mesh(
     path = as_path("path", path)
     data = _mesh_bytes(path)
     known_unit = _unit_of(path, unit)
-    if up not in ("z", "y"):
+    if up is None:
+        up = "y" if table and path.suffix.lower() in METRE_SUFFIXES else "z"
+    elif up not in ("z", "y"):
         raise ValueError(f"{path}: up={up!r} is not known; give up='z' or up='y'")
     vertices, faces, skipped = parse_mesh(path, data)
     if skipped:
@@ -74,7 +77,7 @@ def read_mesh(
 
 
 def load_mesh(
-    path: str | Path, unit: str | None = None, *, table: bool = True, largest_piece: bool = False, up: str = "z"
+    path: str | Path, unit: str | None = None, *, table: bool = True, largest_piece: bool = False, up: str | None = None
 ) -> Mesh:
     """Read the mesh in a file, cleaned.
 
@@ -85,7 +88,8 @@ def load_mesh(
         table: Whether to place the mesh on the table, with its bounding box centred in x and y and its lowest point on
             z = 0, without turning it. Otherwise it keeps the file's frame.
         largest_piece: Whether to keep only the largest connected piece; otherwise every body is kept.
-        up: The file's upward axis, "z" or "y" (GLB files usually use y).
+        up: The file's upward axis, "y" or "z". By default, it is y in a glTF file, as its standard defines, and z in
+            others. A glTF mesh that keeps the file's frame (`table=False`) is turned only if `up` is given.
 
     Returns:
         The mesh, in metres. `i2t.objects.read_mesh` also returns the transform to the file's frame and a report on the

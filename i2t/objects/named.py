@@ -1,7 +1,7 @@
 """Objects by their names on a command line: a name in the catalogue, or a mesh file with its unit.
 
 The unit of a mesh file is that of `--unit`, or ends its name, as in `mug.stl:mm`, which takes precedence. A glTF file,
-such as `mug.glb`, is in metres unless a unit is given.
+such as `mug.glb`, is in metres unless a unit is given, and its y axis points up.
 
 Modules that load or read meshes are imported inside functions, so that the help of a command appears without delay.
 """
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from i2t.errors import DataError, did_you_mean
 from i2t.files.kinds import MESH_SUFFIXES, METRE_SUFFIXES, METRES_PER_UNIT
+from i2t.geometry import inverse
 
 if TYPE_CHECKING:
     from i2t.objects.solids import Mesh, Object
@@ -232,12 +233,14 @@ def describe_placement(thing: "Object") -> str:
     Returns:
         A sentence for the user; empty if the frames are the same and no piece is left out.
     """
-    x, y, z = (-1e3 * thing.T_file_object[:3, 3]).tolist()
+    T_object_file = inverse(thing.T_file_object)
+    x, y, z = (1e3 * T_object_file[:3, 3]).tolist()
+    turned = "turned from y up to z up and " if T_object_file[2, 1] > 0.5 else ""
     sentences = []
-    if max(abs(x), abs(y), abs(z)) >= 0.005:  # smaller shifts are 0.00 mm in the sentence
+    if turned or max(abs(x), abs(y), abs(z)) >= 0.005:  # smaller shifts are 0.00 mm in the sentence
         sentences.append(
-            f"the mesh was moved by {x:.2f}, {y:.2f}, {z:.2f} mm from its file's frame, to stand on z = 0 with its box "
-            "centred in x and y"
+            f"the mesh was {turned}moved by {x:.2f}, {y:.2f}, {z:.2f} mm from its file's frame, to stand on z = 0 with "
+            "its box centred in x and y"
         )
     if thing.obstacles is not None:
         sentences.append(

@@ -1,12 +1,9 @@
 """Commands end with an exit code and one sentence."""
 
 import errno
-import importlib
 import io
 import os
-import signal
 import sys
-import time
 from dataclasses import dataclass, field
 from typing import Annotated, ClassVar
 
@@ -87,25 +84,6 @@ def test_numbers_outside_the_limits_of_their_type_are_refused_by_their_flag(opti
 def test_ctrl_c_prints_the_state_of_the_work(capsys):
     assert exit_code_of(_raising(KeyboardInterrupt()), "stopped; go on with --resume") == 130
     assert capsys.readouterr().err == "\nstopped; go on with --resume\n"
-
-
-def test_ctrl_c_lets_a_module_be_imported_first(tmp_path, monkeypatch):
-    """A compiled module that is interrupted while it starts may crash the process."""
-    (tmp_path / "slow_to_start.py").write_text("import signal\nsignal.raise_signal(signal.SIGINT)\nstarted = True\n")
-    monkeypatch.syspath_prepend(str(tmp_path))
-
-    def work():
-        importlib.import_module("slow_to_start")
-        time.sleep(60)
-
-    # Processes in the background of a script ignore SIGINT, which the tests must not.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        assert exit_code_of(work) == ExitCode.INTERRUPTED
-        assert sys.modules.pop("slow_to_start").started
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @pytest.mark.skipif(os.name != "posix", reason="pipes of other systems differ")

@@ -15,6 +15,7 @@ import trimesh
 from helpers import random_touches
 
 from i2t import dataset
+from i2t.cli.exit_codes import exit_code_of
 from i2t.collect import command, folder_notes, recorder, session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.devices import Devices
@@ -173,9 +174,11 @@ def test_a_dry_run_moves_nothing_and_writes_no_touch(tmp_path, rig, capsys):
 @pytest.mark.full
 def test_sigterm_stops_a_collection_and_keeps_everything(tmp_path, rig, capsys):
     args = CollectArgs(out=tmp_path / "stopped", lab=LabArgs(rig), touches=5, skip_first_touch=True)
-    with pytest.raises(SystemExit) as ended, command.exiting_on_signals():
-        session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
-    assert ended.value.code == 128 + signal.SIGTERM
+
+    def work() -> int:
+        return session.collect(begin(args), on_outcome=lambda _: os.kill(os.getpid(), signal.SIGTERM))
+
+    assert exit_code_of(work) == 128 + signal.SIGTERM
     assert len(dataset.load_dataset(tmp_path / "stopped")) == 1
     assert "the same command resumes the collection" in capsys.readouterr().out
 

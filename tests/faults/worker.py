@@ -11,7 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from i2t.cli.exit_codes import exit_code_of
-from i2t.collect.command import exiting_on_signals
 from i2t.collect.procedure import Procedure
 from i2t.collect.recorder import Recorder, list_touches, site_number_of
 from i2t.collect.settings import TouchSettings
@@ -50,5 +49,4 @@ def main(host: str, port: str, folder: str, touches: str, watchdog: str = "10") 
 
 
 if __name__ == "__main__":
-    with exiting_on_signals():
-        sys.exit(exit_code_of(lambda: main(*sys.argv[1:]), "stopped; the same command goes on"))
+    sys.exit(exit_code_of(lambda: main(*sys.argv[1:]), "stopped; the same command goes on"))

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 
 from i2t.files.kinds import METRES_PER_UNIT
-from i2t.objects import load_object, read_mesh
+from i2t.objects import load_mesh, load_object, read_mesh
+from i2t.objects.named import describe_placement
 from i2t.objects.solids import Mesh, transform_mesh
 
 BOX = (0.06, 0.04, 0.02)  # m
@@ -26,7 +27,7 @@ def test_units_and_formats(tmp_path, unit):
     for suffix in ("stl", "obj", "ply", "STL", *(["glb"] if unit == "m" else [])):
         path = tmp_path / f"part.{suffix}"
         box(1 / METRES_PER_UNIT[unit]).export(path, file_type=suffix.lower())
-        thing, report = read_mesh(path, unit)
+        thing, report = read_mesh(path, unit, up="z")
         assert (thing.name, thing.family) == ("part", "file")
         # STL and GLB store float32: 2^-24 of each coordinate.
         np.testing.assert_allclose(thing.mesh.vertices.max(0), [0.03, 0.02, 0.02], rtol=2**-23)
@@ -125,6 +126,28 @@ def test_gltf_is_in_metres_and_an_unusual_size_or_unit_is_doubted(tmp_path):
     box().export(tmp_path / "part.stl")
     with pytest.raises(ValueError, match=r"part.stl: its unit is missing; give it, for instance unit='mm'"):
         read_mesh(tmp_path / "part.stl")
+
+
+@pytest.mark.parametrize("suffix", ["glb", "gltf"])
+def test_gltf_has_y_up_by_its_standard(tmp_path, suffix):
+    """trimesh writes coordinates as they are, here with y up."""
+    path = tmp_path / f"part.{suffix}"
+    if suffix == "glb":
+        trimesh.creation.box((0.01, 0.02, 0.03)).export(path)
+    else:
+        for name, data in trimesh.exchange.gltf.export_gltf(trimesh.creation.box((0.01, 0.02, 0.03)).scene()).items():
+            (path if name == "model.gltf" else tmp_path / name).write_bytes(data)
+    for options, size in (
+        ({}, [0.01, 0.03, 0.02]),
+        ({"up": "y"}, [0.01, 0.03, 0.02]),
+        ({"up": "z"}, [0.01, 0.02, 0.03]),
+        ({"table": False}, [0.01, 0.02, 0.03]),  # in the file's own frame
+    ):
+        thing = read_mesh(path, **options)[0]
+        np.testing.assert_allclose(np.ptp(thing.mesh.vertices, axis=0), size, rtol=1e-6)
+        turned = "turned from y up to z up" in describe_placement(thing)
+        assert turned == (size[2] == 0.02)
+    np.testing.assert_allclose(load_mesh(path).vertices.max(0), [0.005, 0.015, 0.02], rtol=1e-6)
 
 
 def test_every_body_is_kept_but_a_stray_facet_is_dropped(tmp_path):

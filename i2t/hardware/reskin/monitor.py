@@ -20,6 +20,7 @@ import numpy as np
 
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Positive
+from i2t.cli.signals import ended_by_ctrl_c
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
@@ -85,7 +86,7 @@ def _run(args: Options) -> None:
     if note:
         print(note, flush=True)
     with contextlib.ExitStack() as stack:
-        stack.enter_context(contextlib.suppress(KeyboardInterrupt))  # Ctrl-C ends the tool
+        stack.enter_context(ended_by_ctrl_c())
         skin = stack.enter_context(ReSkin(args.port, args.baud, chips=chips))
         info = skin.info
         print(f"{info.port}  {skin.features.source}  {info.form}  {info.baud} baud  {info.description}".rstrip())

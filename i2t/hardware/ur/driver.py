@@ -36,8 +36,9 @@ from typing import IO, Any, Literal
 
 import numpy as np
 
+from i2t.cli.signals import ENDING_SIGNALS
 from i2t.errors import DeviceError
-from i2t.hardware.guarded import BRAKING_SIGNALS, PolledArm
+from i2t.hardware.guarded import PolledArm
 from i2t.hardware.limits import SAFETY, range_of
 from i2t.hardware.motion_limits import MotionLimits
 from i2t.hardware.protocols import ArmState
@@ -107,7 +108,7 @@ class UrArm(PolledArm):
     def __enter__(self) -> "UrArm":
         self.connect()
         if threading.current_thread() is threading.main_thread():
-            for number in BRAKING_SIGNALS:
+            for number in ENDING_SIGNALS:
                 self._handlers[number] = signal.signal(number, self._interrupted)
         return self
 
@@ -122,9 +123,11 @@ class UrArm(PolledArm):
     def _interrupted(self, number: int, frame: FrameType | None) -> None:
         self._stops += 1
         self.connection.request_stop()
-        if number == signal.SIGINT:
-            raise KeyboardInterrupt
-        sys.exit(128 + number)
+        before = self._handlers.get(number)
+        if callable(before):  # the handler of a command, or Python's own of Ctrl-C
+            before(number, frame)
+        else:
+            sys.exit(128 + number)
 
     def open_link(self) -> None:
         """Take control of the arm; raise DeviceError if another client has it, or the robot refuses or is silent."""
