@@ -299,8 +299,8 @@ def _combine_fits(fits: list[_Fit], height: np.ndarray, stated: float | None, co
     powers, from_top = config.power_range, 1e3 * (np.array([low, high]) - float(np.quantile(height, 0.99)))
     return Finding(
         FindingName.HEIGHT_ZERO,
-        f"Height zero is not identifiable to {1e3 * config.max_half_width_m:g} mm ({reason}): powers of {powers[0]:g} to "
-        f"{powers[1]:g} put first contact {from_top[0]:+.2f} to {from_top[1]:+.2f} mm from the highest press.",
+        f"Height zero is not identifiable to {1e3 * config.max_half_width_m:g} mm ({reason}): powers of {powers[0]:g} "
+        f"to {powers[1]:g} put first contact {from_top[0]:+.2f} to {from_top[1]:+.2f} mm from the highest press.",
         identifiable=False, estimate=zero, low=low, high=high, unit="m", evidence=evidence,
     )  # fmt: skip
 
