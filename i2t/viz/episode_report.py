@@ -30,8 +30,6 @@ from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
 
 EVIDENCE_SOURCES = {"reading": Colour.GREEN, "position": Colour.SKY, "presence": Colour.PINK}  # with their colours
-PANEL_IN = 0.9  # inch, edge of a panel
-BELIEF_IN = 1.45  # inch, width of the bars of the belief with their labels
 FONT = 8.5  # pt
 
 
@@ -136,14 +134,15 @@ def plot_episode(
     candidates = _shown_candidates(record.p, record.truth, max_candidates)
     scale = common_scale(record.readings)
     below = scene or record.evidence is not None
-    width = PANEL_IN * (1 + len(candidates)) + BELIEF_IN + 0.5
-    heights = [1.25 * PANEL_IN * len(touches) + 0.75] + [0.22 * len(touches) + 1.35] * below
+    widths = [0.9] * (1 + len(candidates)) + [1.45]  # inch, of the panels and of the belief with its labels
+    width = sum(widths) + 0.5
+    heights = [1.125 * len(touches) + 0.75] + [0.22 * len(touches) + 1.35] * below
     figure = Picture(figsize=(width, sum(heights) + 0.7), layout="constrained")
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    _draw_touches(parts[0], record, touches, candidates, scale)
+    _draw_touches(parts[0], record, touches, candidates, widths, scale)
     if below:
-        widths = [0.9] * scene + [1.0] * (record.evidence is not None)
-        columns = parts[1].subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
+        ratios = [0.9] * scene + [1.0] * (record.evidence is not None)
+        columns = parts[1].subfigures(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
         if scene:
             mesh = record.meshes[record.shown_candidate]
             draw_object(columns[0].subplots(), mesh.vertices, mesh.faces, record.T_w_t)
@@ -158,12 +157,16 @@ def plot_episode(
 
 
 def _draw_touches(
-    part: SubFigure, record: EpisodeRecord, touches: Sequence[int], candidates: Sequence[int], scale: float
+    part: SubFigure,
+    record: EpisodeRecord,
+    touches: Sequence[int],
+    candidates: Sequence[int],
+    widths: Sequence[float],
+    scale: float,
 ) -> None:
     """Draw a row for each touch: the reading, the patches of the candidates, and the belief after it."""
     depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
     colours = touch_colours(len(record.p))
-    widths = [1.0] * (1 + len(candidates)) + [BELIEF_IN / PANEL_IN]
     panels = part.subplots(len(touches), len(widths), width_ratios=widths, squeeze=False)
     for row, touch in enumerate(touches):
         measured, *patches, bars = panels[row]

@@ -17,8 +17,6 @@ from i2t.viz.scene import draw_number, draw_object, touch_colours
 from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
-MAX_COLUMNS = 6  # touches side by side
-
 
 def plot_predicted_touches(
     patches: Float[Array, "n rows columns"],
@@ -55,7 +53,7 @@ def plot_predicted_touches(
         The figure, which `save_figure` can write.
     """
     n, std = len(patches), std or {}
-    columns = min(n, MAX_COLUMNS)
+    columns = min(n, 6)
     rows = -(-n // columns)
     scale = common_scale(next(iter(sets.values())))
     edge = 1.27 if columns > 3 else 1.6  # inches, of a patch
