@@ -13,7 +13,6 @@ from i2t.installation import extra_advice
 
 # Operating-system errors that mean that the user gave a wrong path, not that the system failed.
 WRONG_PATH_ERRORS = (FileNotFoundError, FileExistsError, NotADirectoryError, IsADirectoryError, PermissionError)
-MIN_SIMILARITY = 0.7  # smallest similarity ratio by `difflib` at which a name counts as a misspelling of another
 # Characters that messages escape: control characters, line and paragraph separators, marks that reverse the direction
 # of writing, and lone surrogates.
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -160,5 +159,5 @@ def closest(name: str, names: Iterable[str]) -> str | None:
         The most similar name, ignoring case, or None if no name is similar.
     """
     spelled = {candidate.lower(): candidate for candidate in names}
-    close = difflib.get_close_matches(name.lower(), spelled, 1, MIN_SIMILARITY)
+    close = difflib.get_close_matches(name.lower(), spelled, 1, cutoff=0.7)
     return spelled[close[0]] if close else None

@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from i2t.prediction.predictor import Predictor
     from i2t.types import Board, Surface
 
-POOL = 64  # safe sites among which the touches are chosen
-PLACE_WEIGHT = 0.05  # weight of a distance as long as the object, relative to the largest depth of a patch
-
 
 @dataclass(frozen=True)
 class ImagineArgs:
@@ -133,14 +130,14 @@ def _board(args: ImagineArgs, predictor: "Predictor") -> "Board":
     return board
 
 
-def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: str) -> np.ndarray:
-    """Choose the sites whose patches differ most among random safe ones, as (n, 4, 4) tool poses on the object."""
+def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: str, pool: int = 64) -> np.ndarray:
+    """Choose the sites whose patches differ most among a pool of random safe ones, as (n, 4, 4) tool poses."""
     import jax
 
     from i2t.simulation.sites import collect_sites
 
     accepted, patches, refused = [], [], None
-    drawn = collect_sites(jax.random.key(args.seed), surface, max(POOL, args.sites), name=name, enough=args.sites)
+    drawn = collect_sites(jax.random.key(args.seed), surface, max(pool, args.sites), name=name, enough=args.sites)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the predictor warns about the chosen sites when they are rendered again
         for T in drawn:
@@ -157,16 +154,18 @@ def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: 
     return T_o_t[_most_different(np.stack(patches), kinds, T_o_t[:, :3, 3], args.sites)]
 
 
-def _most_different(patches: np.ndarray, kinds: list[str], points: np.ndarray, n: int) -> list[int]:
+def _most_different(
+    patches: np.ndarray, kinds: list[str], points: np.ndarray, n: int, weight: float = 0.05
+) -> list[int]:
     """Choose n of the (m, rows, columns) patches (m) of m kinds at (m, 3) points (m): first the flattest, and then one
     by one the patch that differs most from all chosen ones, of another kind if there is one.
 
-    Patches are compared by their sorted depths, which do not change when the skin turns about its normal. Distances on
-    the object count a little, so that equal patches are spread out.
+    Patches are compared by their sorted depths, which do not change when the skin turns about its normal. A distance as
+    long as the object counts as `weight` times the largest depth of a patch, so that equal patches are spread out.
     """
     depths, deepest = np.sort(patches.reshape(len(patches), -1), axis=1), max(float(patches.max()), 1e-6)
     is_kind = np.equal.outer(kinds, sorted(set(kinds)))
-    spread = PLACE_WEIGHT / max(float(np.ptp(points, axis=0).max()), 1e-9)
+    spread = weight / max(float(np.ptp(points, axis=0).max()), 1e-9)
     features = np.hstack([depths / np.sqrt(depths.shape[1]), deepest * is_kind, deepest * spread * points])
     chosen = [int(depths.mean(1).argmin())]
     while len(chosen) < n:

@@ -21,8 +21,6 @@ from scipy.linalg import lapack
 Array: TypeAlias = Any  # a NumPy or JAX array
 
 STDS_WITHIN_90 = 1.645  # half width, in standard deviations, of the interval that holds 90 % of a normal distribution
-# Largest number of rows of matrices that NumPy inverts faster as a stack than LAPACK inverts one by one.
-MAX_BATCHED_SIZE = 40
 UNINFORMED_VARIANCE = 1e6  # variance predicted where rounding left a matrix that is not positive definite
 
 
@@ -125,7 +123,7 @@ def inverses(matrices: Float[np.ndarray, "groups n n"], *, failed: float) -> Flo
     Returns:
         `(groups, n, n)` inverses.
     """
-    if matrices.shape[1] <= MAX_BATCHED_SIZE:
+    if matrices.shape[1] <= 40:  # NumPy inverts a stack of small matrices faster than LAPACK one by one
         with contextlib.suppress(np.linalg.LinAlgError):
             return np.linalg.inv(matrices)
     return np.stack([_inverse(matrix, failed) for matrix in matrices])

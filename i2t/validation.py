@@ -16,8 +16,6 @@ from i2t.patches.dimensions import LAST_ROW_TOLERANCE, MAX_POSE_M, MAX_SKIN_FORC
 
 ROUND_TIPS = ("sphere", "cylinder")  # shapes of indenters that are given by a radius
 MIN_TIP_RADIUS_MM = 0.1  # mm, smallest accepted radius of a round tip; a smaller one was probably given in metres
-# mm, largest accepted radius of a round tip; on a skin of 20 mm, a larger one is flat to 0.5 mm
-MAX_TIP_RADIUS_MM = 100.0
 
 
 def is_traced(*values: Any) -> bool:
@@ -209,12 +207,12 @@ def random_key(name: str, value: Any) -> None:
         raise TypeError(f"{name}: is {_short(value)}, not a random key; give jax.random.key(0)")
 
 
-def round_tip(text: str, largest_mm: float = MAX_TIP_RADIUS_MM) -> tuple[str, float]:
+def round_tip(text: str, largest_mm: float = 100.0) -> tuple[str, float]:
     """Parse the shape and radius of a round indenter from a text such as `sphere:4`.
 
     Args:
         text: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm; case does not matter.
-        largest_mm: Largest plausible radius in mm.
+        largest_mm: Largest plausible radius in mm; one of the default radius is flat to 0.5 mm on a skin of 20 mm.
 
     Returns:
         The shape, "sphere" or "cylinder", and the radius in mm.

@@ -47,19 +47,19 @@ def patch_distance(a: np.ndarray, b: np.ndarray) -> float:
 @pytest.mark.full
 def test_chosen_sites_differ_more_than_random_ones():
     surface = prepare_surface(make_object("hammer").mesh)
-    T_o_t = collect_sites(jax.random.key(0), surface, imagine.POOL)
+    T_o_t = collect_sites(jax.random.key(0), surface, 64)
     patches = np.stack([render_patch(surface, T).depth for T in T_o_t])
     kinds = [kind(patch) for patch in patches]
     chosen = imagine._most_different(patches, kinds, T_o_t[:, :3, 3], 4)
     assert len({kinds[i] for i in chosen}) == 4
     least = [
         min(patch_distance(patches[i], patches[j]) for i, j in combinations(sites, 2))
-        for sites in (chosen, *np.random.default_rng(0).permutation(imagine.POOL).reshape(-1, 4))
+        for sites in (chosen, *np.random.default_rng(0).permutation(64).reshape(-1, 4))
     ]
     assert least[0] > max(least[1:])
     assert imagine._most_different(patches, kinds, T_o_t[:, :3, 3], 4) == chosen
-    everything = imagine._most_different(patches, kinds, T_o_t[:, :3, 3], imagine.POOL)
-    assert sorted(everything) == list(range(imagine.POOL))
+    everything = imagine._most_different(patches, kinds, T_o_t[:, :3, 3], 64)
+    assert sorted(everything) == list(range(64))
 
 
 def test_equal_patches_are_spread_over_the_object():

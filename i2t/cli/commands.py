@@ -62,7 +62,6 @@ EXPERIMENTS = {
 }
 FLAGS = ("--all", "--versions", "--help", "-h")
 COMPLETION = "--tyro-write-completion"
-SHELLS = ("bash", "zsh")
 
 
 def main(argv: Sequence[str] | None = None, *, program: str = "i2t") -> int:
@@ -139,10 +138,8 @@ def _explain_wrong(words: list[str], program: str) -> str:
 
 def _write_completion(words: list[str]) -> None:
     """Write the script with which a shell completes the sub-commands and their options."""
-    if len(words) != 3 or words[1] not in SHELLS:
-        raise ValueError(
-            f"{COMPLETION} takes a shell and a file; give {', '.join(SHELLS[:-1])} or {SHELLS[-1]}, and a file"
-        )
+    if len(words) != 3 or words[1] not in ("bash", "zsh"):
+        raise ValueError(f"{COMPLETION} takes a shell and a file; give bash or zsh, and a file")
     import tyro
 
     Path(words[2]).parent.mkdir(parents=True, exist_ok=True)

@@ -11,7 +11,6 @@ NOTES_FILE = ".collection.json"
 TOUCH_FILES = "touch-*.h5"  # pattern of the names of touches in a collection's folder
 MIN_FREE_BYTES = 50 * 2**20  # required space on its disk, enough for a hundred touches
 # Visible files of a data set that are not touches.
-OTHER_FILES = ("README.md", "index.json")
 
 
 def check_out(out: Path) -> None:
@@ -36,7 +35,7 @@ def check_out(out: Path) -> None:
             "some space, or choose another --out"
         )
     names = [file.name for file in out.iterdir() if file.is_file()] if out.is_dir() else []
-    visible = sorted(name for name in names if not name.startswith(".") and name not in OTHER_FILES)
+    visible = sorted(name for name in names if not name.startswith(".") and name not in ("README.md", "index.json"))
     foreign = [name for name in visible if not Path(name).match(TOUCH_FILES)]
     if foreign:
         raise DataError(f"--out {out}: holds {foreign[0]}, which no collection wrote; move it, or choose another --out")

@@ -34,10 +34,8 @@ from i2t.objects.named import read_objects, require_objects
 
 if TYPE_CHECKING:
     from i2t.dataset import Dataset, Split
+    from i2t.prediction.metrics import PredictorScore
     from i2t.skin_models.pad_model import KnownPad
-
-KIND = "FitArgs"  # name of the options in config.json
-PICTURE = "agreement.png"
 
 
 @dataclass(frozen=True)
@@ -110,9 +108,9 @@ def _fit(args: FitArgs) -> None:
         print(printable(describe(pad_model)))
         pad_model.save(args.out / PAD_MODEL)
     write_training(FinishedRun(args.out, None, {KEPT: about["method"]}, reason))
-    _draw(args, score)
+    picture = _draw(args, score)
     write_json(args.out / METRICS, metrics | {"seconds": round(time.perf_counter() - started, 1)})
-    print(f"\nwrote {args.out}: the predictor{'' if reason else ', the pad model'}, {METRICS} and {PICTURE}")
+    print(f"\nwrote {args.out}: the predictor{'' if reason else ', the pad model'}, {METRICS} and {picture.name}")
     print(f"next: i2t imagine star --model {args.out}")
     if reason is None:
         print(f"      i2t recognize {args.dataset} --pad-model {args.out}")
@@ -133,7 +131,7 @@ def _check(args: FitArgs) -> None:
         kind = read_json(args.out / CONFIG, 2**20).get("kind")
     except (OSError, ValueError, AttributeError):
         kind = None
-    if kind != KIND:
+    if kind != FitArgs.__name__:
         raise ValueError(f"--out {args.out}: is not empty and holds no earlier fit; name another folder")
     if not args.overwrite:
         raise ValueError(f"--out {args.out}: holds an earlier fit; pass --overwrite, or name another folder")
@@ -159,7 +157,7 @@ def _pad_model(args: FitArgs, dataset: "Dataset", split: "Split") -> "KnownPad |
         return str(error)
 
 
-def _draw(args: FitArgs, score: Any) -> None:
+def _draw(args: FitArgs, score: "PredictorScore") -> Path:
     from i2t import viz
     from i2t.dataset import holds_simulated
 
@@ -167,14 +165,14 @@ def _draw(args: FitArgs, score: Any) -> None:
         score.measured.ravel(), score.predicted.mean.ravel(), score.predicted.std.ravel(),
         f"{score.touches} held-out touches, R² {score.r2.mean:.2f}", holds_simulated(score.source),
     )  # fmt: skip
-    viz.save_figure(figure, args.out / PICTURE)
+    return viz.save_figure(figure, args.out / "agreement.png")
 
 
 def _config(args: FitArgs) -> dict[str, Any]:
     """Collect the options and the versions of packages."""
     options = {name: value for name, value in asdict(args).items() if name not in ("out", "overwrite")}
     packages = {name: version(name) for name in ("jax", "flax", "optax", "numpy")}
-    return {"kind": KIND, "args": options, "versions": {"python": platform.python_version(), **packages}}
+    return {"kind": FitArgs.__name__, "args": options, "versions": {"python": platform.python_version(), **packages}}
 
 
 main = command(FitArgs, _fit, program="i2t fit", description=docstring_of("i2t.commands.fit"))

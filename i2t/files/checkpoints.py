@@ -9,7 +9,6 @@ from typing import Any
 
 from i2t.files.reading import read_json
 
-MAX_METADATA_BYTES = 2**26  # bytes, largest accepted metadata file of a checkpoint
 _METADATA_FILE = "_CHECKPOINT_METADATA"  # file in which Orbax keeps a checkpoint's metadata
 
 
@@ -40,5 +39,5 @@ def custom_metadata(folder: Path) -> dict[str, Any]:
         KeyError: The checkpoint holds no metadata of a program.
         TypeError: The file holds something else than a checkpoint's metadata.
     """
-    metadata: dict[str, Any] = read_json(folder / _METADATA_FILE, MAX_METADATA_BYTES)["custom_metadata"]
+    metadata: dict[str, Any] = read_json(folder / _METADATA_FILE, 2**26)["custom_metadata"]
     return metadata

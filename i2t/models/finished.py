@@ -28,7 +28,6 @@ CONFIG, METRICS = "config.json", "metrics.json"
 TRAINING, PAD_MODEL, CHECKPOINTS, TOUCHES, PAD = "training.json", "pad_model.npz", "checkpoint", "data.h5", "pad.npz"
 KEPT, ON_PRESSURE = "predictor", "on_pressure"  # folders in CHECKPOINTS
 FORMER_NAMES = {"--trained-run": "--pad-model", "--pad": "--pad-model"}  # for options that name a run or a pad model
-RUN_KINDS = ("TrainArgs", "FitArgs")  # options, by their names in config.json, of the commands that make runs
 
 
 @dataclass(frozen=True)
@@ -233,7 +232,7 @@ def _why_no_run(folder: Path, first: Path) -> str:
         kind = json.loads((folder / CONFIG).read_text()).get("kind")
     except (OSError, ValueError, AttributeError):  # missing, or of another program
         kind = None
-    if kind not in (None, *RUN_KINDS):
+    if kind not in (None, "TrainArgs", "FitArgs"):
         return f"holds a run of another command ({kind}); name a folder that {training_command()} wrote"
     if (first / METRICS).exists():
         return ""

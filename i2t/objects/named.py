@@ -73,9 +73,8 @@ def units_of(names: Sequence[str], unit: str | None) -> list[str | None]:
     """
     split_names = [split_unit(name) for name in names]
     suffixes = [Path(file).suffix.lower() if own is None else "" for file, own in split_names]
-    metres = [suffix in METRE_SUFFIXES for suffix in suffixes]
-    needed = any(suffix in MESH_SUFFIXES and not known for suffix, known in zip(suffixes, metres, strict=True))
-    return [None if known and needed else unit for known in metres]
+    needed = any(suffix in MESH_SUFFIXES and suffix not in METRE_SUFFIXES for suffix in suffixes)
+    return [None if needed and suffix in METRE_SUFFIXES else unit for suffix in suffixes]
 
 
 def require_object(name: str, unit: str | None, *, flag: str = "", catalogue: bool = True) -> None:

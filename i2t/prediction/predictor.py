@@ -50,8 +50,6 @@ from i2t.types import Board, Surface
 
 PREDICTOR_FORMAT = "i2t predictor"  # name of the format in the description of a saved predictor
 PREDICTOR_VERSION = 5  # version of the format of predictors that is written
-# versions of the format of predictors that are read; version 4 called travel depth
-READ_VERSIONS = (4, PREDICTOR_VERSION)
 
 Values: TypeAlias = int | float | Sequence[int | float] | np.ndarray | Array  # one for all touches, or one for each
 
@@ -497,7 +495,7 @@ def _description(directory: Path, hint: str) -> dict[str, Any]:
         raise CheckpointError(
             f"{directory} holds no predictor of this i2t; name the folder that `{training_command()}` wrote{hint}"
         ) from error
-    if version not in READ_VERSIONS:
+    if version not in (4, PREDICTOR_VERSION):  # version 4 called travel depth
         raise CheckpointError(
             f"{directory} holds a predictor of version {version}, but this i2t reads version {PREDICTOR_VERSION}; use "
             f"the i2t that wrote it, or train again: {training_command()}"

@@ -11,9 +11,7 @@ from i2t.types import ReturnCode, Touches
 
 SplitKind: TypeAlias = Literal["auto", "object", "session", "block", "time"]
 
-BLOCK_M = 6e-3  # m, edge of the spatial blocks in which presses on one object are held out
 MIN_SPLIT_BLOCKS = 12  # minimum number of spatial blocks for holding out blocks
-REMEDIES = {"object": "touches of other objects", "session": "other sessions", "block": "touches at other places"}
 
 
 def choose_split(
@@ -23,7 +21,7 @@ def choose_split(
     seed: int = 0,
     names: tuple[Sequence[str], Sequence[str]] | None = None,
     rows: np.ndarray | None = None,
-    block: float = BLOCK_M,
+    block: float = 6e-3,
     min_touches: int = 2,
 ) -> Split:
     """Hold out objects, sessions, spatial blocks or the last touches in time, for validation and for the test.
@@ -78,11 +76,12 @@ def choose_split(
         held = holdout_last(dataset, 0.2)
         tuning = holdout_last(dataset, 0.3) & ~held
     split = Split(usable & ~held & ~tuning, usable & tuning & ~held, usable & held, groups, kind)
+    missing = {"object": "touches of other objects", "session": "other sessions", "block": "touches at other places"}
     for part in ("train", "validation", "test"):
         if (count := int(getattr(split, part).sum())) < min_touches:
             raise DataError(
                 f"of {int(usable.sum())} usable touches, splitting by {kind} leaves {count} to {part}, which needs "
-                f"{min_touches}; choose another --split, or add {REMEDIES.get(kind, 'touches')}"
+                f"{min_touches}; choose another --split, or add {missing.get(kind, 'touches')}"
             )
     return split
 
@@ -94,7 +93,7 @@ def touches_with_contact(touches: Touches) -> np.ndarray:
         touches: n touches.
 
     Returns:
-        `(n,)` mask.
+        `(n,)` mask of the touches with contact.
     """
     return ~np.isin(touches.code, [ReturnCode.FAILED, ReturnCode.AIR])
 

@@ -178,12 +178,12 @@ class RecognizedSessions:
             Lines of text: the number of sessions, notes, the table, and the rate of recognition.
         """
         count, touches = self.probability.shape[:2]
-        known = np.isin(self.touched, self.names)
+        is_candidate = np.isin(self.touched, self.names)
         rows = [("session", "object", "most probable", "probability")]
         rows += [
             (session, touched if among else f"{touched} (no candidate)", name, f"{probability:.2f}")
             for session, touched, among, name, probability in zip(
-                self.sessions, self.touched, known, self.recognized, self.probability[:, -1].max(-1), strict=True
+                self.sessions, self.touched, is_candidate, self.recognized, self.probability[:, -1].max(-1), strict=True
             )
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -192,8 +192,8 @@ class RecognizedSessions:
             table[1 + max_sessions :] = [f"... {count - max_sessions} more"]
         title = f"{count} sessions of {touches} touches, {len(self.names)} objects ({source_phrase(self.source)})"
         lines = [title, *(f"note: {note}" for note in self.notes), *table]
-        if known.any():
-            right = np.array(self.recognized)[known] == np.array(self.touched)[known]
+        if is_candidate.any():
+            right = np.array(self.recognized)[is_candidate] == np.array(self.touched)[is_candidate]
             rate, low, high = rate_interval(right.astype(float))
             chance = f"chance {1 / len(self.names):.2f}"
             lines.append(f"recognised {right.sum()} of {len(right)}: {rate:.2f} [{low:.2f}, {high:.2f}], {chance}")

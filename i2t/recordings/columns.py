@@ -31,7 +31,6 @@ TARGET_COLUMNS: Mapping[str, tuple[str, ...]] = {
 # table columns of the position and the travel of a press
 PLACE_COLUMNS = (*TARGET_COLUMNS["position"], *TARGET_COLUMNS["travel"])
 HEIGHT_COLUMNS = ("z_mm", "height_mm")  # table columns that hold the height of the tip instead of a travel
-STEM_SYNONYMS = {"depth": "travel"}  # other names of quantities in users' tables, and i2t's names
 # table columns of the force, the time and the source (real or simulated)
 FORCE_COLUMN, TIME_COLUMN, SOURCE_COLUMN = "force_N", "time_s", "source"
 NAME_COLUMNS = ("pad", "session")  # table columns that hold names
@@ -206,7 +205,7 @@ def library_name(name: str) -> tuple[str, float]:
     if plain in UNITLESS_COLUMNS:
         return plain, 1.0
     stem, _, unit = plain.lstrip("%").rpartition("_")
-    stem = "time" if stem in TIME_NAMES else STEM_SYNONYMS.get(stem, stem)
+    stem = "time" if stem in TIME_NAMES else {"depth": "travel"}.get(stem, stem)
     quantity = _quantity_of(stem)
     if quantity is None:
         return name, 1.0

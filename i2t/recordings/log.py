@@ -12,7 +12,6 @@ from i2t.errors import DataError
 if TYPE_CHECKING:
     from i2t.recordings.diagnose.findings import Finding
 
-MAX_BRIEF_CHANGES = 3  # maximum number of lines on changes in `ReadingLog.brief`
 ZERO_AMBIENT = "ambient is zero in every row: nothing is subtracted"  # note if a log's ambient field is zero
 
 
@@ -171,16 +170,19 @@ class ReadingLog:
         """
         return [*self.lines, *self._counts()]
 
-    def brief(self) -> list[str]:
+    def brief(self, *, max_changes: int = 3) -> list[str]:
         """List what was changed, left out or is doubtful, in a few lines.
+
+        Args:
+            max_changes: Maximum number of lines on changes.
 
         Returns:
             The first sentence on each change, with the number of further ones, and one line on all doubts.
         """
         changes = [_first_of(lines) for lines in self.changes.values()] + self._counts()
-        if len(changes) > MAX_BRIEF_CHANGES:
-            topics = ", ".join([*self.changes, *self._counts()][MAX_BRIEF_CHANGES - 1 :])
-            changes = [*changes[: MAX_BRIEF_CHANGES - 1], f"also changed or left out: {topics}"]
+        if len(changes) > max_changes:
+            topics = ", ".join([*self.changes, *self._counts()][max_changes - 1 :])
+            changes = [*changes[: max_changes - 1], f"also changed or left out: {topics}"]
         if len(self.doubts) > 1:
             return [*changes, f"doubtful: {', '.join(self.doubts)}"]
         return [*changes, *map(_first_of, self.doubts.values())]

@@ -27,10 +27,6 @@ from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.registration.estimate import PoseEstimate
 
-# Residual, in scales, beyond which Tukey's biweight is zero; it gives 95 % efficiency on normal residuals.
-BIWEIGHT_CUTOFF = 4.685
-STD_PER_MAD = 1.4826  # ratio of the standard deviation of a normal distribution to its median absolute deviation
-
 
 @dataclass(frozen=True)
 class DepthRegistrationConfig:
@@ -221,7 +217,7 @@ def _pairs(scene: _Scene, T_w_o: np.ndarray, reach: float, config: DepthRegistra
     residual = np.sum(n * (points - scene.samples[index]), axis=1)
     jacobian = -np.concatenate([n, np.cross(points, n) / TWIST_LEVER_M], axis=1)
     scale = _residual_scale(residual[near], config)
-    ratio = residual / (BIWEIGHT_CUTOFF * scale)
+    ratio = residual / (4.685 * scale)  # the cutoff of Tukey's biweight for 95 % efficiency on normal residuals
     weight = np.where(near & (np.abs(ratio) < 1), (1 - ratio**2) ** 2, 0.0)
     return _Pairs(residual, jacobian, weight, near, scene.points_per_measurement * scale**2)
 
@@ -235,4 +231,5 @@ def _residual_scale(residual: np.ndarray, config: DepthRegistrationConfig) -> fl
     """Estimate the standard deviation (m) of the residuals from their median absolute value."""
     if not len(residual):
         return config.final_reach
-    return max(STD_PER_MAD * float(np.median(np.abs(residual))), config.min_residual_scale)
+    # The standard deviation of a normal distribution is 1.4826 times its median absolute deviation.
+    return max(1.4826 * float(np.median(np.abs(residual))), config.min_residual_scale)

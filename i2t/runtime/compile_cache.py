@@ -26,8 +26,6 @@ log = logging.getLogger(__name__)
 # environment variable with the folder of i2t's compile cache; off disables the cache
 CACHE_VARIABLE = "I2T_COMPILE_CACHE"
 JAX_CACHE_VARIABLE = "JAX_COMPILATION_CACHE_DIR"  # environment variable with JAX's own choice of the folder
-# environment variable with the lowest level that the log of XLA shows (2: errors, 3: fatal errors), read once by jaxlib
-XLA_LOG_VARIABLE = "TF_CPP_MIN_LOG_LEVEL"
 # bytes, size of one processor's cache folder beyond which JAX deletes the least recently used programs; small, because
 # JAX scans the folder whenever it stores a program
 MAX_CACHE_BYTES = 2**28
@@ -45,8 +43,8 @@ def use_compile_cache() -> Path | None:
     Example:
         i2t.use_compile_cache()
     """
-    if "jax" not in sys.modules:  # afterwards the level is JAX's and fixed
-        os.environ.setdefault(XLA_LOG_VARIABLE, "3")
+    if "jax" not in sys.modules:  # jaxlib reads the lowest level that XLA's log shows once
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")  # only fatal errors
     requested = os.environ.get(CACHE_VARIABLE, "")
     if requested.lower() in ("off", "0", "no", "false") or os.environ.get(JAX_CACHE_VARIABLE):
         return None

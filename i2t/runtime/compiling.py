@@ -33,7 +33,6 @@ _traced: set[type] = {float}  # types of traced fields, including configurations
 # optimisation
 QUICK_OPTIONS = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": 2}
 
-ANNOUNCE_AFTER_S = 1.0  # s of compilation after which it is announced; reading a program from the cache takes less
 # Events of `jax.monitoring`. JAX records a scalar when it begins to compile a program and a duration at the end, and
 # another event in between if the program comes from the cache.
 COMPILE_EVENT, CACHE_HIT_EVENT = "/jax/core/compile/backend_compile_duration", "/jax/compilation_cache/cache_hits"
@@ -155,7 +154,7 @@ def _announce(name: str) -> None:
 def _on_begin(event: str, value: float, **about: Any) -> None:
     name = str(about.get("fun_name")).removeprefix("jit(").removesuffix(")")
     if event == COMPILE_EVENT and name in _slow_programs:
-        timer = threading.Timer(ANNOUNCE_AFTER_S, _announce, (name,))
+        timer = threading.Timer(1.0, _announce, (name,))  # s; reading a program from the cache takes less
         timer.daemon = True
         _announcements[threading.get_ident()] = timer
         timer.start()

@@ -8,7 +8,6 @@ writes `story.png`, a page with a row for each touch and the object with its tou
 pixels.
 """
 
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -26,12 +25,10 @@ from i2t.rendering.render import prepare_surface, render_patch, stack_surfaces
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_patch
 from i2t.viz.scene import draw_object, touch_colours
-from i2t.viz.skins import common_scale, draw_reading, draw_skin, scale_legend
+from i2t.viz.skins import common_scale, draw_key, draw_reading, draw_skin
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
 
 EVIDENCE_SOURCES = {"reading": Colour.GREEN, "position": Colour.SKY, "presence": Colour.PINK}  # with their colours
-PANEL_IN = 0.9  # inch, edge of a panel
-BELIEF_IN = 1.45  # inch, width of the bars of the belief with their labels
 FONT = 8.5  # pt
 
 
@@ -136,34 +133,39 @@ def plot_episode(
     candidates = _shown_candidates(record.p, record.truth, max_candidates)
     scale = common_scale(record.readings)
     below = scene or record.evidence is not None
-    width = PANEL_IN * (1 + len(candidates)) + BELIEF_IN + 0.5
-    heights = [1.25 * PANEL_IN * len(touches) + 0.75] + [0.22 * len(touches) + 1.35] * below
-    figure = Picture(figsize=(width, sum(heights) + 0.7), layout="constrained")
+    widths = [0.9] * (1 + len(candidates)) + [1.45]  # inch, of the panels and of the belief with its labels
+    width = sum(widths) + 0.5
+    heights = [1.125 * len(touches) + 0.75, *([0.22 * len(touches) + 1.35] * below), 0.5]
+    figure = Picture(figsize=(width, sum(heights) + 0.3), layout="constrained")
     parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    _draw_touches(parts[0], record, touches, candidates, scale)
+    measured = _draw_touches(parts[0], record, touches, candidates, widths, scale)
+    draw_key(parts[-1].subplots(), measured, record.board, scale, numbers=False)
     if below:
-        widths = [0.9] * scene + [1.0] * (record.evidence is not None)
-        columns = parts[1].subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
+        ratios = [0.9] * scene + [1.0] * (record.evidence is not None)
+        columns = parts[1].subfigures(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
         if scene:
             mesh = record.meshes[record.shown_candidate]
             draw_object(columns[0].subplots(), mesh.vertices, mesh.faces, record.T_w_t)
         if record.evidence is not None:
             _draw_evidence(columns[-1].subplots(), record, touches)
-    legend = textwrap.fill(
-        f"measured: {scale_legend(record.board, scale)}".replace(" = ", "\N{NO-BREAK SPACE}=\N{NO-BREAK SPACE}"),
-        int(15 * width),
-    )
-    figure.suptitle(f"{record.headline}\n{legend}", fontsize=FONT)
+    figure.suptitle(record.headline, fontsize=FONT)
     return figure
 
 
 def _draw_touches(
-    part: SubFigure, record: EpisodeRecord, touches: Sequence[int], candidates: Sequence[int], scale: float
-) -> None:
-    """Draw a row for each touch: the reading, the patches of the candidates, and the belief after it."""
+    part: SubFigure,
+    record: EpisodeRecord,
+    touches: Sequence[int],
+    candidates: Sequence[int],
+    widths: Sequence[float],
+    scale: float,
+) -> Axes:
+    """Draw a row for each touch: the reading, the patches of the candidates, and the belief after it.
+
+    The axes of the first reading are returned.
+    """
     depth, nearest = _render_candidates([record.meshes[i] for i in candidates], record.T_w_t[touches])
     colours = touch_colours(len(record.p))
-    widths = [1.0] * (1 + len(candidates)) + [BELIEF_IN / PANEL_IN]
     panels = part.subplots(len(touches), len(widths), width_ratios=widths, squeeze=False)
     for row, touch in enumerate(touches):
         measured, *patches, bars = panels[row]
@@ -182,6 +184,7 @@ def _draw_touches(
     bar = part.colorbar(image, ax=panels[:, :-1].ravel().tolist(), location="bottom", shrink=0.6, aspect=30, pad=0.02)
     bar.set_label("depth behind the nearest point (mm)", fontsize=FONT)
     bar.ax.tick_params(labelsize=FONT)
+    return panels[0, 0]
 
 
 def _draw_evidence(axes: Axes, record: EpisodeRecord, touches: Sequence[int]) -> None:

@@ -70,9 +70,7 @@ def object_plotter(vertices: Float[Array, "v 3"], faces: Int[Array, "f 3"], T_o_
     with pv.vtk_verbosity("error"):  # VTK warns about a missing display, which it does not need
         plotter: Any = pv.Plotter(off_screen=True, window_size=[900, 700], lighting="three lights")
         plotter.add_mesh(body, color="#d9d9d9", split_sharp_edges=True, smooth_shading=True)
-        for number, (T, colour) in enumerate(
-            zip(np.asarray(T_o_t, np.float64), touch_colours(len(T_o_t)), strict=True), 1
-        ):
+        for number, (T, colour) in enumerate(zip(T_o_t, touch_colours(len(T_o_t)), strict=True), 1):
             origin = T[:3, 3] * MM_PER_M
             square = pv.PolyData(corners @ T[:3, :3].T + origin, [4, 3, 2, 1, 0])  # lifted off the surface
             plotter.add_mesh(square, color=colour, opacity=0.55, lighting=False)

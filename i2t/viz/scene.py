@@ -14,6 +14,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import PAD_WINDOW
@@ -23,11 +24,7 @@ from i2t.types import Array, Surface
 from i2t.viz.style import Colour, Picture, titled
 
 PIXELS = 640  # pixels along the edge of a picture
-FROM = (-0.6, -1.0, 1.0)  # direction from the object to the observer; its rotations about z are tried
-COARSE = 5  # step of the pixels at which the visible area of a square is counted
-LIFT_M = 1e-3  # m, distance of the drawn squares from the skin, which is in the object at the end of a press
 PIN = 0.1  # length of a pin and least distance of numbers, relative to the picture
-CREASE = np.cos(np.radians(25.0))  # cosine of the angle between normals above which no line is drawn
 
 
 def touch_colours(touches: int) -> Float[np.ndarray, "touches 3"]:
@@ -164,10 +161,8 @@ class _View(NamedTuple):
 
     @classmethod
     def around(cls, vertices: np.ndarray, T_o_t: np.ndarray, turn: float) -> "_View":
-        """Look at the object and its squares, turned about z."""
-        forward = -np.asarray(FROM) / np.linalg.norm(FROM)
-        cos, sin = np.cos(turn), np.sin(turn)
-        forward = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]]) @ forward
+        """Look at the object and its squares from the front, the left and above, turned about z (rad)."""
+        forward = Rotation.from_rotvec([0, 0, turn]).apply(np.array([0.6, 1.0, -1.0]) / np.sqrt(2.36))
         right = np.cross(forward, [0.0, 0.0, 1.0])
         right /= np.linalg.norm(right)
         rotation = np.stack([right, np.cross(forward, right), forward])
@@ -206,15 +201,18 @@ class _View(NamedTuple):
         return (seen[:, :2] + 0.5) * PIXELS - 0.5
 
 
-def _square(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of the visible part of a touch's square, and those of its edge, which may be hidden."""
+def _square(view: _View, heights: np.ndarray, T_o_t: np.ndarray, lift: float = 1e-3) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels of the visible part of a touch's square, and those of its edge, which may be hidden.
+
+    The square is drawn at a lift (m) from the skin, which is in the object at the end of a press.
+    """
     at = (np.arange(0, PIXELS, PIXELS // len(heights)) + 0.5) / PIXELS - 0.5
     x, y, normal = (view.rotation @ T_o_t[:3, :3]).T
     u, v = (at[None, :] - view.shift[0]) / view.scale, (at[:, None] - view.shift[1]) / view.scale
     if abs(normal[2]) < 0.03:  # edge on
         nothing = np.zeros(heights.shape, bool)
         return nothing, nothing
-    middle = view.rotation @ T_o_t[:3, 3] - LIFT_M * normal
+    middle = view.rotation @ T_o_t[:3, 3] - lift * normal
     u, v = u - middle[0], v - middle[1]
     w = -(normal[0] * u + normal[1] * v) / normal[2]
     off = PAD_WINDOW / 2 - np.maximum(*(np.abs(axis[0] * u + axis[1] * v + axis[2] * w) for axis in (x, y)))
@@ -223,14 +221,16 @@ def _square(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> tuple[np.nda
     return visible, inside & (off < max(0.7e-3, 2.5 * view.pixel_m))
 
 
-def _seen_shares(view: _View, heights: np.ndarray, T_o_t: np.ndarray) -> np.ndarray:
-    """Visible area of each square, relative to its area."""
-    areas = [_square(view, heights[::COARSE, ::COARSE], T)[0].sum() * (COARSE * view.pixel_m) ** 2 for T in T_o_t]
+def _seen_shares(view: _View, heights: np.ndarray, T_o_t: np.ndarray, step: int = 5) -> np.ndarray:
+    """Visible area of each square, relative to its area, from every `step`-th pixel."""
+    areas = [_square(view, heights[::step, ::step], T)[0].sum() * (step * view.pixel_m) ** 2 for T in T_o_t]
     return np.array(areas) / PAD_WINDOW**2
 
 
-def _shade(heights: np.ndarray) -> np.ndarray:
-    """Grey picture of a surface: shaded by its normals, with lines at its creases and outlines."""
+def _shade(heights: np.ndarray, crease: float = np.radians(25.0)) -> np.ndarray:
+    """Grey picture of a surface: shaded by its normals, with lines at its outlines and at its creases, where normals
+    differ by more than `crease` (rad).
+    """
     hit = np.isfinite(heights)
     z = np.where(hit, heights, 10.0) * PIXELS  # pixels
     slopes, jumps = zip(*(_slope(z, axis) for axis in (0, 1)), strict=True)
@@ -241,8 +241,8 @@ def _shade(heights: np.ndarray) -> np.ndarray:
     grey = np.where(hit, 0.42 + 0.36 * bright, 1.0)
     line = jumps[0] | jumps[1]
     for axis in (0, 1):
-        crease = (normal * np.roll(normal, 1, axis)).sum(-1) < CREASE
-        line |= crease & hit & np.roll(hit, 1, axis)
+        sharp = (normal * np.roll(normal, 1, axis)).sum(-1) < np.cos(crease)
+        line |= sharp & hit & np.roll(hit, 1, axis)
     grey = np.where(line & _grown(hit), np.minimum(grey, 0.35), grey)
     return np.repeat(grey[..., None], 3, axis=-1)
 

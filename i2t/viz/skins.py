@@ -120,6 +120,21 @@ def draw_chip_numbers(axes: Axes, board: Board) -> None:
         )  # fmt: skip
 
 
+def key_layout(width: float, sets: Sequence[str] = (), *, std: bool = False) -> tuple[int, float]:
+    """Choose the number of entries in a row of `draw_key`, and its height.
+
+    Args:
+        width: Width (inch) of the room for the key.
+        sets: Names of the sets of readings.
+        std: Whether standard deviations are drawn.
+
+    Returns:
+        The number of entries in a row, and the height (inch) of all rows.
+    """
+    columns = max(1, round(width / 1.75))
+    return columns, 0.3 * -(-(4 + std + (len(sets) if len(sets) > 1 else 0)) // columns)
+
+
 def draw_key(
     axes: Axes,
     skin: Axes,
@@ -128,6 +143,7 @@ def draw_key(
     *,
     sets: Sequence[str] = (),
     std: bool = False,
+    numbers: bool = True,
     columns: int = 5,
 ) -> None:
     """Draw what the symbols of `draw_reading` mean, as large as they are in the axes of a skin.
@@ -139,6 +155,7 @@ def draw_key(
         scale: Field (uT) that is drawn `arrow_mm(board)` long.
         sets: Names of the sets of readings in the order of their colours, if there are several.
         std: Whether standard deviations are drawn.
+        numbers: Whether the chips have their numbers (`draw_chip_numbers`).
         columns: Number of entries in a row.
     """
     power = 10.0 ** np.floor(np.log10(0.75 * scale))
@@ -166,8 +183,9 @@ def draw_key(
     packed: list[Artist] = [
         *(TextArea(name, textprops={"color": colour, "fontweight": "bold"}) for name, colour in names),
         *(_entry(skin, patches, label) for patches, label in entries),
-        TextArea(f"0 to {board.num_chips - 1}: chips" if board.num_chips > 1 else "0: chip"),
     ]
+    if numbers:
+        packed.append(TextArea(f"0 to {board.num_chips - 1}: chips" if board.num_chips > 1 else "0: chip"))
     parts = [packed[i : i + columns] for i in range(0, len(packed), columns)]
     rows = VPacker(children=[HPacker(children=part, sep=12, pad=0, align="center") for part in parts], sep=6)
     axes.add_artist(AnchoredOffsetbox("center", child=rows, frameon=False, pad=0, borderpad=0))
@@ -219,36 +237,22 @@ def plot_readings(
     columns = min(5, n)
     rows = -(-n // columns)
     scale = common_scale(np.stack(values))
-    figure = Picture(figsize=(2.4 * columns, 2.6 * rows + 0.9), layout="constrained")
-    panels = figure.subplots(rows, columns, squeeze=False).ravel()
+    per_row, bottom = key_layout(2.4 * columns, tuple(sets))
+    figure = Picture(figsize=(2.4 * columns, 2.6 * rows + 0.5 + bottom), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(2.6 * rows + 0.3, bottom + 0.2))
+    panels = above.subplots(rows, columns, squeeze=False).ravel()
     for i, axes in enumerate(panels):
         if i >= n:
             axes.set_axis_off()
             continue
         draw_skin(axes)
-        for (name, part), colour in zip(zip(sets, values, strict=True), cycle(CURVE_COLOURS), strict=False):
-            draw_reading(axes, board, part[i], scale, colour=colour, label=name)
+        for part, colour in zip(values, cycle(CURVE_COLOURS), strict=False):
+            draw_reading(axes, board, part[i], scale, colour=colour)
+        draw_chip_numbers(axes, board)
         axes.set_title(labels[i], fontsize=9)
-    if len(sets) > 1:
-        figure.legend(*panels[0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=len(sets))
-    figure.suptitle(f"{titled(title, simulated)}\n{scale_legend(board, scale)}", fontsize=10)
+    draw_key(below.subplots(), panels[0], board, scale, sets=tuple(sets), columns=per_row)
+    figure.suptitle(titled(title, simulated), fontsize=10)
     return figure
-
-
-def scale_legend(board: Board, scale: float) -> str:
-    """Explain the arrows and discs of `draw_reading`.
-
-    Args:
-        board: The board whose chips are drawn.
-        scale: Field (uT) that is drawn `ARROW_MM` long.
-
-    Returns:
-        A phrase for a title.
-    """
-    return (
-        f"change of field at the {board.num_chips} chips: arrows in the skin's plane, {ARROW_MM:g} mm = {scale:g} µT, "
-        "discs normal to it, filled if it points outwards"
-    )
 
 
 def plot_press(
@@ -272,12 +276,13 @@ def plot_press(
     Returns:
         The figure, which `save_figure` can write.
     """
-    figure = Picture(figsize=(11, 3.9), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
+    figure = Picture(figsize=(11, 4.4), layout="constrained")
+    above, below = figure.subfigures(2, 1, height_ratios=(3.9, 0.5))
+    left, middle, right = above.subplots(1, 3)
     image = draw_map(left, np.asarray(pressure) * 1e-3, PAD_WINDOW, low=0)
-    figure.colorbar(image, ax=left, label="pressure (kPa)", shrink=0.8)
+    above.colorbar(image, ax=left, label="pressure (kPa)", shrink=0.8)
     image = draw_map(middle, np.asarray(displacement) * MM_PER_M, PAD_WINDOW)
-    figure.colorbar(image, ax=middle, label="displacement (mm)", shrink=0.8)
+    above.colorbar(image, ax=middle, label="displacement (mm)", shrink=0.8)
     for axes in (left, middle):
         axes.plot(*(np.asarray(board.chips)[:, :2] * MM_PER_M).T, ".", color="white", mec="black", ms=7)
         axes.set(xlabel="x (mm)", ylabel="y (mm)")
@@ -286,9 +291,11 @@ def plot_press(
     scale = common_scale(reading)
     draw_skin(right)
     draw_reading(right, board, reading, scale)
+    draw_chip_numbers(right, board)
     right.set_xlabel("x (mm)")
-    right.set_title("field at the chips", fontsize=10)
-    figure.suptitle(f"{titled(title, simulated)}\n{scale_legend(board, scale)}", fontsize=10)
+    right.set_title("change of the field at the chips", fontsize=10)
+    draw_key(below.subplots(), right, board, scale)
+    figure.suptitle(titled(title, simulated), fontsize=10)
     return figure
 
 

@@ -14,10 +14,8 @@ from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_length, draw_patch
 from i2t.viz.scene import draw_number, draw_object, touch_colours
-from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin
+from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin, key_layout
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
-
-MAX_COLUMNS = 6  # touches side by side
 
 
 def plot_predicted_touches(
@@ -55,15 +53,13 @@ def plot_predicted_touches(
         The figure, which `save_figure` can write.
     """
     n, std = len(patches), std or {}
-    columns = min(n, MAX_COLUMNS)
+    columns = min(n, 6)
     rows = -(-n // columns)
     scale = common_scale(next(iter(sets.values())))
     edge = 1.27 if columns > 3 else 1.6  # inches, of a patch
     scene = 0.0 if mesh is None else 1.75 * edge
     width, row_height = scene + 0.55 + columns * (edge + 0.1) + 0.7, 2 * edge + 0.65
-    per_row = max(1, round(width / 1.75))  # entries of the key
-    entries = 4 + bool(std) + (len(sets) if len(sets) > 1 else 0)
-    bottom = 0.3 * -(-entries // per_row)
+    per_row, bottom = key_layout(width, tuple(sets), std=bool(std))
     height = bottom + rows * row_height + 0.35
     figure = Picture(figsize=(width, height))
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from i2t.runtime import compile_cache
-from i2t.runtime.compile_cache import CACHE_VARIABLE, JAX_CACHE_VARIABLE, XLA_LOG_VARIABLE, use_compile_cache
+from i2t.runtime.compile_cache import CACHE_VARIABLE, JAX_CACHE_VARIABLE, use_compile_cache
 
 SETTINGS = (
-    XLA_LOG_VARIABLE,
+    "TF_CPP_MIN_LOG_LEVEL",
     JAX_CACHE_VARIABLE,
     "JAX_COMPILATION_CACHE_MAX_SIZE",
     "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS",
@@ -71,10 +71,10 @@ def test_a_folder_that_cannot_be_created_gives_at_most_one_line(no_settings, tmp
 def test_the_log_of_xla_is_hidden_unless_the_user_or_jax_has_set_its_level(no_settings, tmp_path):
     no_settings.setenv(CACHE_VARIABLE, str(tmp_path))
     use_compile_cache()
-    assert os.environ[XLA_LOG_VARIABLE] == "3"
-    no_settings.setenv(XLA_LOG_VARIABLE, "0")
+    assert os.environ["TF_CPP_MIN_LOG_LEVEL"] == "3"
+    no_settings.setenv("TF_CPP_MIN_LOG_LEVEL", "0")
     use_compile_cache()
-    assert os.environ[XLA_LOG_VARIABLE] == "0"
+    assert os.environ["TF_CPP_MIN_LOG_LEVEL"] == "0"
 
 
 # XLA logs an error, as its alarm about a long compilation is one, because it cannot dump a program to this folder.
@@ -98,7 +98,7 @@ sys.exit(exit_code_of(work))
 @pytest.mark.parametrize("level", [None, "2"])
 def test_errors_in_the_log_of_xla_are_hidden_but_its_exceptions_are_not(tmp_path, level):
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("JAX_", "TF_", "XLA_"))}
-    environment |= {CACHE_VARIABLE: str(tmp_path)} | ({} if level is None else {XLA_LOG_VARIABLE: level})
+    environment |= {CACHE_VARIABLE: str(tmp_path)} | ({} if level is None else {"TF_CPP_MIN_LOG_LEVEL": level})
     process = subprocess.run([sys.executable, "-c", LOGGED], env=environment, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
     assert process.stdout.startswith("2\n")

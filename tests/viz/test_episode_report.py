@@ -62,7 +62,7 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
     shown = texts(viz.plot_episode(many))
     assert [text for text in shown if text.startswith("touch")] == [f"touch {i}" for i in (1, 5, 9, 12, 16, 20)]
     assert {"o5", "unknown"} <= set(shown)  # 0.35 is left
-    assert any(text.startswith("One episode: an unknown object, drawn on the o5\n") for text in shown)
+    assert any(text.startswith("One episode: an unknown object, drawn on the o5") for text in shown)
     assert not any("(true)" in text for text in shown)
 
 
