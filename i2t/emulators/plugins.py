@@ -17,16 +17,13 @@ from i2t.hardware.clock import Clock
 from i2t.hardware.drivers import make_reskin, make_ur, reskin, ur
 from i2t.hardware.plugins import DevicePlugin, DeviceSetup
 from i2t.hardware.ur.access import is_on_this_machine
+from i2t.hardware.ur.driver import EMULATED_WATCH
 from i2t.skin.boards import DEFAULT_BOARD
 
 if TYPE_CHECKING:
     from i2t.emulators.in_process import SimulatedArm, SimulatedCamera, SimulatedSkin
     from i2t.hardware.reskin.driver import ReSkin
     from i2t.hardware.ur.driver import UrArm
-
-# Timeouts of an emulated arm by default, in s and Hz. Nothing can be hit, and on a busy computer the emulated
-# controller waits for the processor longer than the limits of a real arm (`i2t.hardware.limits`) allow.
-EMULATED_WATCH = {"state_timeout": 0.5, "watchdog_rate": 2.0}
 
 
 def virtual_clock(begin: float) -> Clock:

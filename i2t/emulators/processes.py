@@ -26,7 +26,13 @@ def run_emulator(module: str, *options: str) -> Iterator[tuple[str, "subprocess.
         RuntimeError: If the emulator did not start.
     """
     command = [sys.executable, "-m", module, "--tethered", *options]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C must not reach a device; desktop Linux shares the processor by sessions
+    ) as process:
         try:
             assert process.stdout is not None
             line = process.stdout.readline().strip()

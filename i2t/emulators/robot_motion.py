@@ -16,6 +16,7 @@ from i2t.geometry import so3_exp, so3_log
 Array: TypeAlias = NDArray[np.float64]
 Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotation (3, 3) of the tool -> wrench on it
 
+ROUNDING_RAD = 1e-9  # rad, rotation of a line that is only rounding
 ROTATION_LEVER_M = 0.25  # m, length of path of the emulated arm that counts as a rotation by one radian
 
 
@@ -104,6 +105,7 @@ class Robot:
             acceleration: Acceleration (m/s^2) at both ends.
         """
         turn = so3_log(so3_exp(pose[3:]) @ self.rotation.T)
+        turn = np.zeros(3) if np.linalg.norm(turn) <= ROUNDING_RAD else turn
         displacement = np.concatenate([pose[:3] - self.position, turn])
         length = max(float(np.linalg.norm(displacement[:3])), ROTATION_LEVER_M * float(np.linalg.norm(turn)))
         self.travelled = self.speed = 0.0
@@ -147,13 +149,15 @@ class Robot:
         part = self.travelled / line.length if line.length else 1.0
         self.twist = line.displacement * (self.speed / line.length if line.length else 0.0)
         self.position = line.position + part * line.displacement[:3]
-        self.rotation = so3_exp(part * line.displacement[3:]) @ line.rotation
+        if line.displacement[3:].any():
+            self.rotation = so3_exp(part * line.displacement[3:]) @ line.rotation
 
     def _brake(self, change: float, dt: float) -> None:
         """Continue more slowly, with a given change of speed (m/s)."""
         speed = float(np.hypot(np.linalg.norm(self.twist[:3]), ROTATION_LEVER_M * np.linalg.norm(self.twist[3:])))
         self.twist = self.twist * (1 - change / speed) if speed > change else np.zeros(6)
         self.position = self.position + self.twist[:3] * dt
-        self.rotation = so3_exp(self.twist[3:] * dt) @ self.rotation
+        if self.twist[3:].any():
+            self.rotation = so3_exp(self.twist[3:] * dt) @ self.rotation
         if not self.twist.any():
             self.motion = None

@@ -231,6 +231,8 @@ class SkinContactModel:
         self._executor = None if wait else ThreadPoolExecutor(1, "scene")
         self._last_pose: tuple[Array, Array] = (np.full(3, np.inf), np.zeros((3, 3)))
         self._repeats = 0
+        # line, wrench and board's reading at the last pose, used again while the tool stands still
+        self._last_contact: tuple[ContactLine | None, Array, Array] | None = None
         self._to, self._sent = to, np.full(scene.board.num_readings, np.nan)
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM) if to else None
 
@@ -241,7 +243,17 @@ class SkinContactModel:
 
     def __call__(self, position: Array, rotation: Array) -> Array:
         """Compute the wrench (6,) on the tool about the tool's origin at a pose of the tool: N and Nm, in base axes."""
-        self._follow(position, rotation)
+        moved = self._follow(position, rotation)
+        if moved or self._last_contact is None or self._last_contact[0] is not self._line:
+            wrench = self._press(position, rotation)
+            self._last_contact = self._line, wrench, self.reading_at_rest(rotation) + self.reading
+        _, wrench, reading = self._last_contact
+        if self._to and self._socket:
+            self._send(self._socket, self._to, reading)
+        return wrench.copy()
+
+    def _press(self, position: Array, rotation: Array) -> Array:
+        """Compute the wrench (6,) on the tool as in `__call__`, and store the change of the skin's reading."""
         skin_position, skin_rotation = self._skin_pose(position, rotation)
         along = None if self._line is None else self._line.distance_along(skin_position, skin_rotation)
         wrench = np.zeros(6)
@@ -250,8 +262,6 @@ class SkinContactModel:
             force, (x, y), self.reading = self._line.contact_at(along)
             wrench[:3] = skin_rotation @ [0.0, 0.0, -force]
             wrench[3:] = skin_rotation @ [-force * y, force * x, 0.0] + np.cross(skin_position - position, wrench[:3])
-        if self._to and self._socket:
-            self._send(self._socket, self._to, self.reading_at_rest(rotation) + self.reading)
         return wrench
 
     def reading_at_rest(self, rotation: Array) -> Array:
@@ -293,13 +303,14 @@ class SkinContactModel:
         return position + rotation @ self.T_tool_skin[:3, 3], rotation @ self.T_tool_skin[:3, :3]
 
     def _send(self, sender: socket.socket, to: Address, reading: Array) -> None:
-        """Send a reading to the board, if it has changed."""
-        if not np.array_equal(reading, self._sent):
+        """Send a reading to the board, unless it was sent before."""
+        if not (reading is self._sent or np.array_equal(reading, self._sent)):
             with contextlib.suppress(OSError):
                 sender.sendto(struct.pack(f"<{len(reading)}f", *reading), to)
                 self._sent = reading
 
-    def _follow(self, position: Array, rotation: Array) -> None:
+    def _follow(self, position: Array, rotation: Array) -> bool:
+        """Look ahead of a tool that has stopped; return whether the tool has moved."""
         if self._pending is not None and self._pending.done():
             self._line, self._pending = self._pending.result(), None
         same = bool((position == self._last_pose[0]).all() and (rotation == self._last_pose[1]).all())
@@ -307,6 +318,7 @@ class SkinContactModel:
         self._last_pose = position, rotation
         if self._repeats == 3:  # the tool is taken to stand still
             self.look_ahead(position, rotation)
+        return not same
 
 
 class ToolContactModel:

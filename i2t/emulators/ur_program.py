@@ -63,7 +63,7 @@ class Controller:
         self.payload, self.tcp_offset, self.pendant_tcp = 0.0, [0.0] * 6, [0.0] * 6
         self.commands: list[int] = []
         self.uploads = 0
-        self.outputs: dict[str, rtde_protocol.Value] = {}
+        self.outputs: dict[str, rtde_protocol.Value] = {}  # computed since the last `observe`
         self.forged: dict[str, rtde_protocol.Value] = {}  # sent instead of the true values
 
     def upload(self) -> None:
@@ -176,7 +176,7 @@ class Controller:
         self.out_ints[2] = self.operation << 24 | self.changes << 16 | running << 15
 
     def output(self, name: str) -> rtde_protocol.Value:
-        """Return the value of an RTDE output as of the last `observe`, or the present value of an output register.
+        """Return the value of an RTDE output, the same to every client until the next `observe`, or a register's value.
 
         Args:
             name: RTDE name of the output.
@@ -189,23 +189,39 @@ class Controller:
             return self.out_ints[int(index)]
         if kind == "output_double_register":
             return self.out_doubles[int(index)]
+        if name in self.forged:
+            return self.forged[name]
+        if name not in self.outputs:
+            self.outputs[name] = self._output(name)
         return self.outputs[name]
 
     def observe(self) -> None:
-        """Compute the RTDE outputs that every client receives at this tick."""
+        """Discard the last tick's outputs; each output of this tick is computed when a client first receives it."""
+        self.outputs = {}
+
+    def _output(self, name: str) -> rtde_protocol.Value:
+        """Compute an RTDE output that is not a register."""
         robot = self.robot
-        self.outputs = {
-            "timestamp": self.clock,
-            "actual_q": (0.0,) * 6,
-            "actual_TCP_pose": tuple(robot.pose),
-            "actual_TCP_speed": tuple(robot.twist),
-            "actual_TCP_force": tuple(robot.measured_wrench()),
-            "safety_status_bits": 0x4 if self.protective else 0x1,
-            "robot_status_bits": 0x1 | 0x2 * (self.runtime == PLAYING),
-            "runtime_state": self.runtime,
-            "target_speed_fraction": robot.speed_fraction,
-            **self.forged,
-        }
+        match name:
+            case "timestamp":
+                return self.clock
+            case "actual_q":
+                return (0.0,) * 6
+            case "actual_TCP_pose":
+                return tuple(robot.pose)
+            case "actual_TCP_speed":
+                return tuple(robot.twist)
+            case "actual_TCP_force":
+                return tuple(robot.measured_wrench())
+            case "safety_status_bits":
+                return 0x4 if self.protective else 0x1
+            case "robot_status_bits":
+                return 0x1 | 0x2 * (self.runtime == PLAYING)
+            case "runtime_state":
+                return self.runtime
+            case "target_speed_fraction":
+                return robot.speed_fraction
+        raise KeyError(name)
 
     def status(self) -> dict[str, Any]:
         """Return the emulator's state (pose, program, commands, ...) for tests, whatever clients see; times in s."""

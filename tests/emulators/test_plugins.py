@@ -2,11 +2,12 @@
 
 import pytest
 
-from i2t.emulators.plugins import EMULATED_WATCH, emulated_arm
+from i2t.emulators.plugins import emulated_arm
 from i2t.hardware.drivers import ur
 from i2t.hardware.limits import SAFETY, range_of
 from i2t.hardware.plugins import DeviceSetup
 from i2t.hardware.rig import Rig
+from i2t.hardware.ur.driver import EMULATED_WATCH
 
 pytest.importorskip("rtde_control", reason="ur_rtde is not installed (there are wheels for Python 3.10 to 3.12)")
 
@@ -32,9 +33,14 @@ def test_a_real_arm_keeps_its_safety_limits_whatever_it_is_called():
     assert watch_of(ur, ELSEWHERE) == watch_of(ur, HERE) == watch_of(emulated_arm, ELSEWHERE) == REAL
 
 
+def late(plugin, address, **given):
+    return plugin.make(DeviceSetup(Rig(), address=address, watch=given)).connection._silence(3.0)
+
+
 def test_late_states_of_an_emulated_arm_have_a_remedy_on_this_computer():
-    here, elsewhere = (
-        emulated_arm.make(DeviceSetup(Rig(), address=address)).connection._silence(0.6) for address in (HERE, ELSEWHERE)
-    )
-    assert "this computer is too busy: close other programs, or allow more time with --state-timeout 2 " in here
-    assert elsewhere.endswith("for 0.60 s: a stop was sent to the arm.")
+    busy = "this computer is too busy: close other programs"
+    assert late(emulated_arm, HERE).endswith(f"{busy}.")  # the options are its defaults already
+    options = ", or allow more time with --state-timeout 2 --watchdog-rate 0.5."
+    assert late(emulated_arm, HERE, state_timeout=0.5).endswith(busy + options)
+    assert late(ur, HERE).endswith(busy + options)
+    assert late(emulated_arm, ELSEWHERE).endswith("for 3.00 s: a stop was sent to the arm.")

@@ -54,6 +54,10 @@ from i2t.hardware.ur.rtde_link import RtdeConnection
 from i2t.hardware.ur.rtde_worker import POLL_S, STATE_RATE_HZ
 from i2t.types import Array
 
+# Timeouts of an emulated arm in i2t's own lab, in s and Hz. Nothing can be hit, and on a busy computer states wait for
+# the processor longer than the limits of a real arm (`i2t.hardware.limits`) allow.
+EMULATED_WATCH = {"state_timeout": 2.0, "watchdog_rate": 0.5}
+
 
 class UrArm(PolledArm):
     """Driver of a Universal Robots (UR) arm (`i2t.hardware.protocols.GuardedArm`).
@@ -97,9 +101,9 @@ class UrArm(PolledArm):
         super().__init__(limits)
         self.name, self.host, self.tool, self.payload = f"UR at {host}", host, tool, payload
         self.source = source or ("emulated" if is_on_this_machine(host) else "real")
+        self.state_timeout = state_timeout
         remedy = "" if self.source == "real" else self.late_remedy
         self.connection = RtdeConnection(host, state_timeout, watchdog_rate, late_remedy=remedy)
-        self.state_timeout = state_timeout
         self.serial_number = ""  # of the controller, once it is connected
         self._closing = threading.Lock()
         self._lock: IO[str] | None = None
@@ -197,9 +201,11 @@ class UrArm(PolledArm):
 
     @property
     def late_remedy(self) -> str:
-        """Advice if states are late, as in `PolledArm.late_remedy`; for an emulated arm with the options that help."""
-        options = "" if self.source == "real" else ", or allow more time with --state-timeout 2 --watchdog-rate 0.5"
-        return super().late_remedy + options
+        """Advice if states are late, as in `PolledArm.late_remedy`, with longer timeouts for an emulated arm."""
+        timeout, rate = EMULATED_WATCH["state_timeout"], EMULATED_WATCH["watchdog_rate"]
+        helpful = self.source != "real" and self.state_timeout < timeout
+        options = f", or allow more time with --state-timeout {timeout:g} --watchdog-rate {rate:g}"
+        return super().late_remedy + options * helpful
 
     @property
     def stall_s(self) -> float:
