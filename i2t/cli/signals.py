@@ -103,8 +103,10 @@ class _Interrupts:
         if sent_again and self._flying:  # a second Ctrl-C, whose exception ends the command
             return
         self.received = number
-        # An error on its way through the program, such as one that replaced the exception, may run `finally` clauses.
-        is_handling = sent_again and sys.exc_info()[0] is not None
+        # An error that replaced the exception may run `finally` clauses, which must end. JAX compiles while it handles
+        # a KeyError of its caches, which does not count.
+        error = sys.exc_info()[1]
+        is_handling = sent_again and error is not None and not isinstance(error, KeyError)
         if is_handling or _modules_in_import() - self._importing_before:
             self._send_again(number)
         else:
