@@ -38,7 +38,8 @@ def test_a_line_that_does_not_turn_keeps_the_rotation_exactly_and_one_that_turns
     before = robot.rotation
     robot.line_to(np.array([0.4, 0.0, 0.2, np.pi, 0.0, 0.0]), 0.1, 1.0)
     robot.step(0.1)
-    assert robot.rotation is before and robot.position[2] < 0.3
+    assert robot.rotation is before
+    assert robot.position[2] < 0.3
     robot.line_to(np.array([0.4, 0.0, 0.2, np.pi, 0.0, 0.1]), 0.1, 1.0)
     robot.step(0.1)
     assert np.abs(robot.rotation - before).max() > 1e-4
