@@ -133,17 +133,6 @@ LIBRARY = {  # answers of the part of ur_rtde that a motion needs
 }  # fmt: skip
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's buffer may be too small")
-def test_a_reader_that_was_late_receives_all_that_waits_at_once():
-    """The newest state is in it, so that its age is judged and not that of the first to wait."""
-    (ours, theirs), states = map(rtde_worker.Channel, socket.socketpair()), 100
-    for number in range(states):
-        theirs.send({"state": number, "padding": 1000 * " "})
-    assert [message["state"] for message in ours.receive(1.0)] == list(range(states))
-    ours.close()
-    theirs.close()
-
-
 def test_motions_require_a_running_watchdog():
     ours, theirs = (rtde_worker.Channel(end) for end in socket.socketpair())
     library = Mock(**{f"{name}.return_value": value for name, value in LIBRARY.items()})

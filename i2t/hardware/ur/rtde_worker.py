@@ -100,7 +100,7 @@ class Channel:
         """
         self._in.settimeout(timeout_s)
         try:
-            chunk = self._in.recv(1 << 20)  # more than the kernel's buffer holds, so that the newest state is in it
+            chunk = self._in.recv(1 << 16)
         except TimeoutError:
             return []
         except OSError as error:
