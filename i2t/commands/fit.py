@@ -29,7 +29,7 @@ from i2t.errors import printable
 from i2t.files.writing import write_json
 from i2t.models.checks import require_dataset
 from i2t.models.finished import CHECKPOINTS, CONFIG, KEPT, METRICS, FinishedRun, kind_of_config, write_training
-from i2t.objects.named import read_objects, require_objects
+from i2t.objects.named import read_meshes, require_objects
 
 if TYPE_CHECKING:
     from i2t.dataset import Dataset, Split
@@ -142,7 +142,7 @@ def _pad_model(args: FitArgs, dataset: "Dataset", split: "Split") -> "KnownPad |
     from i2t.recognition.recorded import fit_pad_model
 
     print("fitting a pad model")
-    meshes = read_objects(list(map(str, args.objects)), args.unit)
+    meshes = read_meshes(args.objects, args.unit)
     try:
         return fit_pad_model(
             dataset, meshes, rows=split.train, key=jax.random.key(args.seed),
