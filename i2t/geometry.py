@@ -26,8 +26,6 @@ from i2t.types import Array
 
 # rad^2, squared angle below which a series of two terms replaces quotients such as sin(x) / x
 TWO_TERM_SERIES_SQUARE = 1e-8
-# rad^2, squared angle below which a series of three terms replaces quotients such as (1 - cos(x)) / x^2
-THREE_TERM_SERIES_SQUARE = 1e-4
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -340,7 +338,7 @@ def _left_jacobian(rotvec: Float[Array, "*n 3"]) -> Float[Array, "*n 3 3"]:
     """Integrate the rotation of a motion at constant angular velocity over one unit of time."""
     xp = _namespace(rotvec)
     square = xp.sum(rotvec * rotvec, -1)
-    small = square < THREE_TERM_SERIES_SQUARE
+    small = square < 1e-4  # rad^2; below, a series of three terms replaces quotients such as (1 - cos(x)) / x^2
     safe = xp.where(small, 1.0, square)
     angle = xp.sqrt(safe)
     first = xp.where(small, 0.5 - square / 24 + square**2 / 720, (1 - xp.cos(angle)) / safe)

@@ -14,9 +14,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, TypeAlias
 
-from experiments.common.config_file import config_path, kind_of_config, options_of_config
+from experiments.common.config_file import config_path, options_of_config
 from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, folder_of, pictures_in
 from i2t.cli.options import check_options, docstring_of, read_options, refuse_renamed
+from i2t.models.finished import kind_of_config
 
 # Function from the command line (by default that of the process) to the exit code.
 Main: TypeAlias = Callable[..., int]

@@ -1,6 +1,5 @@
 """Options of an earlier run, read from its config.json. This module has no slow imports."""
 
-import contextlib
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields, is_dataclass
@@ -31,20 +30,6 @@ def config_path(words: Sequence[str]) -> Path | None:
         if flag == FLAG and (equals or following):
             path = Path(value if equals else following)
     return path / CONFIG if path is not None and path.is_dir() else path
-
-
-def kind_of_config(path: Path) -> str | None:
-    """Read which options a config.json holds.
-
-    Args:
-        path: The file.
-
-    Returns:
-        Name of the dataclass of the options; None if the file does not name it or cannot be read.
-    """
-    with contextlib.suppress(OSError, ValueError, AttributeError):
-        return typing.cast("str | None", read_json(path).get("kind"))
-    return None
 
 
 def options_of_config(path: Path, kind: type[Options], program: str) -> Options:

@@ -35,7 +35,6 @@ import numpy as np
 
 from experiments.common.runs import write_json
 from experiments.recognize.arguments import LIVE_OBJECTS, LIVE_PAD_MODELS, LiveArgs
-from experiments.recognize.plans import meshes_by_name
 from i2t.collect import session
 from i2t.collect.arguments import CollectArgs, LabArgs
 from i2t.collect.recorder import list_touches
@@ -80,7 +79,7 @@ def play(args: LiveArgs) -> tuple[dict[str, Any], EpisodeRecord]:
     """Read the pad model, predict touches, and run the episode. Returns its result and its record for the report."""
     refuse_used(args.out)
     rig = Rig() if args.rig is None else Rig.read(args.rig)
-    meshes = read_meshes(args.objects, args.unit) or meshes_by_name(LIVE_OBJECTS)
+    meshes = read_meshes(args.objects, args.unit) or read_meshes(LIVE_OBJECTS)
     true_object = args.true_object or str(np.random.default_rng(args.seed).choice(list(meshes)))
     _, key_sites, key_touches = jax.random.split(jax.random.key(args.seed), 3)
     pad_model = args.used_pad_model

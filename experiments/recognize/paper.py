@@ -31,7 +31,6 @@ import numpy as np
 from experiments.common.runs import Part
 from experiments.recognize import report as reporting
 from experiments.recognize.config import Recognition
-from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.report import (
     CONSTANT_READING,
     FORCE_NETWORKS,
@@ -42,6 +41,7 @@ from experiments.recognize.report import (
     Results,
 )
 from i2t.models.finished import FinishedRun
+from i2t.objects.named import read_meshes
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.prediction.gp_method import GPModel
 from i2t.prediction.model import ModelConfig
@@ -153,7 +153,7 @@ def play(cfg: Recognition, run: FinishedRun, seed: int) -> Part:
     predictors = rule_predictors(run.folder, paper, predictor, paper.mean)
     results: Results = {}
     names = {"primitives": cfg.primitives, "tools": cfg.tools}
-    surfaces = iter(prepare_surfaces(list(meshes_by_name(cfg.objects).values())))  # all at once, to compile once
+    surfaces = iter(prepare_surfaces(list(read_meshes(cfg.objects).values())))  # all at once, to compile once
     for i, (name, objects) in enumerate(names.items()):
         own = [next(surfaces) for _ in objects]
         key = jax.random.fold_in(jax.random.key(seed), i)

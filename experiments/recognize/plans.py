@@ -7,7 +7,8 @@ import jax
 import numpy as np
 
 from experiments.recognize.config import Recognition
-from i2t.objects import Mesh, catalogue
+from i2t.objects import Mesh
+from i2t.objects.named import read_meshes
 from i2t.recognition.site_pool import SitePools, TouchPlan, plan_informative_touches, plan_random_touches, sample_pools
 from i2t.types import Surface
 
@@ -21,29 +22,17 @@ class ObjectSet(NamedTuple):
     share: int = 1  # episodes with the same sites, for which predictions are computed once
 
 
-def meshes_by_name(names: Sequence[str]) -> dict[str, Mesh]:
-    """Load meshes of the catalogue.
-
-    Args:
-        names: Names of the objects.
-
-    Returns:
-        The meshes by name.
-    """
-    return {name: catalogue.make_object(name).mesh for name in names}
-
-
 def object_groups(own: Mapping[str, Mesh], cfg: Recognition) -> list[tuple[Mapping[str, Mesh], dict[str, ObjectSet]]]:
     """Group the user's own objects, or the preset's, into meshes by name and the sets that share them."""
     if own:
         return [(own, {"your objects": ObjectSet(list(own), cfg.own_episodes, False, cfg.pool_episodes)})]
     return [
         (
-            meshes_by_name(cfg.validation),
+            read_meshes(cfg.validation),
             {"validation": ObjectSet(cfg.validation, cfg.validation_episodes, False)},
         ),
         (
-            meshes_by_name(cfg.objects),
+            read_meshes(cfg.objects),
             {
                 "all": ObjectSet(cfg.objects, cfg.episodes, False),
                 "primitives": ObjectSet(cfg.primitives, cfg.paper_episodes, True),

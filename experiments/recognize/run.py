@@ -40,7 +40,7 @@ from experiments.recognize import paper
 from experiments.recognize import report as reporting
 from experiments.recognize.arguments import SimulateArgs
 from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.plans import ObjectSet, meshes_by_name, object_groups, plan_touches
+from experiments.recognize.plans import ObjectSet, object_groups, plan_touches
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
 from i2t.models.finished import FinishedRun, finished_runs
 from i2t.objects import Mesh
@@ -102,7 +102,7 @@ def report(
     about = {"temperatures": to_json(temperatures), **reporting.mean_over_objects(parts)}
     result = reporting.summarise(parts, out, source, **about)
     name = next(name for name in ("all", "your objects") if name in parts[0])
-    meshes = own or meshes_by_name(parts[0][name].names)
+    meshes = own or read_meshes(parts[0][name].names)
     reporting.report_hardest_episode(parts[0][name], list(meshes.values()), out / "story", source, fitted.board)
     reporting.print_tables(result)
     reporting.print_mean_over_objects(result)

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import Array
 
 from experiments.recognize.config import Recognition
-from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
 from i2t.contact.press import PressLaw, PressLimits
 from i2t.dataset import Dataset
 from i2t.models.finished import FinishedRun
 from i2t.objects import Mesh
+from i2t.objects.named import read_meshes
 from i2t.recognition.belief import Particles
 from i2t.recognition.environment import EnvironmentConfig
 from i2t.recognition.episodes import Episodes
@@ -135,12 +135,12 @@ class StudyLab:
         """Copy of the lab with other catalogue objects to distinguish."""
         if tuple(names) == self.names:
             return self
-        surfaces = prepare_surfaces(list(meshes_by_name(names).values()))
+        surfaces = prepare_surfaces(list(read_meshes(names).values()))
         return replace(self, names=tuple(names), surfaces=surfaces)
 
     def trained_surfaces(self) -> dict[str, Surface]:
         """Surfaces of the training objects by name."""
-        return named_surfaces(meshes_by_name(self.run.trained_objects))
+        return named_surfaces(read_meshes(self.run.trained_objects))
 
     def touch_known_objects(self, key: Array, surfaces: Mapping[str, Surface], world: StudyWorld) -> Dataset:
         """Simulate as many touches of the training objects as the run had, in a given world."""
@@ -174,5 +174,5 @@ def prepare_lab(cfg: Recognition, size: StudySize, run: FinishedRun, seed: int) 
     # 64 pose particles per object suffice: with 64 to 512, accuracies are the same within 0.01.
     cfg = replace(cfg, num_particles=min(cfg.num_particles, 64))
     _, key = jax.random.split(jax.random.key(100 + seed))  # distinct from the seeds of other experiments
-    surfaces = prepare_surfaces(list(meshes_by_name(cfg.objects).values()))
+    surfaces = prepare_surfaces(list(read_meshes(cfg.objects).values()))
     return StudyLab(cfg, size, load_trained_run(run), cfg.objects, surfaces, seed, key)

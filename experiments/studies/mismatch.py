@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common.runs import Part
-from experiments.recognize.plans import meshes_by_name
 from experiments.studies.lab import StudyLab, StudyWorld
 from i2t.geometry import from_twist
 from i2t.objects import Mesh
+from i2t.objects.named import read_meshes
 from i2t.patches.dimensions import TWIST_LEVER_M
 from i2t.recognition.episodes import run_belief
 from i2t.recognition.site_pool import prepare_surfaces
@@ -87,7 +87,7 @@ def evaluate(lab: StudyLab) -> Part:
 
 def _surfaces_of(lab: StudyLab, study_worlds: Mapping[str, StudyWorld]) -> dict[str, list[Surface]]:
     """Prepare the surfaces of each world, all changed meshes together so that they share one size and compile once."""
-    meshes = list(meshes_by_name(lab.names).values())
+    meshes = list(read_meshes(lab.names).values())
     others = [world.mesh(mesh) for world in study_worlds.values() if world.mesh for mesh in meshes]
     prepared = iter(prepare_surfaces(others) if others else [])
     return {

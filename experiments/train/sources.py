@@ -15,7 +15,7 @@ from i2t.dataset import Dataset
 from i2t.hardware.rig import Rig
 from i2t.models.finished import PAD, TOUCHES
 from i2t.objects import Mesh, catalogue
-from i2t.objects.named import read_objects
+from i2t.objects.named import read_meshes
 from i2t.recognition.recorded import fit_pad_model, named_surfaces, with_placement
 from i2t.simulation.touches import SimulationErrors
 from i2t.skin.files import PadAbout, load_pad, load_pad_about, save_pad
@@ -93,7 +93,7 @@ class RecordedSource:
     def known_objects(self) -> KnownObjects:
         """Read the objects of the mesh files and the rig's placement errors (ValueError: a file cannot be read)."""
         errors = SimulationErrors()
-        meshes = read_objects(list(map(str, self.objects)), self.unit)
+        meshes = read_meshes(self.objects, self.unit)
         if self.rig:
             errors = with_placement(errors, Rig.read(self.rig).object_covariance)
         return KnownObjects(meshes, errors)

@@ -26,8 +26,6 @@ from i2t.hardware.rig import Rig
 from i2t.objects.solids import Mesh
 from i2t.skin.boards import DEFAULT_BOARD
 
-_SITE_LIMITS_BEFORE = {"half": "half_edge"}  # site limits in notes of earlier versions: old name, present name
-
 
 def write_notes(folder: Path, notes: Mapping[str, Any]) -> None:
     """Write the notes of a collection (its settings and devices) to its folder, completely or not at all.
@@ -60,7 +58,8 @@ def read_notes(folder: Path) -> dict[str, Any] | None:
     try:
         notes = dict(read_json(path, 2**26))
         if "sites" in notes:
-            notes["sites"] = {_SITE_LIMITS_BEFORE.get(limit, limit): value for limit, value in notes["sites"].items()}
+            former = {"half": "half_edge"}  # name of a site limit in notes of earlier versions
+            notes["sites"] = {former.get(limit, limit): value for limit, value in notes["sites"].items()}
         return notes | {"session": str(notes["session"])}
     except FileNotFoundError:
         return None

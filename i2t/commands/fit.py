@@ -26,11 +26,10 @@ import tyro
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Seed, docstring_of, require_writable
 from i2t.errors import printable
-from i2t.files.reading import read_json
 from i2t.files.writing import write_json
 from i2t.models.checks import require_dataset
-from i2t.models.finished import CHECKPOINTS, CONFIG, KEPT, METRICS, PAD_MODEL, FinishedRun, write_training
-from i2t.objects.named import read_objects, require_objects
+from i2t.models.finished import CHECKPOINTS, CONFIG, KEPT, METRICS, FinishedRun, kind_of_config, write_training
+from i2t.objects.named import read_meshes, require_objects
 
 if TYPE_CHECKING:
     from i2t.dataset import Dataset, Split
@@ -102,12 +101,13 @@ def _fit(args: FitArgs) -> None:
     if args.out.exists():
         shutil.rmtree(args.out)  # `_check` has refused any other folder
     args.out.mkdir(parents=True)
+    run = FinishedRun(args.out, None, {KEPT: about["method"]}, reason)
     write_json(args.out / CONFIG, _config(args))
     predictor.save(args.out / CHECKPOINTS / KEPT)
     if not isinstance(pad_model, str):
         print(printable(describe(pad_model)))
-        pad_model.save(args.out / PAD_MODEL)
-    write_training(FinishedRun(args.out, None, {KEPT: about["method"]}, reason))
+        pad_model.save(run.pad_model)
+    write_training(run)
     picture = _draw(args, score)
     write_json(args.out / METRICS, metrics | {"seconds": round(time.perf_counter() - started, 1)})
     print(f"\nwrote {args.out}: the predictor{'' if reason else ', the pad model'}, {METRICS} and {picture.name}")
@@ -127,11 +127,7 @@ def _check(args: FitArgs) -> None:
         raise ValueError(f"--out {args.out}: is a file; name a folder")
     if not any(args.out.iterdir()):
         return
-    try:
-        kind = read_json(args.out / CONFIG, 2**20).get("kind")
-    except (OSError, ValueError, AttributeError):
-        kind = None
-    if kind != FitArgs.__name__:
+    if kind_of_config(args.out / CONFIG) != FitArgs.__name__:
         raise ValueError(f"--out {args.out}: is not empty and holds no earlier fit; name another folder")
     if not args.overwrite:
         raise ValueError(f"--out {args.out}: holds an earlier fit; pass --overwrite, or name another folder")
@@ -146,7 +142,7 @@ def _pad_model(args: FitArgs, dataset: "Dataset", split: "Split") -> "KnownPad |
     from i2t.recognition.recorded import fit_pad_model
 
     print("fitting a pad model")
-    meshes = read_objects(list(map(str, args.objects)), args.unit)
+    meshes = read_meshes(args.objects, args.unit)
     try:
         return fit_pad_model(
             dataset, meshes, rows=split.train, key=jax.random.key(args.seed),

@@ -13,13 +13,16 @@ The folder of a run, or each folder `pad-P-seed-S` of a run of several pads or s
 This module has no slow imports.
 """
 
+import contextlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import cast
 
 from i2t.cli.options import require_path
 from i2t.errors import closest
+from i2t.files.reading import read_json
 from i2t.files.writing import write_json
 from i2t.installation import training_command
 from i2t.models import READY_MODELS
@@ -122,6 +125,20 @@ def read_run(folder: Path) -> FinishedRun:
         return FinishedRun(folder, **json.loads((folder / TRAINING).read_text()))
     except (OSError, ValueError, TypeError) as error:
         raise ValueError(f"{folder / TRAINING} cannot be read ({error}); restore a copy, or train again") from error
+
+
+def kind_of_config(path: Path) -> str | None:
+    """Read which options a config.json holds.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Name of the dataclass of the options; None if the file does not name it or cannot be read.
+    """
+    with contextlib.suppress(OSError, ValueError, AttributeError):  # missing, or of another program
+        return cast("str | None", read_json(path).get("kind"))
+    return None
 
 
 def finished_runs(folder: Path, pads: Sequence[str] = ()) -> dict[int, FinishedRun]:
@@ -228,10 +245,7 @@ def _why_no_run(folder: Path, first: Path) -> str:
         return f"is a file and holds no finished run; name the folder that {training_command()} wrote"
     if not folder.exists() or not any(folder.iterdir()):
         return f"holds no finished run; make one: {training_command()} --out {folder}"
-    try:
-        kind = json.loads((folder / CONFIG).read_text()).get("kind")
-    except (OSError, ValueError, AttributeError):  # missing, or of another program
-        kind = None
+    kind = kind_of_config(folder / CONFIG)
     if kind not in (None, "TrainArgs", "FitArgs"):
         return f"holds a run of another command ({kind}); name a folder that {training_command()} wrote"
     if (first / METRICS).exists():

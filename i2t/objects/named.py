@@ -132,23 +132,6 @@ def read_object(name: str, unit: str | None, *, largest_piece: bool = False) -> 
     return load_object(file, own_unit or unit, largest_piece=largest_piece)
 
 
-def read_objects(names: Sequence[str], unit: str | None) -> "dict[str, Mesh]":
-    """Read the meshes of several objects.
-
-    Args:
-        names: The objects as a command line names them.
-        unit: The unit of the mesh files that have none; see `units_of`.
-
-    Returns:
-        The meshes (m) by `object_name`, standing on the table.
-
-    Raises:
-        ValueError: An object cannot be read, as in `read_object`.
-    """
-    units = units_of(names, unit)
-    return {object_name(name): read_object(name, own).mesh for name, own in zip(names, units, strict=True)}
-
-
 def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2, catalogue: bool = True) -> None:
     """Refuse objects that do not exist, that share a name, or that are too few.
 
@@ -181,21 +164,22 @@ def require_objects(paths: Sequence[Path], unit: str | None, *, minimum: int = 2
         seen[own] = name
 
 
-def read_meshes(paths: Sequence[Path], unit: str | None) -> dict[str, "Mesh"]:
-    """Load meshes of the catalogue and of files.
+def read_meshes(names: Sequence[str | Path], unit: str | None = None) -> dict[str, "Mesh"]:
+    """Read the meshes of several objects.
 
     Args:
-        paths: At least two names in the catalogue or mesh files, or nothing if the option was omitted.
-        unit: Unit of length in the files whose names have none.
+        names: The objects as a command line names them: names in the catalogue, or mesh files.
+        unit: The unit of the mesh files that have none; see `units_of`.
 
     Returns:
-        The meshes by name: the catalogue's name, or the file's stem.
+        The meshes (m) by `object_name`, standing on the table.
 
     Raises:
-        ValueError: An object does not exist, a file has no unit, two objects share a name, or there is only one object.
+        ValueError: An object cannot be read, as in `read_object`.
     """
-    require_objects(paths, unit)
-    return read_objects(list(map(str, paths)), unit)
+    texts = list(map(str, names))
+    units = units_of(texts, unit)
+    return {object_name(text): read_object(text, own).mesh for text, own in zip(texts, units, strict=True)}
 
 
 def meshes_of_dataset(names: Sequence[str], dataset: str) -> dict[str, "Mesh"]:
@@ -211,7 +195,7 @@ def meshes_of_dataset(names: Sequence[str], dataset: str) -> dict[str, "Mesh"]:
     Raises:
         DataError: The catalogue lacks an object, or there is only one object.
     """
-    from i2t.objects.catalogue import NAMES, make_object
+    from i2t.objects.catalogue import NAMES
 
     if missing := [name for name in names if name not in NAMES]:
         raise DataError(
@@ -220,7 +204,7 @@ def meshes_of_dataset(names: Sequence[str], dataset: str) -> dict[str, "Mesh"]:
         )
     if len(names) < 2:
         raise DataError(f"{dataset} has touches of {names[0]} only; name the objects to distinguish: --objects")
-    return {name: make_object(name).mesh for name in names}
+    return read_meshes(names)
 
 
 def describe_placement(thing: "Object") -> str:

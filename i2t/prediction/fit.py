@@ -28,8 +28,6 @@ from i2t.recordings.sets import corrected_dataset
 from i2t.training import TrainConfig
 from i2t.validation import random_key
 
-HIDDEN_TILT = math.radians(0.4)  # rad, uncertainty of the tilt in a noisy view
-
 log = logging.getLogger(__name__)
 
 
@@ -76,7 +74,7 @@ def prepare_touches(
     pressure: bool = True,
     softness: float = 1.0,
     rendered: bool = False,
-    hidden_tilt: float = HIDDEN_TILT,
+    hidden_tilt: float = math.radians(0.4),
 ) -> PreparedTouches:
     """List the conditions that were measured at every touch, and predict the contact pressures.
 
@@ -100,40 +98,12 @@ def prepare_touches(
         name for name in ("force", "nearest", "travel") if np.isfinite(getattr(dataset.touches, name)[used]).all()
     )
     prepared = PreparedTouches(TrainingTouches(dataset, tuple(measured)), split, notes)
-    model = choose_pressure_model(dataset, load, softness=softness, rendered=rendered, hidden_tilt=hidden_tilt)
-    return _with_pressure(prepared, model, load) if pressure and model is not None else prepared
-
-
-def choose_pressure_model(
-    dataset: Dataset,
-    load: PressLoad,
-    *,
-    softness: float = 1.0,
-    rendered: bool = False,
-    hidden_tilt: float = HIDDEN_TILT,
-    noisy_curvature: float = 20e-6,
-) -> PressureModelConfig | None:
-    """Choose the model of contact pressure for a data set.
-
-    Args:
-        dataset: The touches.
-        load: Their load.
-        softness: Softness of the skin, relative to the nominal skin.
-        rendered: Whether the views were rendered.
-        hidden_tilt: Uncertainty (rad) of the tilt in a noisy or rendered view.
-        noisy_curvature: Median second difference (m) of pixels above which views are noisy and are smoothed.
-
-    Returns:
-        Configuration of the predicted contact pressure; None if no load is known.
-    """
-    if load.control is None:
-        return None
-    patches = dataset.touches.patch
-    curvature = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
-    noisy = float(np.median(np.abs(curvature))) > noisy_curvature
+    if not pressure or load.control is None:
+        return prepared
+    noisy = _is_noisy(dataset.touches.patch)
     large = dataset.window > 25e-3  # then the skin is assumed to be as large as the window, and cells are coarser
-    return PressureModelConfig(
-        pitch=dataset.window / patches.shape[1],
+    model = PressureModelConfig(
+        pitch=dataset.window / dataset.touches.patch.shape[1],
         window=round(dataset.window * 500) / 500 if large else PressureModelConfig.window,
         smooth=noisy,
         tilt=hidden_tilt if noisy or rendered else 0.0,
@@ -141,6 +111,13 @@ def choose_pressure_model(
         softness=softness,
         cell=1e-3 if large else PressureModelConfig.cell,
     )
+    return _with_pressure(prepared, model, load)
+
+
+def _is_noisy(patches: np.ndarray, curvature: float = 20e-6) -> bool:
+    """Test whether the median second difference (m) of pixels exceeds a limit, so that views must be smoothed."""
+    differences = patches[:, 2:] - 2 * patches[:, 1:-1] + patches[:, :-2]
+    return float(np.median(np.abs(differences))) > curvature
 
 
 def _with_pressure(

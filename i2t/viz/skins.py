@@ -239,7 +239,7 @@ def plot_readings(
     scale = common_scale(np.stack(values))
     per_row, bottom = key_layout(2.4 * columns, tuple(sets))
     figure = Picture(figsize=(2.4 * columns, 2.6 * rows + 0.5 + bottom), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(2.6 * rows + 0.3, bottom + 0.2))
+    above, below = figure.subfigures(2, 1, height_ratios=(2.6 * rows + 0.3, bottom + 0.2), squeeze=False)[:, 0]
     panels = above.subplots(rows, columns, squeeze=False).ravel()
     for i, axes in enumerate(panels):
         if i >= n:
@@ -277,7 +277,7 @@ def plot_press(
         The figure, which `save_figure` can write.
     """
     figure = Picture(figsize=(11, 4.4), layout="constrained")
-    above, below = figure.subfigures(2, 1, height_ratios=(3.9, 0.5))
+    above, below = figure.subfigures(2, 1, height_ratios=(3.9, 0.5), squeeze=False)[:, 0]
     left, middle, right = above.subplots(1, 3)
     image = draw_map(left, np.asarray(pressure) * 1e-3, PAD_WINDOW, low=0)
     above.colorbar(image, ax=left, label="pressure (kPa)", shrink=0.8)

@@ -15,7 +15,7 @@ from experiments.train.configs import Simulation
 from experiments.train.run import fit_or_explain
 from experiments.train.sources import RecordedSource, SimulatedSource
 from i2t.hardware.rig import Rig
-from i2t.objects.named import read_meshes
+from i2t.objects.named import read_meshes, require_objects
 from i2t.skin.files import save_pad
 from i2t.skin.pad import nominal_pad
 from i2t.skin_models.pad_fit import ContactModel
@@ -105,4 +105,4 @@ def test_names_of_the_catalogue_and_mesh_files_mix(tmp_path, mug):
         (["star", "cup"], "mm", "cup: is neither a mesh file nor an object of the catalogue"),
     ):
         with pytest.raises(ValueError, match=said):
-            read_meshes([Path(name) for name in names], unit)
+            require_objects([Path(name) for name in names], unit)

@@ -15,7 +15,6 @@ from experiments.recognize import __main__ as recognize
 from experiments.recognize import paper, report
 from experiments.recognize.arguments import LIVE_OBJECTS, DatasetArgs, LiveArgs, SimulateArgs
 from experiments.recognize.config import PRESETS
-from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.run import configure
 from experiments.studies import __main__ as studies
 from experiments.studies import physics
@@ -23,6 +22,7 @@ from experiments.train import __main__ as train
 from i2t import dataset
 from i2t.collect.arguments import SkinArgs
 from i2t.objects import catalogue
+from i2t.objects.named import read_meshes
 from i2t.recognition.recognizer import MAX_EMPTY_DRAWS, ObjectRecognizer, RecognizerConfig
 from i2t.skin_models.pad_model import load_pad_model
 from i2t.types import ReturnCode
@@ -153,7 +153,7 @@ def test_the_default_objects_of_a_live_run_are_met_at_all_sites():
     args = LiveArgs(num_particles=16)
     config = RecognizerConfig(num_particles=16, min_contact_probability=args.contact_probability)
     model = load_pad_model("nominal").model
-    recognizer = ObjectRecognizer(jax.random.key(args.seed), model, meshes_by_name(LIVE_OBJECTS), config=config)
+    recognizer = ObjectRecognizer(jax.random.key(args.seed), model, read_meshes(LIVE_OBJECTS), config=config)
     assert recognizer.table.hit.mean(-1).min() >= 0.95
     assert len(recognizer.sites.owner) > 0.8 * len(LIVE_OBJECTS) * args.num_sites  # few are left out
     assert recognizer.safe.all()

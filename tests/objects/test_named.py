@@ -9,8 +9,8 @@ from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.named import (
     meshes_of_dataset,
     object_name,
+    read_meshes,
     read_object,
-    read_objects,
     require_object,
     split_unit,
     units_of,
@@ -87,7 +87,7 @@ def test_several_objects_are_read_in_their_own_units(tmp_path):
     for name, side in sides.items():
         trimesh.creation.box((side, side, side)).export(tmp_path / name.split(":")[0])
     with pytest.warns(UserWarning, match="d.glb: is read in inch, as given, although glTF is in metres") as caught:
-        meshes = read_objects([str(tmp_path / name) for name in sides], "cm")
+        meshes = read_meshes([tmp_path / name for name in sides], "cm")
     assert len(caught) == 1
     assert list(meshes) == ["a", "b", "c", "d"]
     for mesh in meshes.values():

@@ -17,7 +17,7 @@ PRELUDE = (
 REQUIRED_ON_SITE = {
     "reference_api": ("load_predictor",),
     "commands/experiments-recognize": ("--max-touches", "--pad-model"),
-    "commands/i2t-hardware-hand_eye": ("--square", "--dictionary"),
+    "commands/i2t-hand-eye": ("--square", "--dictionary"),
     "commands/i2t-convert": ("--quarter-turns",),
     "tutorial_own_object": ("copybutton.js", "highlight-output", 'class="figure wide"'),
     "../notebooks/paper": ("The paper",),

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 import i2t
 from experiments.recognize.config import PRESETS, Recognition
-from experiments.recognize.plans import meshes_by_name
 from experiments.recognize.trained_run import TrainedRun, load_trained_run
 from i2t.geometry import inverse
 from i2t.models.finished import FinishedRun, finished_runs
+from i2t.objects.named import read_meshes
 from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.simulation.touches import touch_simulator
@@ -84,7 +84,7 @@ class Story:
     @cached_property
     def episode(self) -> EpisodeRecord:
         """Episode with the hidden object among five candidates, at the most informative sites."""
-        world, meshes = self.world, meshes_by_name((*OTHER_CANDIDATES, HIDDEN_OBJECT))
+        world, meshes = self.world, read_meshes((*OTHER_CANDIDATES, HIDDEN_OBJECT))
         recognizer = i2t.ObjectRecognizer(jax.random.key(1), self.run.pad_model, meshes, config=self.config)
         hidden = i2t.prepare_surface(meshes[HIDDEN_OBJECT])
         touch = touch_simulator(jax.random.key(2), hidden, self.run.pad, errors=world.errors, limits=world.limits)
