@@ -177,21 +177,21 @@ def _most_different(
 
 def _kind(patch: np.ndarray, window: float, reach: float) -> str:
     """Describe the surface in a patch (m) by the region that is within an eighth of the reach (0.5 mm) of its nearest
-    point, and by its jumps.
+    point, and by the steps along its boundary.
     """
     near, pitch = patch <= patch.min() + reach / 8, window / len(patch)
     at = pitch * (np.argwhere(near) - (len(patch) - 1) / 2)  # m, from the middle of the patch
     centre, spread = at.mean(0), (at - at.mean(0)).T @ (at - at.mean(0)) / len(at)
     width, length = np.sqrt(12 * np.linalg.eigvalsh(spread))  # of a rectangle of the same spread
-    inner = patch[len(patch) // 8 : -(len(patch) // 8), len(patch) // 8 : -(len(patch) // 8)]
-    jumps = sum(int((np.abs(np.diff(inner, axis=axis)) > reach / 4).sum()) for axis in (0, 1))
+    boundary = [np.diff(near, axis=axis) for axis in (0, 1)]  # pairs of pixels of which one is near
+    steps = np.concatenate([abs(np.diff(patch, axis=axis)[pairs]) for axis, pairs in enumerate(boundary)])
     if near.mean() > 0.9:
         return "flat"
     if length < window / 2:
         return "tip"
     if width < window / 4 and np.linalg.norm(centre) < window / 4:
         return "ridge"
-    return "edge" if jumps > len(patch) / 2 else "curved"
+    return "edge" if np.mean(steps > reach / 12) > 0.5 else "curved"
 
 
 def _strongest(board: "Board", mean: np.ndarray, std: np.ndarray) -> str:
