@@ -36,6 +36,9 @@ class InputLimits:
     max_nearest_pixel: float = 1e-3  # m, nearest pixel of a patch, whose depths count from that pixel
     max_centre_error: float = 0.5e-3  # m between nine in ten pixels of a patch and the middle of its view
     warned_seen_fraction: float = 0.5  # of a patch's pixels; below it there is a warning
+    # largest predicted value over the largest one of the training touches; a larger one is warned of
+    max_reading_ratio: float = 3.0
+    mean_depth_tolerance: float = 0.125  # of the reach, by which mean depths may differ from those of training
     min_seen_fraction: float = 0.1  # of a patch's pixels; below it there is no prediction
     size_tolerance: float = 1e-3  # relative rounding error of a patch's size
     pixel_tolerance: float = 1e-6  # m, rounding error of single precision
@@ -243,14 +246,19 @@ def check_press(
     *,
     usual_force: float,
     largest_force: float | None = None,
-) -> None:
-    """Refuse presses that no skin makes or that are far beyond a model's training, and warn of slightly harder ones.
+    least_force: float = 0.0,
+) -> list[str]:
+    """Refuse presses that no skin makes or that are far beyond a model's training.
 
     Args:
         force: Forces (N) along tool z, positive for a press.
         travel: Travel (m) past first contact; NaN where it is unknown.
         usual_force: Median force (N) of the training touches.
         largest_force: Largest force (N) of the training touches; None if it is unknown.
+        least_force: Least force (N) of the training touches; 0 if it is unknown.
+
+    Returns:
+        A doubt in words if a press is slightly harder, or lighter, than those of the training.
 
     Raises:
         ValueError: A force pulls, presses nothing, breaks a skin or is far beyond the training touches, or a travel is
@@ -265,15 +273,71 @@ def check_press(
             f"force is {hardest:g} N, and the model was trained on {about}: it cannot predict such a hard press; "
             f"give at most {allowed:.2g} N, or train on harder presses"
         )
-    if trained and hardest > trained:
-        warnings.warn(
-            f"force is {hardest:g} N, and the model was trained on {about}: its prediction for such a hard press is "
-            "only a guess",
-            stacklevel=3,
-        )
     longest = np.max(np.abs(travel), initial=0.0, where=np.isfinite(travel))
     if longest > _INPUT_LIMITS.max_travel:
         raise ValueError(f"travel is {longest:g} m, more than {_INPUT_LIMITS.max_travel:g}; give metres")
+    if trained and hardest > trained:
+        return [f"force is {hardest:g} N, and the model was trained on {about}"]
+    if (lightest := float(force.min())) < 0.99 * least_force:
+        return [f"force is {lightest:g} N, and the model was trained on presses of at least {least_force:.2g} N"]
+    return []
+
+
+def known_range(metadata: dict[str, Any] | None, name: str) -> list[float]:
+    """Read a range of the training touches.
+
+    Args:
+        metadata: Provenance of a predictor.
+        name: Name of the range, such as "force_range".
+
+    Returns:
+        Least and largest value; empty if they are unknown.
+    """
+    limits = (metadata or {}).get(name)
+    numbers = [float(x) for x in limits if isinstance(x, int | float)] if isinstance(limits, list) else []
+    return numbers if len(numbers) == 2 else []
+
+
+def unlike_training(
+    metadata: dict[str, Any] | None,
+    patches: Float[np.ndarray, "n p p"],
+    reach: float,
+    travel: Float[np.ndarray, " n"],
+    mean: Float[np.ndarray, "n c"],
+) -> list[str]:
+    """Compare touches with those of the training.
+
+    Args:
+        metadata: Provenance of the predictor, with the ranges of the training touches.
+        patches: Patches (m).
+        reach: Depth (m) at which they are clipped.
+        travel: Travel (m) past first contact; NaN where it is unknown.
+        mean: Predicted readings (uT).
+
+    Returns:
+        A doubt in words for each quantity that is far outside the training: travel, mean depth of a patch, largest
+        value of a reading.
+    """
+    doubts = []
+    depth, margin = patches.mean((1, 2)), _INPUT_LIMITS.mean_depth_tolerance * reach
+    for name, subject, values, tolerance in (
+        ("travel_range", "travel is", travel, _INPUT_LIMITS.pixel_tolerance),
+        ("mean_depth_range", "patch has a mean depth of", depth, margin),
+    ):
+        if limits := known_range(metadata, name):
+            outside = (values < limits[0] - tolerance) | (values > limits[1] + tolerance)
+            if outside.any():
+                doubts.append(
+                    f"{subject} {_mm(float(values[outside][0]))} mm{_which(outside)}, and the model was trained on "
+                    f"{_mm(limits[0])} to {_mm(limits[1])} mm"
+                )
+    largest = (metadata or {}).get("largest_reading")
+    predicted = np.abs(mean).max(1)
+    if isinstance(largest, int | float) and predicted.max() > _INPUT_LIMITS.max_reading_ratio * largest:
+        doubts.append(
+            f"a predicted value is {predicted.max():.3g} uT, and the largest one of the training touches {largest:.3g}"
+        )
+    return doubts
 
 
 def check_met(
