@@ -34,7 +34,7 @@ from i2t.files.checkpoints import custom_metadata
 from i2t.files.writing import as_path
 from i2t.installation import training_command
 from i2t.leave_one_out import STDS_WITHIN_90
-from i2t.models import ready_hint, ready_path
+from i2t.models import explain_no_predictor, ready_path
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.patches.views import PatchView
 from i2t.prediction import user_input
@@ -464,11 +464,10 @@ def load_predictor(directory: Path | str) -> Predictor:
         predictor = i2t.load_predictor("nominal")
         reading, std = predictor.predict(patch, force=1.0)
     """
-    hint = ready_hint(directory, "predictor")
-    directory = ready_path(directory, "predictor").absolute()
+    name, directory = directory, ready_path(directory, "predictor").absolute()
     nested = directory / "checkpoint" / "predictor"
     directory = nested if nested.is_dir() else directory
-    about = _description(directory, hint)
+    about = _description(directory, name)
     try:
         if about["version"] == 4:
             about["model"]["settings"] = _with_travel(about["model"]["settings"])
@@ -515,17 +514,15 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
 _PREDICTOR_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
 
 
-def _description(directory: Path, hint: str) -> dict[str, Any]:
-    """Read the description of a predictor on disk; `hint` ends the message if there is none."""
+def _description(directory: Path, name: Path | str) -> dict[str, Any]:
+    """Read the description of a predictor on disk, which the user called `name`."""
     try:
         about = custom_metadata(directory)
         if about["format"] != PREDICTOR_FORMAT:
             raise KeyError(about["format"])
         version = about["version"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(
-            f"{directory} holds no predictor of this i2t; name the folder that `{training_command()}` wrote{hint}"
-        ) from error
+        raise CheckpointError(f"{name}: {explain_no_predictor(name)}") from error
     if version not in (4, PREDICTOR_VERSION):  # version 4 called travel depth
         raise CheckpointError(
             f"{directory} holds a predictor of version {version}, but this i2t reads version {PREDICTOR_VERSION}; use "

@@ -18,7 +18,7 @@ from scipy import ndimage
 from i2t import validation
 from i2t.depth.patches import DepthPatch, DepthView
 from i2t.objects.mesh_files import MAX_SIZE_M
-from i2t.patches.dimensions import STANDOFF
+from i2t.patches.dimensions import PAD_WINDOW, STANDOFF
 from i2t.patches.views import PatchView, centre, pixels_on_skin
 from i2t.types import Patch, Surface
 
@@ -519,23 +519,42 @@ def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: Patc
     if not math.isfinite(nearest):
         raise ValueError("nothing lies in front of the skin's middle at this pose; move T_o_t towards the surface")
     pitch = window / len(view.patch.depth)
-    remedy = "move T_o_t onto it (i2t.contact_pose)"
-    check_met(np.array([nearest]), np.asarray(view.depth)[None], pitch, remedy=remedy, stacklevel=5)
+    remedy = (
+        "move T_o_t onto it (i2t.contact_pose), in the mesh's frame (i2t.load_mesh moves a mesh to the table; "
+        "table=False keeps its file's frame)"
+    )
+    triangles = np.asarray(surface.triangles, np.float64)
     depth = np.asarray(view.patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
     # A ray through a pixel's centre would meet edges of symmetric meshes.
     x, y = ((np.array([column, row]) + np.array([0.537, 0.471])) / len(depth) - 0.5) * window
-    if _starts_inside(np.asarray(surface.triangles, np.float64), T_o_t, float(x), float(y)):
+    line = _crossings(triangles, T_o_t, float(x), float(y))
+    inside = _starts_inside(line)
+    middle = _crossings(triangles, T_o_t, 1.7e-5, 1.1e-5)  # next to the tool's axis
+    on_surface = bool((abs(middle.height) < _INPUT_LIMITS.unnoticed_gap).any()) and not _starts_inside(middle)
+    if on_surface and (inside or nearest < -_INPUT_LIMITS.max_gap):
+        raise ValueError(
+            f"a part of the object within the skin's {1e3 * PAD_WINDOW:g} mm stands out by "
+            f"{_mm(-float(line.height.min(initial=nearest)))} mm at this pose, so the skin cannot lie on the surface "
+            "there; choose a point farther from it"
+        )
+    check_met(np.array([nearest]), np.asarray(view.depth)[None], pitch, remedy=remedy, stacklevel=5)
+    if inside:
         raise ValueError(
             "the skin would meet the surface from inside the object at this pose: it lies in the object, or tool z "
             "points out of it; make T_o_t with i2t.contact_pose"
         )
 
 
-def _starts_inside(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float) -> bool:
-    """Test whether a ray along tool z starts inside a surface that is closed and faces outward along the whole line.
-    Return False for other surfaces, where it is unknown.
-    """
+class Crossings(NamedTuple):
+    """Crossings of a line along tool z with a surface, in the order of their heights."""
+
+    height: Float[np.ndarray, " n"]  # m along tool z from the tool origin
+    leaves: Bool[np.ndarray, " n"]  # whether the line leaves the object through the face
+
+
+def _crossings(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float) -> Crossings:
+    """Intersect the line along tool z through (x, y) in the tool frame with (n, 3, 3) triangles."""
     rotation, origin = T_o_t[:3, :3].astype(np.float64), T_o_t[:3, 3].astype(np.float64)
     a, b, c = np.moveaxis((triangles - origin) @ rotation - np.array([x, y, 0.0]), 1, 0)
 
@@ -546,11 +565,18 @@ def _starts_inside(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float)
     whole = parts.sum(0)
     crossed = ((parts > 0).all(0) | (parts < 0).all(0)) & (whole != 0)
     height = (parts * np.stack([a, b, c])[:, :, 2]).sum(0)[crossed] / whole[crossed]
-    leaves = (whole[crossed] > 0)[np.argsort(height)]  # whether the line leaves the object through the face
-    height = np.sort(height)
-    alternate = len(leaves) % 2 == 0 and not leaves[::2].any() and leaves[1::2].all()
-    ahead = leaves[height > -STANDOFF]
-    return bool(alternate and len(ahead) and ahead[0])
+    order = np.argsort(height)
+    return Crossings(height[order], (whole[crossed] > 0)[order])
+
+
+def _starts_inside(line: Crossings) -> bool:
+    """Test whether a ray along tool z starts inside bodies that are closed and face outward along the whole line.
+    Return False for other surfaces, where it is unknown.
+    """
+    within = np.cumsum(np.where(line.leaves, -1, 1))  # number of bodies that hold the line after each crossing
+    closed = len(within) > 0 and within.min() >= 0 and within[-1] == 0
+    before = within[line.height <= -STANDOFF]
+    return bool(closed and len(before) and before[-1] > 0)
 
 
 def _many(name: str, values: Any, hint: str) -> np.ndarray:

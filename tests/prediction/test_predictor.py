@@ -145,10 +145,16 @@ def test_the_board_of_the_training_is_kept(network, tmp_path, name):
 def test_an_unknown_name_of_a_predictor_hints_at_the_ready_model(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for name in ("nominall", "Nominal", "NOMINAL/", "nominal/"):
-        with pytest.raises(CheckpointError, match=r"holds no predictor .*; did you mean nominal\?"):
+        with pytest.raises(CheckpointError, match=r"there is no such folder; did you mean nominal\?"):
             predictor.load_predictor(name)
-    with pytest.raises(CheckpointError, match=r"holds no predictor .*, or a ready model, nominal$"):
-        predictor.load_predictor("runs/train")
+    writers = "name the folder that i2t fit or python -m experiments.train wrote, or a ready model, nominal$"
+    with pytest.raises(CheckpointError, match=f"^runs/fitt: there is no such folder; {writers}"):
+        predictor.load_predictor("runs/fitt")
+    (tmp_path / "runs" / "fit").mkdir(parents=True)
+    with pytest.raises(CheckpointError, match=r"^runs/fitt: there is no such folder; did you mean runs/fit\?$"):
+        predictor.load_predictor("runs/fitt")
+    with pytest.raises(CheckpointError, match=f"^runs/fit: holds no predictor of this i2t; {writers}"):
+        predictor.load_predictor("runs/fit")
 
 
 @pytest.mark.full
@@ -169,7 +175,7 @@ def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_pa
     [
         ({"version": 3}, "of version 3, but this i2t reads version 5; use the i2t that wrote it, or train again"),
         ({"window": None}, "lacks window"),
-        (None, "holds no predictor"),
+        (None, "holds no predictor|there is no such folder"),
     ],
 )
 def test_predictors_that_cannot_be_read_are_refused_in_one_sentence(network, tmp_path, change, words):
