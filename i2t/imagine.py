@@ -3,7 +3,7 @@
     i2t imagine                                the hammer of the catalogue, by the ready model
     i2t imagine mug.stl --unit mm              an object of your own
     i2t imagine star --model runs/train        a predictor of your own
-    i2t imagine mug.stl:mm --at 0 -40 45       one touch at a place (mm)
+    i2t imagine mug.stl:mm --at -17 20 44       one touch at a place (mm)
 
 Of random safe sites on the object, those are touched whose patches differ most: flat, an edge, curved, a ridge, a tip.
 A patch is the depth of the surface in front of the skin. From patch and force, a trained predictor computes the reading
@@ -235,7 +235,7 @@ def _kind(patch: np.ndarray, window: float, reach: float) -> str:
         return "tip"
     if width < window / 4 and np.linalg.norm(centre) < window / 4:
         return "ridge"
-    return "edge" if np.mean(steps > reach / 12) > 0.5 else "curved"
+    return "edge" if np.mean(steps > reach / 12) > 0.2 else "curved"
 
 
 def _strongest(board: "Board", mean: np.ndarray, std: np.ndarray) -> str:
