@@ -3,6 +3,7 @@
     i2t imagine                                the hammer of the catalogue, by the ready model
     i2t imagine mug.stl --unit mm              an object of your own
     i2t imagine star --model runs/train        a predictor of your own
+    i2t imagine mug.stl:mm --at -17 20 44       one touch at a place (mm)
 
 Of random safe sites on the object, those are touched whose patches differ most: flat, an edge, curved, a ridge, a tip.
 A patch is the depth of the surface in front of the skin. From patch and force, a trained predictor computes the reading
@@ -22,14 +23,14 @@ import tyro
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Limits, Seed, docstring_of, require_writable
 from i2t.files.checkpoints import is_checkpoint
-from i2t.installation import training_command
-from i2t.models import READY_MODELS, ready_hint, ready_path
-from i2t.objects.named import read_object
+from i2t.models import READY_MODELS, explain_no_predictor, ready_path
+from i2t.objects.named import describe_placement, read_object
 from i2t.patches.dimensions import MAX_SKIN_FORCE_N
 
 if TYPE_CHECKING:
-    from i2t.objects import Object
+    from i2t.objects import Mesh, Object
     from i2t.prediction.predictor import Predictor
+    from i2t.prediction.touch_model import TouchBatch
     from i2t.types import Board, Surface
 
 
@@ -46,10 +47,14 @@ class ImagineArgs:
     # board of the skin: reskin, anyskin, eflesh, grid-RxC for R rows and C columns of chips, or a board file (.toml);
     # by default, the board that the model was trained on
     board: str | None = None
-    force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] = 1.0
-    """Force (N) of the press along the tool's z axis."""
-    sites: Count = 4
-    """Number of touches to predict, at sites whose patches differ most."""
+    force: Annotated[float, Limits(0, MAX_SKIN_FORCE_N, above=True)] | None = None
+    """Force (N) of the press along the tool's z axis; by default 1 N."""
+    travel: Annotated[float, Limits(0, 20, above=True)] | None = None
+    """Travel (mm) past first contact, for a predictor of presses by travel; by default the median of its training."""
+    at: tuple[float, float, float] | None = None
+    """Place (mm) of the only touch, in the frame of the printed places."""
+    sites: Count | None = None
+    """Number of touches to predict, at sites whose patches differ most; by default 4."""
     seed: Seed = 0
     """Seed of the random sites among which the touches are chosen."""
     out: Path = Path("runs/imagine.png")
@@ -59,6 +64,8 @@ class ImagineArgs:
 def _imagine(args: ImagineArgs) -> None:
     _check(args)
     target = _object(args)
+    if placement := describe_placement(target):
+        print(placement)
     from i2t import viz
     from i2t.dataset import holds_simulated
     from i2t.prediction.predictor import load_predictor
@@ -67,9 +74,13 @@ def _imagine(args: ImagineArgs) -> None:
     predictor = load_predictor(args.model)
     board = _board(args, predictor)
     surface = prepare_surface(target.mesh)
-    T_o_t = _sites(args, predictor, surface, target.name)
-    seen = predictor.render_touches(surface, T_o_t)
-    readings = predictor.predict(seen, force=args.force)
+    given, load = _load(args, predictor)
+    if args.at is None:
+        T_o_t = _sites(args, predictor, surface, target.name)
+        seen = predictor.render_touches(surface, T_o_t)
+    else:
+        T_o_t, seen = _touch_at(args.at, predictor, surface, target.mesh)
+    readings = predictor.predict(seen, **given)
     kinds = [_kind(patch, predictor.window, predictor.reach) for patch in seen.patch]
     for number, (kind, T, mean, std) in enumerate(zip(kinds, T_o_t, *readings, strict=True), 1):
         x, y, z = (round(1e3 * float(metres)) for metres in T[:3, 3])
@@ -77,7 +88,7 @@ def _imagine(args: ImagineArgs) -> None:
     simulated = args.model in READY_MODELS or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
     figure = viz.plot_predicted_touches(
         seen.patch, {"predicted": readings.mean}, kinds, board,
-        f"{target.name}: predicted touches, {args.force:g} N", simulated,
+        f"{target.name}: predicted touches, {load}", simulated,
         std={"predicted": readings.std}, mesh=target.mesh, T_o_t=T_o_t,
         window=predictor.window, reach=predictor.reach,
     )  # fmt: skip
@@ -92,12 +103,11 @@ def _check(args: ImagineArgs) -> None:
     endings = (".png", ".jpg", ".pdf", ".svg")
     if args.out.suffix.lower() not in endings:
         raise ValueError(f"--out {args.out}: is not the name of a picture; use the ending {' or '.join(endings)}")
+    if args.at is not None and args.sites is not None:
+        raise ValueError("--at names the only touch; leave --sites out")
     folder = ready_path(args.model, "predictor")
     if not any(is_checkpoint(folder / part) for part in ("", "checkpoint/predictor")):
-        raise ValueError(
-            f"--model {args.model}: holds no predictor; name the folder that `{training_command()}` wrote"
-            + ready_hint(args.model, "predictor")
-        )
+        raise ValueError(f"--model {args.model}: {explain_no_predictor(args.model)}")
     if args.board is not None:
         from i2t.skin.boards import make_board
 
@@ -130,14 +140,48 @@ def _board(args: ImagineArgs, predictor: "Predictor") -> "Board":
     return board
 
 
+def _load(args: ImagineArgs, predictor: "Predictor") -> tuple[dict[str, float], str]:
+    """Choose the load of the presses, as an argument of `Predictor.predict` and in words."""
+    if predictor.load == "force":
+        if args.travel is not None:
+            raise ValueError(f"--travel: the predictor of {args.model} was fitted to presses by force; give --force")
+        force = 1.0 if args.force is None else args.force
+        return {"force": force}, f"{force:g} N"
+    if args.force is not None:
+        raise ValueError(
+            f"--force: the predictor of {args.model} was fitted to presses by travel; give --travel, in mm"
+        )
+    travel = 1e3 * predictor.default_travel if args.travel is None else args.travel
+    load = f"{travel:.2g} mm travel"
+    print(f"the predictor of {args.model} was fitted to presses by travel; all touches have {load}")
+    return {"travel": 1e-3 * travel}, load
+
+
+def _touch_at(
+    place: tuple[float, float, float], predictor: "Predictor", surface: "Surface", mesh: "Mesh"
+) -> tuple[np.ndarray, "TouchBatch"]:
+    """Find the (1, 4, 4) tool pose at a place (mm), and render what the skin meets there."""
+    from i2t.objects.poses import contact_pose
+
+    try:
+        T_o_t = contact_pose(mesh, 1e-3 * np.asarray(place))[None]
+        return T_o_t, predictor.render_touches(surface, T_o_t)
+    except ValueError as error:
+        reason = str(error).removeprefix("point: ").partition(";")[0]
+        raise ValueError(
+            f"--at {' '.join(f'{mm:g}' for mm in place)}: {reason}; give another place on the surface, in mm and in "
+            "the frame of the printed places"
+        ) from error
+
+
 def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: str, pool: int = 64) -> np.ndarray:
     """Choose the sites whose patches differ most among a pool of random safe ones, as (n, 4, 4) tool poses."""
     import jax
 
     from i2t.simulation.sites import collect_sites
 
-    accepted, patches, refused = [], [], None
-    drawn = collect_sites(jax.random.key(args.seed), surface, max(pool, args.sites), name=name, enough=args.sites)
+    accepted, patches, refused, sites = [], [], None, 4 if args.sites is None else args.sites
+    drawn = collect_sites(jax.random.key(args.seed), surface, max(pool, sites), name=name, enough=sites)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the predictor warns about the chosen sites when they are rendered again
         for T in drawn:
@@ -147,11 +191,11 @@ def _sites(args: ImagineArgs, predictor: "Predictor", surface: "Surface", name: 
                 refused = error
             else:
                 accepted.append(T)
-    if refused is not None and len(accepted) < args.sites:
+    if refused is not None and len(accepted) < sites:
         raise refused
     T_o_t = np.stack(accepted)
     kinds = [_kind(patch, predictor.window, predictor.reach) for patch in patches]
-    return T_o_t[_most_different(np.stack(patches), kinds, T_o_t[:, :3, 3], args.sites)]
+    return T_o_t[_most_different(np.stack(patches), kinds, T_o_t[:, :3, 3], sites)]
 
 
 def _most_different(
@@ -177,21 +221,21 @@ def _most_different(
 
 def _kind(patch: np.ndarray, window: float, reach: float) -> str:
     """Describe the surface in a patch (m) by the region that is within an eighth of the reach (0.5 mm) of its nearest
-    point, and by its jumps.
+    point, and by the steps along its boundary.
     """
     near, pitch = patch <= patch.min() + reach / 8, window / len(patch)
     at = pitch * (np.argwhere(near) - (len(patch) - 1) / 2)  # m, from the middle of the patch
     centre, spread = at.mean(0), (at - at.mean(0)).T @ (at - at.mean(0)) / len(at)
     width, length = np.sqrt(12 * np.linalg.eigvalsh(spread))  # of a rectangle of the same spread
-    inner = patch[len(patch) // 8 : -(len(patch) // 8), len(patch) // 8 : -(len(patch) // 8)]
-    jumps = sum(int((np.abs(np.diff(inner, axis=axis)) > reach / 4).sum()) for axis in (0, 1))
+    boundary = [np.diff(near, axis=axis) for axis in (0, 1)]  # pairs of pixels of which one is near
+    steps = np.concatenate([abs(np.diff(patch, axis=axis)[pairs]) for axis, pairs in enumerate(boundary)])
     if near.mean() > 0.9:
         return "flat"
     if length < window / 2:
         return "tip"
     if width < window / 4 and np.linalg.norm(centre) < window / 4:
         return "ridge"
-    return "edge" if jumps > len(patch) / 2 else "curved"
+    return "edge" if np.mean(steps > reach / 12) > 0.2 else "curved"
 
 
 def _strongest(board: "Board", mean: np.ndarray, std: np.ndarray) -> str:

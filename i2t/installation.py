@@ -31,6 +31,15 @@ def training_command() -> str:
     return "python -m experiments.train" if checkout() else "i2t fit"
 
 
+def training_commands() -> str:
+    """Name all commands that train a predictor, for messages about the folders that they write.
+
+    Returns:
+        `i2t fit`, and the experiment in a checkout.
+    """
+    return "i2t fit" + (f" or {training_command()}" if checkout() else "")
+
+
 def extra_advice(extra: str, package: str = "") -> str:
     """Word how to install an extra.
 

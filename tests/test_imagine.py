@@ -9,6 +9,7 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from i2t import imagine
+from i2t.objects import Mesh, contact_pose
 from i2t.objects.catalogue import make_object
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.rendering.render import prepare_surface, render_patch
@@ -88,5 +89,31 @@ def test_a_box_is_drawn(edge, tmp_path, capsys):
     out = tmp_path / "touches.png"
     assert imagine.main([str(tmp_path / "box.stl"), "--unit", "mm", "--sites", "3", "--out", str(out)]) == 0
     assert out.stat().st_size > 10_000
-    lines = capsys.readouterr().out.splitlines()
+    placement, *lines = capsys.readouterr().out.splitlines()
+    assert placement.startswith(f"box: the mesh was moved by 0.00, 0.00, {edge / 2:.2f} mm from its file's frame")
     assert [line.split(" (")[0] for line in lines] == ["touch 1", "touch 2", "touch 3", f"wrote {out}"]
+
+
+def kind_on(mesh: trimesh.Trimesh, point: tuple[float, float, float]) -> str:
+    own = Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+    patch = jax.jit(render_patch)(prepare_surface(own), np.float32(contact_pose(own, point, roll=0.3)))
+    return imagine._kind(np.asarray(patch.depth), PATCH_WINDOW, REACH)
+
+
+def test_straight_steps_are_edges_and_round_surfaces_are_not():
+    """Also steps near the rim of the patch, and those of an object of several bodies."""
+    plate, wall = trimesh.creation.box((60e-3, 40e-3, 10e-3)), trimesh.creation.box((10e-3, 40e-3, 40e-3))
+    wall.apply_translation([-25e-3, 0, 25e-3])
+    bracket = trimesh.util.concatenate([plate, wall])
+    for mesh in (plate, bracket):
+        assert kind_on(mesh, (5e-3, 0, 5e-3)) == "flat"
+        for y in (-14e-3, -16e-3, -19e-3):
+            assert kind_on(mesh, (-5e-3, y, 5e-3)) == "edge"
+        assert kind_on(mesh, (25e-3, 1e-3, 5e-3)) == "edge"
+    star = make_object("star").mesh
+    assert kind_on(trimesh.Trimesh(star.vertices, star.faces, process=False), (3e-3, 18e-3, 30e-3)) == "edge"
+    lying = trimesh.creation.cylinder(15e-3, 60e-3, sections=128)
+    assert [kind_on(lying, (15e-3, 0, z)) for z in (0, 25e-3, 29e-3)] == ["curved", "edge", "edge"]
+    for radius, words in ((8e-3, {"tip"}), (30e-3, {"curved"})):
+        ball = trimesh.creation.icosphere(4, radius)
+        assert kind_on(ball, tuple(ball.triangles_center[7])) in words

@@ -27,6 +27,7 @@ from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Seed, docstring_of, require_writable
 from i2t.errors import printable
 from i2t.files.writing import write_json
+from i2t.installation import checkout
 from i2t.models.checks import require_dataset
 from i2t.models.finished import CHECKPOINTS, CONFIG, KEPT, METRICS, FinishedRun, kind_of_config, write_training
 from i2t.objects.named import read_meshes, require_objects
@@ -111,9 +112,23 @@ def _fit(args: FitArgs) -> None:
     picture = _draw(args, score)
     write_json(args.out / METRICS, metrics | {"seconds": round(time.perf_counter() - started, 1)})
     print(f"\nwrote {args.out}: the predictor{'' if reason else ', the pad model'}, {METRICS} and {picture.name}")
-    print(f"next: i2t imagine star --model {args.out}")
-    if reason is None:
-        print(f"      i2t recognize {args.dataset} --pad-model {args.out}")
+    print("\n".join(_next_steps(args, dataset, pad_model=reason is None)))
+
+
+def _next_steps(args: FitArgs, dataset: "Dataset", *, pad_model: bool) -> list[str]:
+    """Name the commands that use the results. Presses of one tip suit a calibration, but no other shapes."""
+    from i2t.recordings.loads import presses_one_tip
+
+    if presses_one_tip(dataset):
+        skin = "" if args.skin_name is None else f" --skin-name {args.skin_name}"
+        calibrate = f"python -m experiments.calibrate --dataset {args.dataset}{skin}" if checkout() else "i2t.calibrate"
+        return [
+            f"note: all touches are presses of one tip, {dataset.objects[int(dataset.touches.object[0])]}, so the "
+            "predictor suits no other shape",
+            f"next: calibrate the skin for this tip: {calibrate}",
+        ]
+    recognize = [f"      i2t recognize {args.dataset} --pad-model {args.out}"] if pad_model else []
+    return [f"next: i2t imagine star --model {args.out}", *recognize]
 
 
 def _check(args: FitArgs) -> None:

@@ -18,6 +18,7 @@ from typing import Any, Literal
 from i2t.errors import closest, did_you_mean
 from i2t.files.reading import read_json
 from i2t.files.writing import as_path
+from i2t.installation import training_commands
 
 Part = Literal["predictor", "pad_model.npz", "touches.h5", "calibration.npz", "metrics.json"]
 # Files of each model that comes with the package.
@@ -62,6 +63,26 @@ def ready_hint(name: str | os.PathLike[str], part: Part, *, list_all: bool = Tru
     close = closest(as_path("path", name).name, names)
     others = f", or a ready model, {' or '.join(names)}" if list_all else ""
     return f"; did you mean {close}?" if close else others
+
+
+def explain_no_predictor(name: str | os.PathLike[str]) -> str:
+    """Explain why a path holds no predictor, with a remedy.
+
+    Args:
+        name: The name or path that the user gave.
+
+    Returns:
+        The rest of a sentence that begins with the path.
+    """
+    path = as_path("path", name)
+    writers = f"name the folder that {training_commands()} wrote"
+    if path.exists():
+        return f"holds no predictor of this i2t; {writers}{ready_hint(name, 'predictor')}"
+    near = path.parent.is_dir() and closest(
+        path.name, [other.name for other in path.parent.iterdir() if other.is_dir()]
+    )
+    hint = ready_hint(name, "predictor", list_all=False) or (near and f"; did you mean {path.with_name(near)}?")
+    return f"there is no such folder{hint or f'; {writers}' + ready_hint(name, 'predictor')}"
 
 
 def model_card(name: str) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from i2t.cli.options import require_path
 from i2t.errors import closest
 from i2t.files.reading import read_json
 from i2t.files.writing import write_json
-from i2t.installation import training_command
+from i2t.installation import training_command, training_commands
 from i2t.models import READY_MODELS
 
 CONFIG, METRICS = "config.json", "metrics.json"
@@ -242,12 +242,12 @@ def _require_kind(path: Path) -> None:
 def _why_no_run(folder: Path, first: Path) -> str:
     """Complete the sentence on a folder without a finished run; empty if there is one."""
     if folder.is_file():
-        return f"is a file and holds no finished run; name the folder that {training_command()} wrote"
+        return f"is a file and holds no finished run; name the folder that {training_commands()} wrote"
     if not folder.exists() or not any(folder.iterdir()):
         return f"holds no finished run; make one: {training_command()} --out {folder}"
     kind = kind_of_config(folder / CONFIG)
     if kind not in (None, "TrainArgs", "FitArgs"):
-        return f"holds a run of another command ({kind}); name a folder that {training_command()} wrote"
+        return f"holds a run of another command ({kind}); name a folder that {training_commands()} wrote"
     if (first / METRICS).exists():
         return ""
     if (folder / CONFIG).exists():
@@ -255,4 +255,4 @@ def _why_no_run(folder: Path, first: Path) -> str:
         return f"holds a run that was interrupted; {remedy}"
     touches = next(folder.glob("*.h5"), None)
     remedy = f"; train on these touches: i2t fit {folder}" if touches else ""
-    return f"holds other files but no finished run; name a folder that {training_command()} wrote{remedy}"
+    return f"holds other files but no finished run; name a folder that {training_commands()} wrote{remedy}"

@@ -33,7 +33,8 @@ def contact_pose(
         `(4, 4)` pose of the tool in the frame of the mesh. For an object at T_w_o, T_w_t is `T_w_o @ T_o_t`.
 
     Raises:
-        ValueError: The point is not finite or not on the surface, or the normal is not a unit vector.
+        ValueError: The point is not finite, not on the surface or inside the object, such as on a face that two
+            bodies share; or the normal is not a unit vector.
         TypeError: An argument holds no real numbers.
 
     Example:
@@ -50,8 +51,11 @@ def contact_pose(
     if distance > max_distance:
         raise ValueError(
             f"point: lies {1e3 * distance:.3g} mm off the surface, where at most {1e3 * max_distance:g} mm are "
-            "allowed; give a point on it, in metres and in the mesh's frame"
+            "allowed; give a point on it, in metres and in the mesh's frame (i2t.load_mesh moves a mesh to the table; "
+            "table=False keeps its file's frame)"
         )
+    if face_normal is None:
+        raise ValueError("point: is inside the object, where no skin can touch it; give a point on its outer surface")
     hint = "a unit vector, or leave it out"
     outward = face_normal if normal is None else validation.numbers("normal", normal, hint).astype(np.float64)
     if outward.shape != (3,) or not abs(float(np.linalg.norm(outward)) - 1) <= 1e-3:
@@ -59,8 +63,14 @@ def contact_pose(
     return np.asarray(contact_frame(at, outward / np.linalg.norm(outward), roll))
 
 
-def _nearest(mesh: Mesh, at: Float[np.ndarray, "3"]) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Find the face nearest to a point, and return its distance (m) and its unit normal."""
+def _nearest(
+    mesh: Mesh, at: Float[np.ndarray, "3"], *, tie: float = 1e-7, step: float = 10e-6
+) -> tuple[float, Float[np.ndarray, "3"] | None]:
+    """Find the face nearest to a point, and return its distance (m) and its unit normal.
+
+    Of faces whose distances differ by less than `tie` (m), the first one counts whose outside, a `step` (m) along its
+    normal, is outside the solid. There is no normal if none is.
+    """
     corners = np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     twice_area = np.linalg.norm(cross, axis=1)
@@ -69,6 +79,22 @@ def _nearest(mesh: Mesh, at: Float[np.ndarray, "3"]) -> tuple[float, Float[np.nd
         raise ValueError("mesh: no face has an area; give one with a surface")
     corners, cross, twice_area = corners[solid], cross[solid], twice_area[solid]
     closest = trimesh.triangles.closest_point(corners, np.broadcast_to(at, (len(corners), 3)))
-    distance = np.linalg.norm(closest - at, axis=1)
-    face = int(np.argmin(distance))
-    return float(distance[face]), cross[face] / twice_area[face]
+    distances = np.linalg.norm(closest - at, axis=1)
+    order = np.argsort(distances, kind="stable")
+    nearest = float(distances[order[0]])
+    for face in order[distances[order] <= nearest + tie]:
+        normal = cross[face] / twice_area[face]
+        if _winding_number(corners, closest[face] + step * normal) < 0.25:
+            return nearest, normal
+    return nearest, None
+
+
+def _winding_number(corners: Float[np.ndarray, "n 3 3"], point: Float[np.ndarray, "3"]) -> float:
+    """Count how many times a surface encloses a point, from the solid angles of its faces (van Oosterom and Strackee,
+    1983): 0 outside a closed surface with outward normals, 1 or more inside.
+    """
+    a, b, c = np.moveaxis(corners - point, 1, 0)
+    la, lb, lc = (np.linalg.norm(corner, axis=1) for corner in (a, b, c))
+    volume = (a * np.cross(b, c)).sum(1)
+    base = la * lb * lc + (a * b).sum(1) * lc + (b * c).sum(1) * la + (c * a).sum(1) * lb
+    return float(np.arctan2(volume, base).sum() / (2 * np.pi))

@@ -125,16 +125,21 @@ class TrainingTouches:
             raise ValueError(f"a {type(model).__name__} could not be loaded again: {error}") from error
         pressed = self.dataset.touches
         force, travel = _usual_force(pressed.force[split.train]), usual_load(pressed.travel[split.train], 0.3e-3)
-        forces = pressed.force[split.train]
-        forces = forces[np.isfinite(forces)]
         used = self.dataset.select(split.train | split.validation)
         metadata: dict[str, Any] = {
             "board": board_as_lists(self.dataset.board),
             "trained_on": describe_training(self.dataset, split),
             "used_touches": touch_digests(used),
+            "largest_reading": float(np.abs(pressed.reading[split.train]).max(initial=0.0)),
         }
-        if len(forces):
-            metadata["force_range"] = [float(forces.min()), float(forces.max())]
+        depth = pressed.patch[split.train].mean((1, 2))
+        for name, values in (
+            ("force_range", pressed.force[split.train]),
+            ("travel_range", pressed.travel[split.train]),
+            ("mean_depth_range", depth),
+        ):
+            if np.isfinite(values).any():
+                metadata[name] = [float(np.nanmin(values)), float(np.nanmax(values))]
         return Predictor(model, self.dataset.window, self.dataset.reach, force, travel, metadata=metadata)
 
 

@@ -13,11 +13,12 @@ patch to the model's input. For a board with n chips a reading has 3 n values.
 
 import json
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +34,7 @@ from i2t.files.checkpoints import custom_metadata
 from i2t.files.writing import as_path
 from i2t.installation import training_command
 from i2t.leave_one_out import STDS_WITHIN_90
-from i2t.models import ready_hint, ready_path
+from i2t.models import explain_no_predictor, ready_path
 from i2t.patches.dimensions import PATCH_PIXELS
 from i2t.patches.views import PatchView
 from i2t.prediction import user_input
@@ -85,7 +86,7 @@ class Predictor:
         source = (self.metadata or {}).get("source", "unknown source")
         return (
             f"Predictor({type(self.model).__name__}, {self.model.channels // 3} chips, "
-            f"patch {self.window * 1e3:g} mm, default force {self.default_force:.2g} N, {source})"
+            f"patch {self.window * 1e3:g} mm, default {self.load} {self._usual_load}, {source})"
         )
 
     def __str__(self) -> str:
@@ -98,18 +99,33 @@ class Predictor:
             lines += [f"fitted to {trained['training']} touches of {', '.join(trained['training_objects'])}"]
             if trained["validation"]:
                 lines[-1] += f"; tuned on {trained['validation']} of {', '.join(trained['validation_objects'])}"
-        load = "travel" if self.pressure is not None and self.pressure.control == "travel" else "force"
-        usual = f"{self.default_force:.2g} N" if load == "force" else f"{1e3 * self.default_travel:.2g} mm"
-        lines += [f"takes patches of {1e3 * self.window:g} mm and a {load} ({usual} by default)"]
+        lines += [f"takes patches of {1e3 * self.window:g} mm and a {self.load} ({self._usual_load} by default)"]
         lines += [f"predicts {self.model.channels} values (uT) of {self.model.channels // 3} chips, with their errors"]
         return "\n  ".join(lines)
 
     @property
+    def load(self) -> Literal["force", "travel"]:
+        """Load from which the model predicts."""
+        if self.pressure is not None:
+            return self.pressure.control
+        return "travel" if self._uses("travel") and not self._uses("force") else "force"
+
+    @property
+    def _usual_load(self) -> str:
+        """Default load with its unit."""
+        return f"{self.default_force:.2g} N" if self.load == "force" else f"{1e3 * self.default_travel:.2g} mm"
+
+    def _uses(self, load: str) -> bool:
+        """Test whether the model predicts from a load, or from another measurement of the same name."""
+        conditions = getattr(self.model, "conditions", None) or getattr(
+            getattr(self.model, "cfg", None), "conditions", ()
+        )
+        return load in conditions or (self.pressure is not None and self.pressure.control == load)
+
+    @property
     def largest_force(self) -> float | None:
         """Largest absolute force (N) of the training touches; None if it is unknown."""
-        limits = (self.metadata or {}).get("force_range")
-        forces = [abs(force) for force in limits if isinstance(force, int | float)] if isinstance(limits, list) else []
-        return max(forces, default=None)
+        return max(map(abs, user_input.known_range(self.metadata, "force_range")), default=None)
 
     @property
     def board(self) -> Board | None:
@@ -155,10 +171,12 @@ class Predictor:
         Args:
             patch: A `Patch`, `DepthPatch`, `PatchView` or `DepthView`, of one touch or of n on axis 0, or a list of
                 them; or depths (48, 48) or (n, 48, 48) in m behind the nearest point.
-            force: Force (N) along tool z. The default is the median of the training touches.
+            force: Force (N) along tool z. The default is the median of the training touches. A predictor that was
+                fitted to presses by travel takes none (`load`).
             nearest: Signed distance (m) of the nearest point from the tool origin, in place of the patch's own. Beyond
                 10 mm the skin touches nothing, which is refused; beyond 1 mm in front there is a warning.
-            travel: Travel (m) past first contact. The default is the median of the training touches.
+            travel: Travel (m) past first contact, for a predictor that was fitted to presses by travel. The default is
+                the median of the training touches.
             view: The patch with its surroundings and pixels of the same size, as from `i2t.patches.views`: m
                 behind the patch's nearest point, negative where something stands out in front of it. It improves the
                 prediction at the rim of the skin and shows what the skin meets first. A model on patches ignores it.
@@ -171,12 +189,16 @@ class Predictor:
         Raises:
             ValueError: Shapes or values do not fit, or are not those of a touch: a patch that is not in metres, shows
                 no surface, was hardly seen or lies far from the skin; a force that presses nothing, breaks the skin or
-                is far beyond the training touches.
+                is far beyond the training touches; a force or a travel that the model does not use.
 
         Example:
             seen = i2t.patch_from_depth(image, camera, T_w_c, T_w_t)
             reading, std = predictor.predict(seen, force=1.0)
         """
+        if force is not None and not self._uses("force") and self._uses("travel"):
+            raise ValueError("force: this predictor was fitted to presses by travel; give travel=, in metres")
+        if travel is not None and force is None and not self._uses("travel") and self._uses("force"):
+            raise ValueError("travel: this predictor was fitted to presses by force; give force=, in newtons")
         seen = user_input.seen_touches(patch, nearest=nearest, view=view, valid=valid)
         user_input.check_size_of_patches(seen, self.window, self.reach)
         mask = None if seen.valid is None else user_input.checked_valid(seen.valid, np.shape(seen.depth))
@@ -190,9 +212,10 @@ class Predictor:
             nearest=user_input.checked_column("nearest", seen.nearest, n, None, unknown=nearest is None),
             travel=user_input.checked_column("travel", travel, n, self.default_travel),
         )
-        user_input.check_press(
-            touches.force, touches.travel, usual_force=self.default_force, largest_force=self.largest_force
-        )
+        doubts = user_input.check_press(
+            touches.force, touches.travel, usual_force=self.default_force, largest_force=self.largest_force,
+            least_force=min(user_input.known_range(self.metadata, "force_range"), default=0.0),
+        )  # fmt: skip
         if np.isfinite(touches.nearest).any():
             views = None if seen.view is None else touches.view
             rendered = isinstance(patch, TouchBatch)  # `render_touches` has warned already
@@ -203,6 +226,9 @@ class Predictor:
             user_input.check_met(touches.nearest, views, pitch, remedy=remedy, warn=not rendered)
         seen_whole = mask is None or mask.all()
         reading = self._predict_classes(touches) if seen_whole else self._predict_unseen(touches, mask)
+        doubts += user_input.unlike_training(self.metadata, patches, self.reach, touches.travel, reading.mean)
+        if doubts:
+            warnings.warn(f"{'; '.join(doubts)}: its prediction is only a guess", stacklevel=2)
         return _first(reading) if np.ndim(seen.depth) == 2 else reading
 
     def predict_touch(
@@ -211,6 +237,8 @@ class Predictor:
         T_o_t: Float[Array, "*batch 4 4"] | np.ndarray,
         force: Values | None = None,
         unit: str | None = None,
+        *,
+        travel: Values | None = None,
     ) -> Reading:
         """Predict the reading of the skin pressed on a mesh, at one pose or at many.
 
@@ -224,21 +252,24 @@ class Predictor:
                 prepared `Surface`.
             T_o_t: (4, 4) pose of the tool frame at the contact, or (n, 4, 4).
             force: Force (N) along tool z, one for all touches or one for each. The default is the median of the
-                training touches.
+                training touches. A predictor that was fitted to presses by travel takes none (`load`).
             unit: Unit of a file's coordinates, such as "mm".
+            travel: Travel (m) past first contact, one for all touches or one for each, for a predictor that was fitted
+                to presses by travel. The default is the median of the training touches.
 
         Returns:
             Mean and standard deviation, (3 chips,) or (n, 3 chips) uT.
 
         Raises:
-            ValueError: A pose is not a rigid transform, or the skin does not lie on the surface there.
+            ValueError: A pose is not a rigid transform, the skin does not lie on the surface there, or the model does
+                not use this load.
 
         Example:
             T_o_t = i2t.contact_pose(mesh, mesh.vertices[0])
             reading, std = predictor.predict_touch(mesh, T_o_t, force=1.0)
         """
         seen = self.render_touches(mesh, T_o_t, unit)
-        reading = self.predict(seen, force=force)
+        reading = self.predict(seen, force=force, travel=travel)
         return _first(reading) if np.ndim(T_o_t) == 2 else reading
 
     def render_touches(
@@ -433,11 +464,10 @@ def load_predictor(directory: Path | str) -> Predictor:
         predictor = i2t.load_predictor("nominal")
         reading, std = predictor.predict(patch, force=1.0)
     """
-    hint = ready_hint(directory, "predictor")
-    directory = ready_path(directory, "predictor").absolute()
+    name, directory = directory, ready_path(directory, "predictor").absolute()
     nested = directory / "checkpoint" / "predictor"
     directory = nested if nested.is_dir() else directory
-    about = _description(directory, hint)
+    about = _description(directory, name)
     try:
         if about["version"] == 4:
             about["model"]["settings"] = _with_travel(about["model"]["settings"])
@@ -484,17 +514,15 @@ def coverage(readings: Float[np.ndarray, "n c"], prediction: Reading) -> float:
 _PREDICTOR_FIELDS = ("window", "reach", "default_force", "default_travel", "std_scale", "metadata")
 
 
-def _description(directory: Path, hint: str) -> dict[str, Any]:
-    """Read the description of a predictor on disk; `hint` ends the message if there is none."""
+def _description(directory: Path, name: Path | str) -> dict[str, Any]:
+    """Read the description of a predictor on disk, which the user called `name`."""
     try:
         about = custom_metadata(directory)
         if about["format"] != PREDICTOR_FORMAT:
             raise KeyError(about["format"])
         version = about["version"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CheckpointError(
-            f"{directory} holds no predictor of this i2t; name the folder that `{training_command()}` wrote{hint}"
-        ) from error
+        raise CheckpointError(f"{name}: {explain_no_predictor(name)}") from error
     if version not in (4, PREDICTOR_VERSION):  # version 4 called travel depth
         raise CheckpointError(
             f"{directory} holds a predictor of version {version}, but this i2t reads version {PREDICTOR_VERSION}; use "

@@ -18,7 +18,7 @@ from scipy import ndimage
 from i2t import validation
 from i2t.depth.patches import DepthPatch, DepthView
 from i2t.objects.mesh_files import MAX_SIZE_M
-from i2t.patches.dimensions import STANDOFF
+from i2t.patches.dimensions import PAD_WINDOW, STANDOFF
 from i2t.patches.views import PatchView, centre, pixels_on_skin
 from i2t.types import Patch, Surface
 
@@ -36,6 +36,9 @@ class InputLimits:
     max_nearest_pixel: float = 1e-3  # m, nearest pixel of a patch, whose depths count from that pixel
     max_centre_error: float = 0.5e-3  # m between nine in ten pixels of a patch and the middle of its view
     warned_seen_fraction: float = 0.5  # of a patch's pixels; below it there is a warning
+    # largest predicted value over the largest one of the training touches; a larger one is warned of
+    max_reading_ratio: float = 3.0
+    mean_depth_tolerance: float = 0.125  # of the reach, by which mean depths may differ from those of training
     min_seen_fraction: float = 0.1  # of a patch's pixels; below it there is no prediction
     size_tolerance: float = 1e-3  # relative rounding error of a patch's size
     pixel_tolerance: float = 1e-6  # m, rounding error of single precision
@@ -243,14 +246,19 @@ def check_press(
     *,
     usual_force: float,
     largest_force: float | None = None,
-) -> None:
-    """Refuse presses that no skin makes or that are far beyond a model's training, and warn of slightly harder ones.
+    least_force: float = 0.0,
+) -> list[str]:
+    """Refuse presses that no skin makes or that are far beyond a model's training.
 
     Args:
         force: Forces (N) along tool z, positive for a press.
         travel: Travel (m) past first contact; NaN where it is unknown.
         usual_force: Median force (N) of the training touches.
         largest_force: Largest force (N) of the training touches; None if it is unknown.
+        least_force: Least force (N) of the training touches; 0 if it is unknown.
+
+    Returns:
+        A doubt in words if a press is slightly harder, or lighter, than those of the training.
 
     Raises:
         ValueError: A force pulls, presses nothing, breaks a skin or is far beyond the training touches, or a travel is
@@ -265,15 +273,71 @@ def check_press(
             f"force is {hardest:g} N, and the model was trained on {about}: it cannot predict such a hard press; "
             f"give at most {allowed:.2g} N, or train on harder presses"
         )
-    if trained and hardest > trained:
-        warnings.warn(
-            f"force is {hardest:g} N, and the model was trained on {about}: its prediction for such a hard press is "
-            "only a guess",
-            stacklevel=3,
-        )
     longest = np.max(np.abs(travel), initial=0.0, where=np.isfinite(travel))
     if longest > _INPUT_LIMITS.max_travel:
         raise ValueError(f"travel is {longest:g} m, more than {_INPUT_LIMITS.max_travel:g}; give metres")
+    if trained and hardest > trained:
+        return [f"force is {hardest:g} N, and the model was trained on {about}"]
+    if (lightest := float(force.min())) < 0.99 * least_force:
+        return [f"force is {lightest:g} N, and the model was trained on presses of at least {least_force:.2g} N"]
+    return []
+
+
+def known_range(metadata: dict[str, Any] | None, name: str) -> list[float]:
+    """Read a range of the training touches.
+
+    Args:
+        metadata: Provenance of a predictor.
+        name: Name of the range, such as "force_range".
+
+    Returns:
+        Least and largest value; empty if they are unknown.
+    """
+    limits = (metadata or {}).get(name)
+    numbers = [float(x) for x in limits if isinstance(x, int | float)] if isinstance(limits, list) else []
+    return numbers if len(numbers) == 2 else []
+
+
+def unlike_training(
+    metadata: dict[str, Any] | None,
+    patches: Float[np.ndarray, "n p p"],
+    reach: float,
+    travel: Float[np.ndarray, " n"],
+    mean: Float[np.ndarray, "n c"],
+) -> list[str]:
+    """Compare touches with those of the training.
+
+    Args:
+        metadata: Provenance of the predictor, with the ranges of the training touches.
+        patches: Patches (m).
+        reach: Depth (m) at which they are clipped.
+        travel: Travel (m) past first contact; NaN where it is unknown.
+        mean: Predicted readings (uT).
+
+    Returns:
+        A doubt in words for each quantity that is far outside the training: travel, mean depth of a patch, largest
+        value of a reading.
+    """
+    doubts = []
+    depth, margin = patches.mean((1, 2)), _INPUT_LIMITS.mean_depth_tolerance * reach
+    for name, subject, values, tolerance in (
+        ("travel_range", "travel is", travel, _INPUT_LIMITS.pixel_tolerance),
+        ("mean_depth_range", "patch has a mean depth of", depth, margin),
+    ):
+        if limits := known_range(metadata, name):
+            outside = (values < limits[0] - tolerance) | (values > limits[1] + tolerance)
+            if outside.any():
+                doubts.append(
+                    f"{subject} {_mm(float(values[outside][0]))} mm{_which(outside)}, and the model was trained on "
+                    f"{_mm(limits[0])} to {_mm(limits[1])} mm"
+                )
+    largest = (metadata or {}).get("largest_reading")
+    predicted = np.abs(mean).max(1)
+    if isinstance(largest, int | float) and predicted.max() > _INPUT_LIMITS.max_reading_ratio * largest:
+        doubts.append(
+            f"a predicted value is {predicted.max():.3g} uT, and the largest one of the training touches {largest:.3g}"
+        )
+    return doubts
 
 
 def check_met(
@@ -455,23 +519,42 @@ def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: Patc
     if not math.isfinite(nearest):
         raise ValueError("nothing lies in front of the skin's middle at this pose; move T_o_t towards the surface")
     pitch = window / len(view.patch.depth)
-    remedy = "move T_o_t onto it (i2t.contact_pose)"
-    check_met(np.array([nearest]), np.asarray(view.depth)[None], pitch, remedy=remedy, stacklevel=5)
+    remedy = (
+        "move T_o_t onto it (i2t.contact_pose), in the mesh's frame (i2t.load_mesh moves a mesh to the table; "
+        "table=False keeps its file's frame)"
+    )
+    triangles = np.asarray(surface.triangles, np.float64)
     depth = np.asarray(view.patch.depth)
     row, column = np.unravel_index(int(depth.argmin()), depth.shape)
     # A ray through a pixel's centre would meet edges of symmetric meshes.
     x, y = ((np.array([column, row]) + np.array([0.537, 0.471])) / len(depth) - 0.5) * window
-    if _starts_inside(np.asarray(surface.triangles, np.float64), T_o_t, float(x), float(y)):
+    line = _crossings(triangles, T_o_t, float(x), float(y))
+    inside = _starts_inside(line)
+    middle = _crossings(triangles, T_o_t, 1.7e-5, 1.1e-5)  # next to the tool's axis
+    on_surface = bool((abs(middle.height) < _INPUT_LIMITS.unnoticed_gap).any()) and not _starts_inside(middle)
+    if on_surface and (inside or nearest < -_INPUT_LIMITS.max_gap):
+        raise ValueError(
+            f"a part of the object within the skin's {1e3 * PAD_WINDOW:g} mm stands out by "
+            f"{_mm(-float(line.height.min(initial=nearest)))} mm at this pose, so the skin cannot lie on the surface "
+            "there; choose a point farther from it"
+        )
+    check_met(np.array([nearest]), np.asarray(view.depth)[None], pitch, remedy=remedy, stacklevel=5)
+    if inside:
         raise ValueError(
             "the skin would meet the surface from inside the object at this pose: it lies in the object, or tool z "
             "points out of it; make T_o_t with i2t.contact_pose"
         )
 
 
-def _starts_inside(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float) -> bool:
-    """Test whether a ray along tool z starts inside a surface that is closed and faces outward along the whole line.
-    Return False for other surfaces, where it is unknown.
-    """
+class Crossings(NamedTuple):
+    """Crossings of a line along tool z with a surface, in the order of their heights."""
+
+    height: Float[np.ndarray, " n"]  # m along tool z from the tool origin
+    leaves: Bool[np.ndarray, " n"]  # whether the line leaves the object through the face
+
+
+def _crossings(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float) -> Crossings:
+    """Intersect the line along tool z through (x, y) in the tool frame with (n, 3, 3) triangles."""
     rotation, origin = T_o_t[:3, :3].astype(np.float64), T_o_t[:3, 3].astype(np.float64)
     a, b, c = np.moveaxis((triangles - origin) @ rotation - np.array([x, y, 0.0]), 1, 0)
 
@@ -482,11 +565,18 @@ def _starts_inside(triangles: np.ndarray, T_o_t: np.ndarray, x: float, y: float)
     whole = parts.sum(0)
     crossed = ((parts > 0).all(0) | (parts < 0).all(0)) & (whole != 0)
     height = (parts * np.stack([a, b, c])[:, :, 2]).sum(0)[crossed] / whole[crossed]
-    leaves = (whole[crossed] > 0)[np.argsort(height)]  # whether the line leaves the object through the face
-    height = np.sort(height)
-    alternate = len(leaves) % 2 == 0 and not leaves[::2].any() and leaves[1::2].all()
-    ahead = leaves[height > -STANDOFF]
-    return bool(alternate and len(ahead) and ahead[0])
+    order = np.argsort(height)
+    return Crossings(height[order], (whole[crossed] > 0)[order])
+
+
+def _starts_inside(line: Crossings) -> bool:
+    """Test whether a ray along tool z starts inside bodies that are closed and face outward along the whole line.
+    Return False for other surfaces, where it is unknown.
+    """
+    within = np.cumsum(np.where(line.leaves, -1, 1))  # number of bodies that hold the line after each crossing
+    closed = len(within) > 0 and within.min() >= 0 and within[-1] == 0
+    before = within[line.height <= -STANDOFF]
+    return bool(closed and len(before) and before[-1] > 0)
 
 
 def _many(name: str, values: Any, hint: str) -> np.ndarray:

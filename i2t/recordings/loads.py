@@ -64,6 +64,22 @@ def loaded_presses(dataset: Dataset, load: Literal["auto", "travel", "force"]) -
     )  # fmt: skip
 
 
+def presses_one_tip(dataset: Dataset, *, max_angle: float = 0.1) -> bool:
+    """Test whether all touches are presses of one tip: one object, always met from the same side.
+
+    Args:
+        dataset: The touches.
+        max_angle: Largest angle (rad) between the tool's axis, in the object's frame, and its mean.
+
+    Returns:
+        True for presses of one tip; False also if the poses are unknown.
+    """
+    touches = dataset.touches
+    axes = np.einsum("nij,ni->nj", touches.T_w_o[:, :3, :3], touches.T_w_t[:, :3, 2])
+    mean = axes.mean(0)
+    return bool(len(np.unique(touches.object)) == 1 and (axes @ mean >= np.cos(max_angle) * np.linalg.norm(mean)).all())
+
+
 def _pushing_loads(amount: np.ndarray, good: np.ndarray, kind: str) -> tuple[np.ndarray, tuple[str, ...]]:
     """Return the mask of loads that push, and notes on their irregularities; ValueError if no force pushes."""
     notes = []

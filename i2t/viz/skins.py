@@ -70,15 +70,15 @@ def draw_reading(
         board: Board with n chips.
         reading: `(3 n,)` reading (uT).
         scale: Field (uT) that is drawn `arrow_mm(board)` long. All panels of a figure should share it.
-        std: `(3 n,)` standard deviations (uT): a shaded ellipse at the tip of each arrow has them as its half axes, and
-            a dashed ring around each disc is wider than the disc by one standard deviation.
+        std: `(3 n,)` standard deviations (uT): a hatched ellipse at the tip of each arrow has them as its half axes,
+            and a dashed ring around each disc is wider than the disc by one standard deviation.
         colour: Colour of arrows and discs.
         label: Entry in the legend.
         width: Width of the arrows, relative to the axes.
     """
     chips = np.asarray(board.chips)[:, :2] * MM_PER_M
     mm_per_ut = arrow_mm(board) / scale
-    field = np.asarray(board.to_tool(np.asarray(reading))) * mm_per_ut
+    field, covariances = _drawn(board, reading, std, mm_per_ut)
     x, y, normal = field.T
     arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "color": colour, "width": width}
     axes.quiver(*chips.T, x, y, label=label, **arrows)
@@ -87,11 +87,50 @@ def draw_reading(
         axes.add_artist(Circle(centre, abs(z) / 2, facecolor=face, edgecolor=colour, alpha=alpha, lw=1.2))
     if std is None:
         return
-    # The values of a reading have independent errors in the axes of the chips, so that these turn as a covariance.
-    variances = (np.asarray(std, np.float64) * mm_per_ut).reshape(-1, 1, 3) ** 2
-    rotations = np.asarray(board.rotations, np.float64)
-    for chip, vector, covariance in zip(chips, field, rotations * variances @ rotations.swapaxes(1, 2), strict=True):
+    for chip, vector, covariance in zip(chips, field, covariances, strict=True):
         _draw_std(axes, chip, vector, covariance, colour)
+
+
+def margin_mm(
+    board: Board,
+    readings: Shaped[Array, "n c"],
+    scale: float,
+    *,
+    std: Shaped[Array, "n c"] | None = None,
+    least: float = 2.5,
+) -> float:
+    """Compute the margin around the skin that holds all that `draw_reading` draws.
+
+    Args:
+        board: Board with c / 3 chips.
+        readings: `(n, c)` readings (uT).
+        scale: Field (uT) that is drawn `arrow_mm(board)` long.
+        std: `(n, c)` standard deviations (uT).
+        least: Least margin (mm).
+
+    Returns:
+        The margin (mm) for `draw_skin`.
+    """
+    chips = np.asarray(board.chips)[:, :2] * MM_PER_M
+    reach = [least + PAD_WINDOW * MM_PER_M / 2]
+    for i, reading in enumerate(np.asarray(readings)):
+        drawn = _drawn(board, reading, None if std is None else np.asarray(std)[i], arrow_mm(board) / scale)
+        for chip, vector, covariance in zip(chips, *drawn, strict=True):
+            deviations = np.sqrt(np.diag(covariance))
+            reach.append(float(np.max(abs(chip + vector[:2]) + deviations[:2])))
+            reach.append(float(np.max(abs(chip)) + (abs(vector[2]) + deviations[2]) / 2))
+    return 1.02 * max(reach) - PAD_WINDOW * MM_PER_M / 2
+
+
+def _drawn(
+    board: Board, reading: Shaped[Array, " c"], std: Shaped[Array, " c"] | None, mm_per_ut: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Compute the field at each chip, as drawn (mm), with its covariance (mm^2); zero without standard deviations."""
+    field = np.asarray(board.to_tool(np.asarray(reading)), np.float64) * mm_per_ut
+    # The values of a reading have independent errors in the axes of the chips, so that these turn as a covariance.
+    deviations = np.zeros(3 * len(field)) if std is None else np.asarray(std, np.float64)
+    rotations = np.asarray(board.rotations, np.float64)
+    return field, rotations * (deviations * mm_per_ut).reshape(-1, 1, 3) ** 2 @ rotations.swapaxes(1, 2)
 
 
 def _draw_std(axes: Axes, chip: np.ndarray, vector: np.ndarray, covariance: np.ndarray, colour: str) -> None:
@@ -99,9 +138,13 @@ def _draw_std(axes: Axes, chip: np.ndarray, vector: np.ndarray, covariance: np.n
     squares, directions = np.linalg.eigh(covariance[:2, :2])
     angle = float(np.degrees(np.arctan2(directions[1, 0], directions[0, 0])))
     disc = float(abs(vector[2]) + np.sqrt(covariance[2, 2]))
-    tip: dict[str, Any] = {"facecolor": colour, "edgecolor": "none", "alpha": 0.25, "zorder": 0.5}
-    axes.add_artist(Ellipse(chip + vector[:2], *(2 * np.sqrt(squares)), angle=angle, **tip))
+    axes.add_artist(Ellipse(chip + vector[:2], *(2 * np.sqrt(squares)), angle=angle, **_hatched(colour)))
     axes.add_artist(Circle((chip[0], chip[1]), disc / 2, fill=False, edgecolor=colour, lw=0.9, linestyle=(0, (3, 2))))
+
+
+def _hatched(colour: str) -> dict[str, Any]:
+    """Style of a standard deviation along the skin, which has no outline, unlike the discs."""
+    return {"facecolor": "none", "edgecolor": colour, "hatch": 7 * "/", "lw": 0, "alpha": 0.5, "zorder": 0.5}
 
 
 def draw_chip_numbers(axes: Axes, board: Board) -> None:
@@ -132,7 +175,7 @@ def key_layout(width: float, sets: Sequence[str] = (), *, std: bool = False) -> 
         The number of entries in a row, and the height (inch) of all rows.
     """
     columns = max(1, round(width / 1.75))
-    return columns, 0.3 * -(-(4 + std + (len(sets) if len(sets) > 1 else 0)) // columns)
+    return columns, 0.3 * -(-(5 + 2 * std + (len(sets) if len(sets) > 1 else 0)) // columns)
 
 
 def draw_key(
@@ -161,7 +204,7 @@ def draw_key(
     power = 10.0 ** np.floor(np.log10(0.75 * scale))
     value = max(step for step in (power, 2 * power, 5 * power) if step <= 0.75 * scale)
     size = value * arrow_mm(board) / scale
-    grey, tip = {"color": Colour.GREY}, {"color": Colour.GREY, "alpha": 0.3, "lw": 0}
+    grey = {"color": Colour.GREY}
     disc = {"edgecolor": Colour.GREY, "lw": 1.2}
     arrow = {"width": size / 12, "head_width": size / 3, "length_includes_head": True, **grey}
     entries: list[tuple[list[Patch], str]] = [
@@ -171,18 +214,16 @@ def draw_key(
     ]
     if std:
         ring = Circle((0, 0), 0.7 * size, fill=False, edgecolor=Colour.GREY, lw=0.9, linestyle=(0, (3, 2)))
-        shaded = Circle((2.2 * size, 0), 0.4 * size, **tip)
-        shown = [
-            Circle((0, 0), size / 2, fill=False, **disc),
-            ring,
-            FancyArrow(1.2 * size, 0, size, 0, **arrow),
-            shaded,
+        hatched = Circle((size, 0), 0.4 * size, **_hatched(Colour.GREY))
+        entries += [
+            ([FancyArrow(0, 0, size, 0, **arrow), hatched], "± 1 std along skin"),
+            ([Circle((0, 0), size / 2, fill=False, **disc), ring], "± 1 std out or in"),
         ]
-        entries.append((shown, "± 1 standard deviation"))
     names = zip(sets if len(sets) > 1 else (), cycle(CURVE_COLOURS), strict=False)
     packed: list[Artist] = [
         *(TextArea(name, textprops={"color": colour, "fontweight": "bold"}) for name, colour in names),
         *(_entry(skin, patches, label) for patches, label in entries),
+        TextArea("disc radius ∝ value"),
     ]
     if numbers:
         packed.append(TextArea(f"0 to {board.num_chips - 1}: chips" if board.num_chips > 1 else "0: chip"))

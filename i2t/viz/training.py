@@ -14,7 +14,7 @@ from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array, Board
 from i2t.viz.patches import draw_length, draw_patch
 from i2t.viz.scene import draw_number, draw_object, touch_colours
-from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin, key_layout
+from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin, key_layout, margin_mm
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
 
 
@@ -56,6 +56,7 @@ def plot_predicted_touches(
     columns = min(n, 6)
     rows = -(-n // columns)
     scale = common_scale(next(iter(sets.values())))
+    margin = max(margin_mm(board, readings, scale, std=std.get(name)) for name, readings in sets.items())
     edge = 1.27 if columns > 3 else 1.6  # inches, of a patch
     scene = 0.0 if mesh is None else 1.75 * edge
     width, row_height = scene + 0.55 + columns * (edge + 0.1) + 0.7, 2 * edge + 0.65
@@ -78,7 +79,7 @@ def plot_predicted_touches(
         above.set_title(labels[i], fontsize=10)
         if mesh is not None:
             draw_number(above, 0.08, 1.1, i + 1, touch_colours(n)[i], transform=above.transAxes)
-        draw_skin(below)
+        draw_skin(below, margin)
         below.set(xticks=[], yticks=[], frame_on=False)
         draw_chip_numbers(below, board)
         for (name, readings), colour in zip(sets.items(), cycle(CURVE_COLOURS), strict=False):

@@ -65,7 +65,7 @@ def test_the_message_states_what_a_folder_without_a_finished_run_holds(tmp_path)
         (tmp_path / "mesh.stl", "is a file and holds no finished run; name the folder"),
         (
             folder_with(tmp_path / "data", touches={}),
-            "but no finished run; name a folder that python -m experiments.train wrote$",
+            "but no finished run; name a folder that i2t fit or python -m experiments.train wrote$",
         ),
         (tmp_path / "touches", r"train on these touches: i2t fit \S+touches$"),
         (folder_with(tmp_path / "begun", config={"kind": "TrainArgs"}), "was interrupted; .* --resume"),

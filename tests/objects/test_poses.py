@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from i2t import geometry
-from i2t.objects import contact_pose, make_object
+from i2t.objects import Mesh, contact_pose, make_object
 from i2t.rendering.render import prepare_surface, render_patch
 
 HEXAGON, DOME = make_object("hexagon").mesh, make_object("dome").mesh
@@ -76,3 +76,24 @@ contact_pose(make_object("dome").mesh, (0, 0, 30e-3))
 sys.exit("jax" in sys.modules or "jaxlib" in sys.modules)
 """
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def as_mesh(mesh: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.asarray(mesh.vertices), np.asarray(mesh.faces, np.int32))
+
+
+@pytest.mark.parametrize("overlap", [0.0, 2e-3])
+def test_points_inside_several_bodies_are_refused(overlap):
+    """The bodies touch or overlap; at their seam, the outer face counts."""
+    left, right = (trimesh.creation.box((20e-3, 20e-3, 20e-3)) for _ in range(2))
+    right.apply_translation([20e-3 - overlap, 0, 0])
+    both = as_mesh(trimesh.util.concatenate([left, right]))
+    with pytest.raises(ValueError, match="point: is inside the object, where no skin can touch it"):
+        contact_pose(both, (10e-3, 1e-3, 2e-3))
+    for x in (10e-3 - overlap, 9e-3, 10e-3, 15e-3):
+        np.testing.assert_allclose(contact_pose(both, (x, 1e-3, 10e-3))[:3, 2], [0, 0, -1])
+    contact_pose(as_mesh(left), (10e-3, 1e-3, 2e-3))
+    cup = trimesh.Trimesh(left.vertices, left.faces[left.face_normals[:, 2] < 0.5], process=False)
+    inside_out = trimesh.Trimesh(cup.vertices, cup.faces[:, ::-1], process=False)
+    for open_surface in (cup, inside_out):  # of an open surface, either side may be touched
+        contact_pose(as_mesh(open_surface), (10e-3, 1e-3, 2e-3))

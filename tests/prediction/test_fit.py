@@ -34,6 +34,17 @@ def fitted(dataset):
     return i2t.fit_predictor(dataset, method="ridge-measured")
 
 
+def test_a_fit_records_the_ranges_of_its_training_touches(dataset, fitted):
+    """A flat face is unlike the round tip."""
+    about, seen = fitted.metadata, dataset.select(choose_split(dataset).train).touches
+    assert about["largest_reading"] == pytest.approx(abs(seen.reading).max())
+    assert about["force_range"] == pytest.approx([seen.force.min(), seen.force.max()])
+    depth = seen.patch.mean((1, 2))
+    assert about["mean_depth_range"] == pytest.approx([depth.min(), depth.max()])
+    with pytest.warns(UserWarning, match="patch has a mean depth of 0 mm"):
+        fitted.predict(np.zeros((48, 48)), force=1.0, nearest=0.0)
+
+
 def test_the_score_is_on_the_touches_that_the_fit_held_out(dataset, fitted):
     split = choose_split(dataset)
     score = fitted.score(dataset)

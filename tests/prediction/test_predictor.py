@@ -145,10 +145,16 @@ def test_the_board_of_the_training_is_kept(network, tmp_path, name):
 def test_an_unknown_name_of_a_predictor_hints_at_the_ready_model(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     for name in ("nominall", "Nominal", "NOMINAL/", "nominal/"):
-        with pytest.raises(CheckpointError, match=r"holds no predictor .*; did you mean nominal\?"):
+        with pytest.raises(CheckpointError, match=r"there is no such folder; did you mean nominal\?"):
             predictor.load_predictor(name)
-    with pytest.raises(CheckpointError, match=r"holds no predictor .*, or a ready model, nominal$"):
-        predictor.load_predictor("runs/train")
+    writers = "name the folder that i2t fit or python -m experiments.train wrote, or a ready model, nominal$"
+    with pytest.raises(CheckpointError, match=f"^runs/fitt: there is no such folder; {writers}"):
+        predictor.load_predictor("runs/fitt")
+    (tmp_path / "runs" / "fit").mkdir(parents=True)
+    with pytest.raises(CheckpointError, match=r"^runs/fitt: there is no such folder; did you mean runs/fit\?$"):
+        predictor.load_predictor("runs/fitt")
+    with pytest.raises(CheckpointError, match=f"^runs/fit: holds no predictor of this i2t; {writers}"):
+        predictor.load_predictor("runs/fit")
 
 
 @pytest.mark.full
@@ -169,7 +175,7 @@ def test_a_loaded_predictor_equals_the_saved_one(which, patches, request, tmp_pa
     [
         ({"version": 3}, "of version 3, but this i2t reads version 5; use the i2t that wrote it, or train again"),
         ({"window": None}, "lacks window"),
-        (None, "holds no predictor"),
+        (None, "holds no predictor|there is no such folder"),
     ],
 )
 def test_predictors_that_cannot_be_read_are_refused_in_one_sentence(network, tmp_path, change, words):
@@ -296,3 +302,52 @@ def test_input_that_does_not_fit_is_refused_in_one_sentence(process, network, ba
     with pytest.raises(ValueError, match=words) as error:
         call(process[0], network, baseline_predictors["ridge-measured"])
     assert "\n" not in str(error.value)
+
+
+@pytest.fixture(scope="module")
+def by_travel():
+    """Predictor on patches that was fitted to presses by travel of a round tip."""
+    fields = network_fields(15, conditions=("travel",))
+    about = {"travel_range": [0.1e-3, 0.6e-3], "mean_depth_range": [1e-3, 2e-3], "largest_reading": 1e3}
+    return Predictor(PatchNetwork(*fields), PATCH_WINDOW, REACH, 1.0, 0.3e-3, metadata=about)
+
+
+def test_each_load_is_refused_by_a_predictor_that_does_not_use_it(by_travel, process, patches):
+    assert (by_travel.load, process[0].load) == ("travel", "force")
+    assert "default travel 0.3 mm" in repr(by_travel)
+    for given in ({"force": 1.0}, {"force": 1.0, "travel": 0.2e-3}):
+        with pytest.raises(
+            ValueError, match=r"^force: this predictor was fitted to presses by travel; give travel=, i"
+        ):
+            by_travel.predict(SLOPE, **given)
+    with pytest.raises(ValueError, match="travel: this predictor was fitted to presses by force; give force="):
+        process[0].predict(patches[0], travel=0.2e-3)
+    seen, less = by_travel.predict(SLOPE, travel=0.5e-3), by_travel.predict(SLOPE)
+    assert abs(seen.mean - less.mean).max() > 1e-4
+    np.testing.assert_array_equal(by_travel.predict(SLOPE, travel=0.3e-3).mean, less.mean)
+
+
+SLOPE = np.tile(np.linspace(0, 3e-3, 48), (48, 1))  # m, a mean depth of 1.5 mm
+
+
+@pytest.mark.parametrize(
+    ("given", "about", "words"),
+    [
+        ({"travel": 0.9e-3}, {}, "travel is 0.9 mm, and the model was trained on 0.1 to 0.6 mm"),
+        ({"travel": 0.01e-3}, {}, "travel is 0.01 mm"),
+        ({"patch": 0 * SLOPE}, {}, "patch has a mean depth of 0 mm, and the model was trained on 1 to 2 mm"),
+        ({}, {"largest_reading": 0.1}, "uT, and the largest one of the training touches 0.1"),
+        ({"travel": 0.9e-3, "patch": 0 * SLOPE}, {}, "travel is .*; patch has"),
+    ],
+)
+def test_predictions_outside_the_training_give_one_warning(by_travel, given, about, words):
+    known = replace(by_travel, metadata=by_travel.metadata | about)
+    with pytest.warns(UserWarning, match=rf"{words}.*: its prediction is only a guess$") as warned:
+        known.predict(**{"patch": SLOPE, **given})
+    assert len(warned) == 1
+
+
+def test_a_lighter_press_than_in_training_is_warned_of(process, patches):
+    known = replace(process[0], metadata={"force_range": [0.5, 2.0]})
+    with pytest.warns(UserWarning, match="force is 0.1 N, and the model was trained on presses of at least 0.5 N: its"):
+        known.predict(patches[0], force=0.1)

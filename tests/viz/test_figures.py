@@ -9,6 +9,7 @@ import trimesh
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Ellipse, FancyArrow
 from matplotlib.text import Text
+from matplotlib.transforms import Bbox
 from scipy.spatial.transform import Rotation
 
 from i2t import viz
@@ -126,8 +127,25 @@ def test_deviations_are_as_long_as_the_field():
     np.testing.assert_allclose(half_axes, [1 * mm_per_ut, 3 * mm_per_ut])
     long = tip.angle + (90 if tip.height > tip.width else 0)
     assert long % 180 == pytest.approx(30)
+    assert tip.get_hatch()
     disc, ring = (part for part in axes.patches if isinstance(part, Circle))
     assert (2 * disc.radius, 2 * ring.radius) == pytest.approx((8 * mm_per_ut, 10 * mm_per_ut))
+
+
+def test_all_rings_and_arrows_are_within_the_limits():
+    board = reskin_board()
+    readings, std = np.tile([60.0, -5, 90], (2, 5)), np.tile([30.0, 30, 200], (2, 5))
+    figure = viz.plot_predicted_touches(
+        np.zeros((2, 48, 48)), {"predicted": readings}, ["flat"] * 2, board, "A box", True, std={"predicted": std}
+    )
+    skin = [axes for axes in figure.axes if any(isinstance(part, Circle) for part in axes.patches)]
+    assert len(skin) == 2
+    for axes in skin:
+        box = Bbox.union([part.get_window_extent() for part in axes.patches])
+        assert axes.bbox.padded(0.5).contains(*box.min)
+        assert axes.bbox.padded(0.5).contains(*box.max)
+    least = skins.margin_mm(board, np.zeros((1, 15)), 20.0)
+    assert least == pytest.approx(2.5, abs=0.5)
 
 
 def test_the_key_is_drawn_on_the_scale_of_the_readings():
@@ -137,7 +155,7 @@ def test_the_key_is_drawn_on_the_scale_of_the_readings():
     skins.draw_key(key, skin, board, 37.0, sets=("measured", "predicted"), std=True)
     texts = [text.get_text() for text in key.findobj(Text) if text.get_text()]
     assert texts[:3] == ["measured", "predicted", "20 µT along skin"]
-    assert texts[-2:] == ["± 1 standard deviation", "0 to 24: chips"]
+    assert texts[-4:] == ["± 1 std along skin", "± 1 std out or in", "disc radius ∝ value", "0 to 24: chips"]
     arrow = next(part for part in key.findobj(FancyArrow))
     assert np.ptp(arrow.get_xy()[:, 0]) == pytest.approx(20 / 37 * 4)
 

@@ -18,7 +18,7 @@ from i2t.patches.dimensions import PATCH_WINDOW
 from i2t.rendering.render import contact_mask
 from i2t.skin.elasticity import GRID, interior, load
 from i2t.viz.episode_report import EpisodeRecord
-from i2t.viz.skins import common_scale
+from i2t.viz.skins import common_scale, margin_mm
 from i2t.viz.style import MM_PER_M, Colour, titled
 from tools.gallery.arguments import FigureName
 from tools.gallery.lab_figures import monitor, registration, rig
@@ -32,7 +32,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 def overview(story: Story) -> Figure:
     """From an object to a belief: patch, predicted and measured reading, and the belief after each touch."""
     record, touches, row = story.episode, story.unseen, story.typical
-    width, height, low, edge = 9.4, 3.1, 0.75, 1.5  # inches; the panels are squares
+    width, height, low, edge = 9.4, 3.4, 1.05, 1.5  # inches; the panels are squares
     figure = Figure(figsize=(width, height))
     figure.text(0.5, 0.97, titled("i2t: imagine a touch before making it", True), ha="center", va="top", fontsize=12)
     left, patch, bar, *readings, belief = (
@@ -46,7 +46,7 @@ def overview(story: Story) -> Figure:
     _outline(patch, np.asarray(contact_mask(jnp.asarray(touches.patch[row]))))
     patch.set(xticks=[], yticks=[])
     viz.draw_length(patch)
-    _draw_readings(readings, figure.add_axes((0, 0.02, 0.9, 0.1)), story)
+    _draw_readings(readings, figure.add_axes((0, 0.02, 0.9, 0.18)), story)
     _draw_beliefs(belief, record)
     titles = (
         f"1  {HIDDEN_OBJECT}, not\nin the training set", "2  depth patch\nunder the skin", "3  predicted\nreading",
@@ -55,7 +55,7 @@ def overview(story: Story) -> Figure:
     for axes, title in zip((left, patch, *readings, belief), titles, strict=True):
         axes.set_title(title, fontsize=10)
     chosen = f"touch {row + 1} of {len(story.cosines)}, the median by cosine similarity ({story.cosines[row]:.2f})"
-    figure.text(5.7 / width, 0.5 / height, chosen, ha="center", fontsize=9)
+    figure.text(5.7 / width, 0.8 / height, chosen, ha="center", fontsize=9)
     return figure
 
 
@@ -149,12 +149,13 @@ def _draw_readings(panels: Sequence[Axes], key: Axes, story: Story) -> None:
     board, row = story.run.dataset.board, story.typical
     predicted, measured = story.predicted.mean[row], story.unseen.reading[row]
     scale = common_scale(np.stack([predicted, measured]))
+    margin = margin_mm(board, np.stack([predicted, measured]), scale, std=np.tile(story.predicted.std[row], (2, 1)))
     for axes, reading, std in zip(panels, (predicted, measured), (story.predicted.std[row], None), strict=True):
-        viz.draw_skin(axes)
+        viz.draw_skin(axes, margin)
         viz.draw_chip_numbers(axes, board)
         viz.draw_reading(axes, board, reading, scale, std=std)
         axes.set(xticks=[], yticks=[], frame_on=False)
-    viz.draw_key(key, panels[0], board, scale, std=True)
+    viz.draw_key(key, panels[0], board, scale, std=True, columns=4)
 
 
 def _draw_beliefs(axes: Axes, record: EpisodeRecord) -> None:
