@@ -237,7 +237,7 @@ class _Session:
         numbers = "".join(f"{value:.2f} {unit}  " for value, unit in measured if np.isfinite(value))
         print(
             f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {numbers}"
-            f"{took:.1f} s, {self.bound}{left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
+            f"{took:.1f} s, {self.bound}{np.ceil(left / 60):.0f} min to go  {self.recorder.saved[-1].name}",
             flush=True,
         )
 
