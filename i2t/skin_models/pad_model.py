@@ -173,7 +173,8 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
         lambda array: jnp.asarray(array, jnp.float32), (record.reading_model, record.likelihood)
     )
     model = PadModel(reading_model, likelihood, record.reading_std, float(record.r2), record.held_out_errors)
-    origin = PadOrigin(**{name: tuple(value) if isinstance(value, list) else value for name, value in about.items()})
+    values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in about.items()}
+    origin = PadOrigin(**values)
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 
