@@ -8,9 +8,9 @@
 
 The default objects are equally high and about equally wide, and the skin meets all of them at every candidate site
 (--min-contact-probability), so that readings decide. Each touch prints its weights of evidence (nats) for the most
-probable object against the next one, from the reading, from the position at which the press ended, and from presence,
-whether it met anything. They sum to the change of the log odds before calibration
-(`i2t.recognition.belief.evidence_by_source`).
+probable object against the next one, from the reading, from the position at which the press ended, from presence,
+whether it met anything, and from the calibration, which reduces the weight of all touches as their number grows. They
+sum to the change of the log odds of the printed belief (`i2t.recognition.recognizer.TouchEvidence`).
 
 Skins differ, so --pad-model must be the folder of a run of `experiments.train`, or a file, for the same skin, by its
 name in data sets and its board. Other pad models are refused before anything moves. A simulated or emulated skin is
@@ -210,8 +210,9 @@ class LiveEpisode:
 
 
 def describe_evidence(weights: np.ndarray) -> str:
-    """Describe weights of evidence (3,), those of the reading, the position and presence, and their sum (nats)."""
-    parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in zip(EVIDENCE_SOURCES, weights, strict=True))
+    """Describe weights of evidence (4,), those of `EVIDENCE_SOURCES`, and their sum (nats)."""
+    rounded = np.round(weights, 2) + 0.0  # no minus before zero
+    parts = ", ".join(f"{name} {weight:+.2f}" for name, weight in zip(EVIDENCE_SOURCES, rounded, strict=True))
     return f"{parts}, together {weights.sum():+.2f} nats"
 
 

@@ -28,7 +28,7 @@ from i2t.recognition.paper_rules import paper_rules
 from i2t.recognition.recognizer import RecognizerConfig
 from i2t.recognition.recorded import describe
 from i2t.recognition.recorded import to_json as pad_model_to_json
-from i2t.recognition.sessions import recognize_sessions, session_touches
+from i2t.recognition.sessions import recognize_sessions, require_objects_touched, session_touches
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.skin_models.pad_model import load_pad_model
 
@@ -37,6 +37,7 @@ def run(args: DatasetArgs) -> dict[str, Any]:
     """Recognise the objects of recorded sessions, and report the scores."""
     cfg = choose_preset(PRESETS, args.preset, num_particles=args.num_particles)
     dataset = data.load_dataset(args.dataset, skin=args.skin_name)
+    require_objects_touched(dataset, str(args.dataset))
     meshes = read_meshes(args.objects, args.unit) or meshes_of_dataset(dataset.objects, str(args.dataset))
     rig = None if args.rig is None else Rig.read(args.rig)
     file, trained = find_pad_model(args.pad_model)
@@ -72,17 +73,21 @@ def run(args: DatasetArgs) -> dict[str, Any]:
     )  # fmt: skip
     parts, temperatures = reporting.calibrate([{"recorded": results}])
     trained_on = sorted(set(fitted.origin.objects) & {results.names[i] for i in results.truth})
+    in_fit = None if used.in_fit is None else sum(used.in_fit)
     summary = reporting.summarise(
         parts, args.out, dataset.source, "sessions",
         temperatures=metrics.to_json(temperatures), dataset=str(args.dataset),
         pad_model=pad_model_to_json(fitted) | {"other_skin": used.warning}, touched_with=list(used.pads),
         sessions=used.sessions._asdict(), samples_merged=used.samples, objects_also_trained_on=trained_on,
+        sessions_used_in_fit=in_fit,
     )  # fmt: skip
     results = parts[0]["recorded"]
     reporting.report_hardest_episode(results, list(meshes.values()), args.out / "story", dataset.source, dataset.board)
     reporting.print_tables(summary)
     if used.warning:
         print(used.warning)
+    if in_fit:
+        print(f"{in_fit} of the {len(used.sessions.names)} sessions were USED IN THE FIT of the pad model: not a test")
     if trained_on:
         print(f"the pad model was also fitted to touches of {', '.join(trained_on)}")
     return summary

@@ -77,7 +77,8 @@ def collect(
             raise ValueError(MISSING_RIG_MESSAGE)
         procedure = _connect(args, devices, rig, sampler, notes, stack)
         kinds = f"arm {args.arm.kind}, skin {args.skin.kind}, camera {args.camera.kind}"
-        print(f"{printable(name)}: {kinds} ({SOURCE_DESCRIPTIONS[devices.source]})")
+        about = name if choose is None else f"touches recorded as {name}"  # a recogniser does not know the object
+        print(f"{printable(about)}: {kinds} ({SOURCE_DESCRIPTIONS[devices.source]})")
         for on_tool in devices.skins:
             if on_tool.note:
                 named = f"{on_tool.name or rig.skin}: {on_tool.note}" if len(devices.skins) > 1 else on_tool.note
@@ -166,13 +167,14 @@ class _Session:
     ) -> None:
         self.args, self.procedure, self.sampler, self.recorder = args, procedure, sampler, recorder
         self.done, self.tried = done, set(done)
-        self.before, self.unreachable = len(done), 0
+        self.before, self.unreachable, self.bound = len(done), 0, ""
         self.codes: Counter[ReturnCode] = Counter()
         self.begun = self.since = time.monotonic()
 
     def run(self, choose: ChooseSite | None, on_outcome: Callable[[SiteOutcome], None] | None) -> None:
         """Touch until there are enough touches, and print a summary however the run ends."""
         out, procedure = self.args.out, self.procedure
+        self.bound = "" if choose is None else "at most "  # a recogniser may stop earlier
         try:
             for outcome in procedure.run(choose or self.choose, self.recorder):
                 self.report(outcome)
@@ -235,7 +237,7 @@ class _Session:
         numbers = "".join(f"{value:.2f} {unit}  " for value, unit in measured if np.isfinite(value))
         print(
             f"touch {len(self.done)}/{self.args.touches}  site {number}  {felt}  {numbers}"
-            f"{took:.1f} s, {left / 60:.0f} min to go  {self.recorder.saved[-1].name}",
+            f"{took:.1f} s, {self.bound}{np.ceil(left / 60):.0f} min to go  {self.recorder.saved[-1].name}",
             flush=True,
         )
 

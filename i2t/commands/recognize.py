@@ -5,9 +5,9 @@
     i2t recognize DATA --pad-model runs/mine --objects mug.stl:mm bowl.stl:mm star
 
 In each session, one object was touched at one place of the table. Touches need forces, tool poses, and the believed
-pose of the object, whose uncertainty --rig gives. The candidates are the objects of the data set, or --objects. A pad
-model of another skin is refused, because every skin differs. In a checkout, `python -m experiments.recognize` scores
-the beliefs, compares kinds of evidence, and recognises with an arm.
+pose of the object, whose uncertainty --rig gives. The candidates are the objects of the data set, or --objects.
+Sessions to which the pad model was fitted do not count in the rate. A pad model of another skin is refused, because
+every skin differs. In a checkout, `python -m experiments.recognize` scores the beliefs and recognises with an arm.
 """
 
 import sys
@@ -61,10 +61,11 @@ def _recognize(args: RecognizeArgs) -> None:
     from i2t.hardware.rig import Rig
     from i2t.recognition.recognizer import RecognizerConfig
     from i2t.recognition.recorded import describe
-    from i2t.recognition.sessions import recognize
+    from i2t.recognition.sessions import recognize, require_objects_touched
     from i2t.skin_models.pad_model import load_pad_model
 
     dataset, pad_model = load_dataset(args.dataset, skin=args.skin_name), load_pad_model(file)
+    require_objects_touched(dataset, str(args.dataset))
     meshes = read_meshes(args.objects, args.unit) or meshes_of_dataset(dataset.objects, str(args.dataset))
     print(printable(describe(pad_model)))
     rig = Rig() if args.rig is None else Rig.read(args.rig)

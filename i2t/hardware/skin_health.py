@@ -85,7 +85,8 @@ class SkinHealth(NamedTuple):
         noise = self.noise[np.isfinite(self.noise)]
         parts = [f"{self.rate:.0f} Hz", f"noise up to {noise.max():.1f} uT" if len(noise) else "no chip answers"]
         celsius = self.temperature[np.isfinite(self.temperature)]
-        parts += [f"{celsius.min():.1f} to {celsius.max():.1f} C"] if len(celsius) else []
+        limits = dict.fromkeys(f"{limit:.1f}" for limit in (celsius.min(), celsius.max())) if len(celsius) else ()
+        parts += [f"{' to '.join(limits)} C"] if limits else []
         return ", ".join(parts) + (f"; without {_chips(self.missing)}" if self.missing else "")
 
 

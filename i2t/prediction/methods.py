@@ -24,11 +24,11 @@ from jaxtyping import Array, Key
 
 from i2t.contact.pressure import ContactPressure, PressureModelConfig
 from i2t.dataset import Dataset, Split
+from i2t.dataset.digests import touch_digests
 from i2t.paper.config import PaperOptions
 from i2t.prediction.loads import ASSUMED_FORCE_N, usual_load
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import TouchBatch, TouchModel, from_disk, recorded_batch, to_disk
-from i2t.prediction.used_touches import describe_training, touch_digests
 from i2t.skin.boards import board_as_lists
 from i2t.training import TrainConfig
 
@@ -128,7 +128,7 @@ class TrainingTouches:
         used = self.dataset.select(split.train | split.validation)
         metadata: dict[str, Any] = {
             "board": board_as_lists(self.dataset.board),
-            "trained_on": describe_training(self.dataset, split),
+            "trained_on": _describe_training(self.dataset, split),
             "used_touches": touch_digests(used),
             "largest_reading": float(np.abs(pressed.reading[split.train]).max(initial=0.0)),
         }
@@ -141,6 +141,17 @@ class TrainingTouches:
             if np.isfinite(values).any():
                 metadata[name] = [float(np.nanmin(values)), float(np.nanmax(values))]
         return Predictor(model, self.dataset.window, self.dataset.reach, force, travel, metadata=metadata)
+
+
+def _describe_training(dataset: Dataset, split: Split) -> dict[str, Any]:
+    """Describe the touches of a fit: numbers for training and validation, the objects of each, and what is held out."""
+    parts = {"training": split.train, "validation": split.validation}
+    objects = {part: np.unique(dataset.touches.object[rows]) for part, rows in parts.items()}
+    return {
+        **{part: int(rows.sum()) for part, rows in parts.items()},
+        **{f"{part}_objects": [dataset.objects[i] for i in numbers] for part, numbers in objects.items()},
+        "split": split.description,
+    }
 
 
 class Method(ABC):

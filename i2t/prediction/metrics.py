@@ -100,7 +100,7 @@ class PredictorScore:
         use = {None: "their use in the fit is unknown", 0: "none of them used in the fit"}.get(
             self.used, f"{self.used} OF THEM USED IN THE FIT, so this is not a test"
         )
-        interval = "95 % interval" if self.groups >= MIN_CLUSTERS else f"no interval: {sessions}"
+        interval = f"95 % interval over {sessions}" if self.groups >= MIN_CLUSTERS else f"no interval: {sessions}"
         rows = (
             ("R2", self.r2, ""),
             ("RMSE", self.rmse, " uT"),

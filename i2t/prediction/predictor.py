@@ -28,6 +28,7 @@ from orbax.checkpoint import v1 as ocp
 
 from i2t.contact.pressure import PressureModelConfig
 from i2t.dataset import Dataset
+from i2t.dataset.digests import touch_digests
 from i2t.errors import CheckpointError, DataError
 from i2t.files.archives import max_unpacked_size
 from i2t.files.checkpoints import custom_metadata
@@ -42,7 +43,6 @@ from i2t.prediction.loads import rows_with_load
 from i2t.prediction.metrics import PredictorScore, score_readings
 from i2t.prediction.splitting import touches_with_contact
 from i2t.prediction.touch_model import Reading, TouchBatch, TouchModel, from_disk, recorded_batch, to_disk
-from i2t.prediction.used_touches import touch_digests
 from i2t.recordings.sets import corrected_dataset
 from i2t.rendering.render import prepare_surface, render_view
 from i2t.runtime.batching import size_classes

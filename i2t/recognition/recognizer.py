@@ -117,14 +117,18 @@ class SiteObservation(NamedTuple):
 @in_one_line
 class TouchEvidence(NamedTuple):
     """Evidence of one touch for each hypothesis by its source: log predictive densities (nats) of presence, of the
-    position given presence, and of the reading given both.
+    position given presence, and of the reading given both, divided by the temperature of the belief after the touch.
+
+    Calibration is the remaining change of the log probability: the temperature grows with the number of touches, which
+    share errors of the pad model, so that a touch reduces the weight of earlier ones.
 
     The hypotheses are the known objects in the order of `ObjectRecognizer.names`, and last the unknown object if it has
     a prior. Values are NaN for a hypothesis that a prior of 0 excludes. `i2t.recognition.belief.evidence_by_source`
     explains the order of the sources.
 
     Example:
-        reading, position, presence = info.evidence.weights(0, 1)  # for the first known object against the second
+        weights = info.evidence.weights(0, 1)  # for the first known object against the second
+        reading, position, presence, calibration = weights
     """
 
     # Log density of the reading, up to a constant; 0 without contact.
@@ -133,8 +137,10 @@ class TouchEvidence(NamedTuple):
     position: Float[np.ndarray, " hypotheses"]
     # Log probability of contact, or of no contact.
     presence: Float[np.ndarray, " hypotheses"]
+    # Change of the calibrated log probability less the three above, up to a constant.
+    calibration: Float[np.ndarray, " hypotheses"]
 
-    def weights(self, hypothesis: int, rival: int) -> Float[np.ndarray, "3"]:
+    def weights(self, hypothesis: int, rival: int) -> Float[np.ndarray, "4"]:
         """Compute the weights of evidence for one hypothesis against another.
 
         Args:
@@ -142,8 +148,8 @@ class TouchEvidence(NamedTuple):
             rival: Index of the other hypothesis.
 
         Returns:
-            `(3,)` weights of evidence (nats) of the reading, the position and presence. Their sum is the change of the
-            log odds of the two by the touch, before calibration.
+            `(4,)` weights of evidence (nats) of the reading, the position, presence and the calibration. Their sum is
+            the change of the log odds of the two calibrated probabilities by the touch.
         """
         return np.array([source[hypothesis] - source[rival] for source in self])
 
@@ -293,7 +299,7 @@ class ObjectRecognizer:
         begun = belief.init(
             self.particles, self._objects, channels=self.channels, prior=np.concatenate([probability, share])
         )
-        no_evidence = self._evidence(np.zeros((4, self._objects)))
+        no_evidence = TouchEvidence(*np.zeros((4, count + (unknown > 0))))
         return RecognizerState(begun, np.zeros(len(self.sites.owner), bool), 0, probability, no_evidence)
 
     def choose_touch(self, state: RecognizerState, *, key: Key[Array, ""] | None = None) -> ChosenSite | None:
@@ -405,8 +411,9 @@ class ObjectRecognizer:
         after, p, steps = _update(state.belief, observation.touch, self.table, observation.number, self.likelihood)
         touches = state.touches + 1
         touched = self.exclude(state, observation.number).touched
-        evidence = self._evidence(np.asarray(steps, np.float64))
-        state = RecognizerState(after, touched, touches, self._calibrated(p, touches), evidence)
+        probability = self._calibrated(p, touches)
+        evidence = self._evidence(np.asarray(steps, np.float64), state.probability, probability, touches)
+        state = RecognizerState(after, touched, touches, probability, evidence)
         return state, self.info(state)
 
     def exclude(self, state: RecognizerState, number: int) -> RecognizerState:
@@ -494,13 +501,27 @@ class ObjectRecognizer:
         )  # fmt: skip
         return int(number)
 
-    def _evidence(self, steps: Float[np.ndarray, "4 all"]) -> TouchEvidence:
-        """Take differences of the log weights of `belief.evidence_by_source`, with all surrogates as one hypothesis."""
+    def _evidence(
+        self,
+        steps: Float[np.ndarray, "4 all"],
+        before: Float[np.ndarray, " objects"],
+        after: Float[np.ndarray, " objects"],
+        touches: int,
+    ) -> TouchEvidence:
+        """Split the change of the log probabilities, before and after a touch, by the log weights of
+        `belief.evidence_by_source`, with all surrogates as one hypothesis.
+        """
         count = len(self.names)
         unknown = logsumexp(steps[:, count:], axis=1, keepdims=True) if self._objects > count else steps[:, count:]
-        with np.errstate(invalid="ignore"):  # both are minus infinity if the prior is 0
-            presence, position, reading = np.diff(np.concatenate([steps[:, :count], unknown], axis=1), axis=0)
-        return TouchEvidence(reading, position, presence)
+        p = np.stack([before, after])
+        if self._objects > count:
+            p = np.concatenate([p, np.maximum(1 - p.sum(1, keepdims=True), 0)], axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):  # both are minus infinity if the prior is 0
+            sources = np.diff(np.concatenate([steps[:, :count], unknown], axis=1), axis=0)
+            sources /= calibrated.POSTERIOR_TEMPERATURE.temperature(touches)
+            calibration = np.diff(np.log(p), axis=0)[0] - sources.sum(0)
+        presence, position, reading = sources
+        return TouchEvidence(reading, position, presence, calibration)
 
     def _calibrated(self, p: Float[Array, " all"], touches: int) -> Float[np.ndarray, " objects"]:
         """Calibrate probabilities of the known objects, given those of all objects including surrogates."""

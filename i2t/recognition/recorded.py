@@ -178,7 +178,8 @@ def to_json(pad: KnownPad) -> dict[str, object]:
     Returns:
         Skin, source, objects, number of touches, R2 and number of chips.
     """
-    return {**asdict(pad.origin), "r2": pad.model.r2, "chips": len(pad.board.chips)}
+    origin = {name: value for name, value in asdict(pad.origin).items() if name != "used_touches"}
+    return {**origin, "r2": pad.model.r2, "chips": len(pad.board.chips)}
 
 
 def with_placement(errors: SimulationErrors, object_covariance: np.ndarray) -> SimulationErrors:

@@ -7,16 +7,17 @@ Samples of one contact count as one touch. `python -m experiments.recognize --da
 are metres, newtons and microtesla.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from i2t.dataset import Dataset, source_phrase
+from i2t.dataset.digests import touch_digests
 from i2t.errors import DataError
-from i2t.intervals import rate_interval
+from i2t.intervals import MIN_CLUSTERS, rate_interval
 from i2t.recognition import belief
 from i2t.recognition.episodes import BeliefModel, Episodes, believe, episodes_from_dataset, usable_touches
 from i2t.recognition.outcomes import placement_std
@@ -25,6 +26,9 @@ from i2t.recognition.recorded import merge_samples
 from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recordings.sets import corrected_dataset
 from i2t.skin_models.pad_model import KnownPad, require_skin
+
+# Kinds of evidence (`i2t.recognition.episodes.EVIDENCE_WEIGHTS`) whose rates are printed, by their name in the line.
+SHOWN_EVIDENCE = {"all": "fused", "position and presence": "position and presence", "readings": "readings"}
 
 
 class Sessions(NamedTuple):
@@ -80,6 +84,22 @@ def choose_sessions(recorded: Dataset, enough: int, max_touches: int | None) -> 
     )
 
 
+def require_objects_touched(dataset: Dataset, whose: str = "dataset") -> None:
+    """Refuse presses of an indenter, whose data set has the skin's frame as that of the world.
+
+    Args:
+        dataset: Recorded touches.
+        whose: Name of the data set in messages.
+
+    Raises:
+        DataError: The touches are presses of an indenter.
+    """
+    T_w_t = np.asarray(dataset.touches.T_w_t)
+    if len(T_w_t) > 1 and (T_w_t == np.eye(4)).all():
+        tips = ", ".join(dataset.objects)
+        raise DataError(f"{whose}: holds presses of an indenter ({tips}), and thus no object to recognise")
+
+
 class SessionTouches(NamedTuple):
     """The touches of recorded sessions that are used, in the order of time."""
 
@@ -89,6 +109,8 @@ class SessionTouches(NamedTuple):
     samples: int  # number of recorded touches that were merged into others
     notes: tuple[str, ...]  # sentences about corrections
     warning: str | None  # sentence if the pad model is of another skin
+    # whether the pad model was fitted to touches of each session; None if it does not hold a record of its touches
+    in_fit: tuple[bool, ...] | None
 
 
 def session_touches(
@@ -116,13 +138,25 @@ def session_touches(
     Raises:
         DataError: No session has enough touches, or the touches are of another skin.
     """
+    require_objects_touched(dataset, whose)
     corrected, notes = corrected_dataset(dataset)
     merged = merge_samples(corrected)
     sessions = choose_sessions(merged, enough, touches)
     used = merged.select(np.isin(merged.touches.session, [merged.sessions.index(name) for name in sessions.names]))
     pads = tuple(used.pads[i] for i in np.unique(used.touches.pad))
     warning = require_skin(pad_model, pads, used.board, whose, other_skin=other_skin)
-    return SessionTouches(used, sessions, pads, len(corrected) - len(merged), notes, warning)
+    in_fit = _sessions_in_fit(dataset, pad_model, sessions.names)
+    return SessionTouches(used, sessions, pads, len(corrected) - len(merged), notes, warning, in_fit)
+
+
+def _sessions_in_fit(dataset: Dataset, pad_model: KnownPad, names: Sequence[str]) -> tuple[bool, ...] | None:
+    """Find the sessions with touches to which a pad model was fitted."""
+    digests = pad_model.origin.used_touches
+    if digests is None:
+        return None
+    rows = np.isin(touch_digests(dataset), digests)
+    fitted = {dataset.sessions[i] for i in np.unique(dataset.touches.session[rows])}
+    return tuple(name in fitted for name in names)
 
 
 @dataclass(frozen=True, repr=False)
@@ -137,6 +171,9 @@ class RecognizedSessions:
         episodes: The touches.
         notes: Sentences about the touches.
         source: Source of the touches: "simulated", "real", "mixed" or "not stated".
+        in_fit: Whether the pad model was fitted to touches of each session, which then does not count in the rate; None
+            if the pad model does not hold a record of its touches.
+        fitted_objects: Names of the objects to whose touches the pad model was fitted.
 
     Example:
         result = i2t.recognize(meshes, dataset, pad_model)
@@ -151,6 +188,8 @@ class RecognizedSessions:
     episodes: Episodes
     notes: tuple[str, ...]
     source: str
+    in_fit: tuple[bool, ...] | None = None
+    fitted_objects: tuple[str, ...] = ()
 
     @property
     def probability(self) -> Float[np.ndarray, "e t o"]:
@@ -175,15 +214,22 @@ class RecognizedSessions:
             max_sessions: Maximum number of sessions to list; by default, all are listed.
 
         Returns:
-            Lines of text: the number of sessions, notes, the table, and the rate of recognition.
+            Lines of text: the number of sessions, notes, the table, and the rate of recognition of the sessions that
+            were not used in the fit of the pad model, with a 95 % interval over their objects.
         """
         count, touches = self.probability.shape[:2]
-        is_candidate = np.isin(self.touched, self.names)
-        rows = [("session", "object", "most probable", "probability")]
+        in_fit = np.array(self.in_fit or [False] * count)
+        rows = [("session", "object", "most probable", "probability", "")]
         rows += [
-            (session, touched if among else f"{touched} (no candidate)", name, f"{probability:.2f}")
-            for session, touched, among, name, probability in zip(
-                self.sessions, self.touched, is_candidate, self.recognized, self.probability[:, -1].max(-1), strict=True
+            (
+                session,
+                touched if touched in self.names else f"{touched} (no candidate)",
+                name,
+                f"{probability:.2f}",
+                "used in the fit" if fitted else "",
+            )
+            for session, touched, name, probability, fitted in zip(
+                self.sessions, self.touched, self.recognized, self.probability[:, -1].max(-1), in_fit, strict=True
             )
         ]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -191,13 +237,35 @@ class RecognizedSessions:
         if max_sessions is not None and count > max_sessions:
             table[1 + max_sessions :] = [f"... {count - max_sessions} more"]
         title = f"{count} sessions of {touches} touches, {len(self.names)} objects ({source_phrase(self.source)})"
-        lines = [title, *(f"note: {note}" for note in self.notes), *table]
-        if is_candidate.any():
-            right = np.array(self.recognized)[is_candidate] == np.array(self.touched)[is_candidate]
-            rate, low, high = rate_interval(right.astype(float))
+        return "\n".join([title, *(f"note: {note}" for note in self.notes), *table, *self._score_lines(in_fit)])
+
+    def _score_lines(self, in_fit: Bool[np.ndarray, " e"]) -> list[str]:
+        """Write the rates over the sessions of candidates that were not used in the fit, and what they depend on."""
+        touched = np.array(self.touched)
+        counts = np.isin(touched, self.names) & ~in_fit
+        lines = []
+        if counts.any():
+            right = {
+                kind: (np.array(self.names)[p[counts, -1].argmax(-1)] == touched[counts]).astype(float)
+                for kind, p in self.beliefs.items()
+            }
+            fused, objects = right["fused"], len(np.unique(touched[counts]))
+            rate, low, high = rate_interval(fused, [touched[counts]])
+            interval = f"no interval: {objects} object{'s' * (objects > 1)}"
+            if objects >= MIN_CLUSTERS:
+                interval = f"95 % interval [{low:.2f}, {high:.2f}] over {objects} objects"
+            sessions = f"{len(fused)} sessions{' that were not used in the fit' * bool(in_fit.any())}"
             chance = f"chance {1 / len(self.names):.2f}"
-            lines.append(f"recognised {right.sum()} of {len(right)}: {rate:.2f} [{low:.2f}, {high:.2f}], {chance}")
-        return "\n".join(lines)
+            lines.append(f"recognised {fused.sum():.0f} of {sessions}: {rate:.2f} ({interval}; {chance})")
+            shares = (f"{name} {right[kind].mean():.2f}" for name, kind in SHOWN_EVIDENCE.items())
+            lines.append(f"by kind of evidence: {', '.join(shares)}")
+        if in_fit.any():
+            lines.append(f"{in_fit.sum()} of the {len(in_fit)} sessions were used in the fit of the pad model")
+        elif self.in_fit is None:
+            lines.append("whether these sessions were used in the fit of the pad model is not recorded")
+        if also := sorted(set(touched[counts]) & set(self.fitted_objects)):
+            lines.append(f"the pad model was also fitted to touches of {', '.join(also)}")
+        return lines
 
 
 def recognize(
@@ -288,4 +356,7 @@ def recognize_sessions(
     touches, numbers = used.dataset.touches, [used.dataset.sessions.index(name) for name in used.sessions.names]
     touched = tuple(used.dataset.objects[touches.object[touches.session == number][0]] for number in numbers)
     notes = (*used.notes, *([used.warning] if used.warning else []))
-    return RecognizedSessions(names, used.sessions.names, touched, beliefs, episodes, notes, used.dataset.source)
+    return RecognizedSessions(
+        names, used.sessions.names, touched, beliefs, episodes, notes, used.dataset.source, used.in_fit,
+        pad_model.origin.objects,
+    )  # fmt: skip

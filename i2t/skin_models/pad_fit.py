@@ -27,6 +27,7 @@ from jaxtyping import Array, Bool, Float, Key
 from i2t.contact.press import PressLimits
 from i2t.contact.pressure import ContactPressure, PressureModelConfig, predict_pressures, surface_pressure
 from i2t.dataset import Dataset
+from i2t.dataset.digests import touch_digests
 from i2t.geometry import full_precision, inverse
 from i2t.patches.dimensions import VIEW_PIXELS, VIEW_WINDOW
 from i2t.registration.contacts import contact_poses
@@ -123,7 +124,8 @@ class ContactModel:
         touches = dataset.touches
         objects = tuple(dataset.objects[i] for i in np.unique(touches.object[rows]))
         pad = dataset.pads[int(touches.pad[rows][0])]
-        origin = PadOrigin(pad, dataset.source, objects, int(rows.sum()), made_from)
+        digests = tuple(touch_digests(dataset.select(rows)))
+        origin = PadOrigin(pad, dataset.source, objects, int(rows.sum()), made_from, digests)
         return KnownPad(self._fit(key, data), dataset.board, origin)
 
     def _fit(self, key: Key[Array, ""], data: ObjectTouches) -> PadModel:

@@ -7,7 +7,7 @@ require_skin(skin, ["skin A"], dataset.board, "DATA/later")
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -56,6 +56,8 @@ class PadOrigin:
     objects: tuple[str, ...]  # names of the touched objects
     touches: int  # number of touches
     made_from: str  # name of the run, data set or file from which the model was made
+    # digests of the touches (`i2t.dataset.digests`); None in files without this record
+    used_touches: tuple[str, ...] | None = field(default=None, repr=False)
 
 
 @in_one_line
@@ -171,7 +173,8 @@ def _known_pad(path: Path | str, record: _Record, about: dict[str, Any]) -> Know
         lambda array: jnp.asarray(array, jnp.float32), (record.reading_model, record.likelihood)
     )
     model = PadModel(reading_model, likelihood, record.reading_std, float(record.r2), record.held_out_errors)
-    origin = PadOrigin(**about | {"objects": tuple(about["objects"])})
+    values: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value for name, value in about.items()}
+    origin = PadOrigin(**values)
     return KnownPad(model, Board(*(np.asarray(part, np.float32) for part in record.board)), origin)
 
 

@@ -28,7 +28,10 @@ from i2t.viz.scene import draw_object, touch_colours
 from i2t.viz.skins import common_scale, draw_key, draw_reading, draw_skin
 from i2t.viz.style import MM_PER_M, Colour, Picture, save_figure, titled
 
-EVIDENCE_SOURCES = {"reading": Colour.GREEN, "position": Colour.SKY, "presence": Colour.PINK}  # with their colours
+# Sources of evidence in the order of `i2t.recognition.recognizer.TouchEvidence`, with their colours.
+EVIDENCE_SOURCES = {
+    "reading": Colour.GREEN, "position": Colour.SKY, "presence": Colour.PINK, "calibration": Colour.GREY,
+}  # fmt: skip
 FONT = 8.5  # pt
 
 
@@ -45,7 +48,7 @@ class EpisodeRecord(NamedTuple):
     p: Array  # (t, n) posterior after each touch; the rest to 1 is the probability of an unknown object
     truth: int  # index of the true candidate, -1 for an unknown object
     simulated: bool
-    # (t, n, 3) log densities (nats) of each touch under each candidate: of its reading, its position and presence
+    # (t, n, 4) evidence (nats) of each touch for each candidate: reading, position, presence, and calibration
     evidence: Array | None = None
 
     @property
@@ -56,7 +59,7 @@ class EpisodeRecord(NamedTuple):
 
     @property
     def weights(self) -> np.ndarray:
-        """Weights of evidence `(t, 3)` in nats of each touch's sources for the first leader against the second one.
+        """Weights of evidence `(t, 4)` in nats of each touch's sources for the first leader against the second one.
 
         Only a record with `evidence` has them.
         """
@@ -206,9 +209,9 @@ def _draw_evidence(axes: Axes, record: EpisodeRecord, touches: Sequence[int]) ->
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.tick_params(axis="x", labelsize=FONT)
     axes.set_xlabel("nats", fontsize=FONT)
-    axes.set_title(f"evidence for {record.names[first]} against {record.names[second]}", fontsize=FONT, pad=20)
+    axes.set_title(f"evidence for {record.names[first]} against {record.names[second]}", fontsize=FONT, pad=34)
     axes.legend(
-        loc="lower center", bbox_to_anchor=(0.45, 0.97), ncols=3, fontsize=FONT, frameon=False, handlelength=0.8,
+        loc="lower center", bbox_to_anchor=(0.45, 0.97), ncols=2, fontsize=FONT, frameon=False, handlelength=0.8,
         columnspacing=0.8, handletextpad=0.3,
     )  # fmt: skip
 
@@ -243,14 +246,13 @@ def _draw_measured(axes: Axes, record: EpisodeRecord, touch: int, scale: float, 
 
 
 def _draw_candidate(axes: Axes, depth: np.ndarray, nearest: float) -> AxesImage:
-    """Draw a candidate's patch at a touch, with the distance of its surface from the tool's origin."""
+    """Draw a candidate's patch at a touch, with the distance to its surface if the tool is outside it."""
     image = draw_patch(axes, depth, PATCH_WINDOW, REACH)
     axes.set(xticks=[], yticks=[])
-    if np.isfinite(nearest):
-        distance = f"{abs(nearest) * MM_PER_M:.1f} mm {'deep' if nearest < 0 else 'away'}"
-    else:
-        distance = "no surface here"
-    axes.set_xlabel(distance, fontsize=FONT - 1, labelpad=2)
+    if not np.isfinite(nearest):
+        axes.set_xlabel("no surface here", fontsize=FONT - 1, labelpad=2)
+    elif nearest > 0:
+        axes.set_xlabel(f"{nearest * MM_PER_M:.1f} mm away", fontsize=FONT - 1, labelpad=2)
     return image
 
 

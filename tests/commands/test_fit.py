@@ -30,6 +30,8 @@ def test_a_fit_writes_a_run_that_recognises(tmp_path, capsys, monkeypatch):
     said = capsys.readouterr().out
     assert "18 sessions of 3 touches, 2 objects (simulated)" in said
     assert "cylinder (no candidate)" in said
+    assert said.count("  used in the fit") == 9
+    assert " of 3 sessions that were not used in the fit: " in said  # those of the star
 
     assert fit.main(["nominal", "--out", str(out)]) == 2
     assert "holds an earlier fit; pass --overwrite" in capsys.readouterr().err

@@ -86,6 +86,9 @@ def test_two_defects_are_two_sentences_and_a_missing_chip_is_not_a_defect():
     health = check_skin(harmed((np.s_[:, 2], lambda x: np.nan)))
     assert (health.defects, health.missing) == ((), (2,))
     assert "without chip 2" in health.summary
+    same = health._replace(temperature=np.float64([24.61, 24.62]), missing=())
+    assert same.summary.endswith(", 24.6 C")
+    assert same._replace(temperature=np.float64([24.6, 25.0])).summary.endswith(", 24.6 to 25.0 C")
 
 
 @pytest.mark.parametrize("chips", [1, 5])

@@ -18,6 +18,7 @@ from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
 from i2t.recognition import policy
 from i2t.recognition import recognizer as recognizer_module
+from i2t.recognition.calibrated import POSTERIOR_TEMPERATURE
 from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig, SiteObservation
 from i2t.recognition.site_pool import SitePool
 from i2t.rendering.render import prepare_surface
@@ -194,17 +195,26 @@ def test_an_update_makes_a_new_state(leaning):
     np.testing.assert_array_equal(after.touched, np.arange(given.SITES) == 2)
 
 
-def test_weights_of_evidence_sum_to_the_log_odds(leaning):
-    state, total = leaning.init(np.array([2.0, 1.0])), np.zeros(3)
-    np.testing.assert_array_equal(leaning.info(state).evidence.weights(0, 1), 0)
-    for number in (2, 3):
-        state, info = leaning.update(state, SiteObservation(number, given.measured(leaning.table, number, 0)))
-        total += info.evidence.weights(0, 1)
-        np.testing.assert_array_equal(info.evidence.weights(1, 0), -info.evidence.weights(0, 1))
-    one, other = logsumexp(np.asarray(state.belief.log_weight, np.float64), axis=1)
-    assert total.sum() == pytest.approx(one - other - np.log(2), rel=1e-5)
-    reading, position, presence = total
-    assert reading > 1 > 0.01 > abs(position) + abs(presence)  # only the readings of the objects differ
+def test_weights_of_evidence_sum_to_the_change_of_the_calibrated_log_odds(leaning):
+    """The temperature divides all evidence so far, which leaves the calibration a part of the earlier log odds."""
+    weak = copy(leaning)
+    weak.likelihood = leaning.likelihood._replace(inflation=8 * leaning.likelihood.inflation)
+    state = weak.init(np.array([2.0, 1.0]))
+    np.testing.assert_array_equal(weak.info(state).evidence.weights(0, 1), 0)
+    before, raw, temperature = np.log(2), np.log(2), 1.0
+    for touches, number in enumerate((2, 3), start=1):
+        state, info = weak.update(state, SiteObservation(number, given.measured(weak.table, number, 0)))
+        weights = info.evidence.weights(0, 1)
+        np.testing.assert_array_equal(info.evidence.weights(1, 0), -weights)
+        after = np.log(info.probability[0] / info.probability[1])
+        assert weights.sum() == pytest.approx(after - before, abs=1e-9)
+        one, other = logsumexp(np.asarray(state.belief.log_weight, np.float64), axis=1)
+        earlier, temperature = temperature, POSTERIOR_TEMPERATURE.temperature(touches)
+        reading, position, presence, calibration = weights
+        assert calibration == pytest.approx(raw / temperature - raw / earlier, abs=1e-5)
+        assert reading + position + presence == pytest.approx((one - other - raw) / temperature, abs=1e-5)
+        assert reading > 0.5 > 0.01 > abs(position) + abs(presence)  # only the readings of the objects differ
+        before, raw = after, one - other
 
 
 def test_an_unknown_object_is_one_hypothesis_of_the_evidence(leaning):
@@ -213,7 +223,10 @@ def test_an_unknown_object_is_one_hypothesis_of_the_evidence(leaning):
     densities = np.random.default_rng(0).uniform(0.1, 1, (4, 4))
     summed = np.log(np.stack([densities[:, 0], densities[:, 1:].sum(1)], axis=1))
     presence, position, reading = np.diff(summed[:, 0] - summed[:, 1])
-    np.testing.assert_allclose(some._evidence(np.log(densities)).weights(0, 1), [reading, position, presence])
+    before, after = np.array([0.5]), np.array([0.8])
+    weights = some._evidence(np.log(densities), before, after, 3).weights(0, 1)
+    sources = np.array([reading, position, presence]) / POSTERIOR_TEMPERATURE.temperature(3)
+    np.testing.assert_allclose(weights, [*sources, np.log(4) - sources.sum()])
 
 
 def test_only_sites_at_which_every_object_is_met_are_candidates(leaning, monkeypatch):

@@ -7,6 +7,7 @@ import pytest
 from helpers.random_touches import sessions_of
 
 import i2t
+from i2t.dataset.digests import touch_digests
 from i2t.errors import DataError
 from i2t.recognition import sessions
 from i2t.recognition.sessions import choose_sessions
@@ -33,16 +34,23 @@ def dataset():
     return i2t.load_dataset("nominal")
 
 
-def test_each_session_is_listed_with_its_object_and_the_number_recognised(dataset, monkeypatch):
-    """The parallelogram and the screwdriver are no candidates, and every other session is taken for the star."""
+@pytest.fixture
+def seen(monkeypatch):
+    """What the belief is given, which takes every session for the star; the position alone for the hammer."""
     seen = {}
 
     def believe(surfaces, sites, episodes, particles, models, *, overtravel, label):
         seen.update(episodes=episodes, particles=particles, overtravel=overtravel)
         e, t = episodes.site.shape
-        return {"fused": np.tile(np.eye(4)[1], (e, t, 1)) * 0.9 + 0.025}
+        star, hammer = (np.tile(np.eye(len(NAMES))[i], (e, t, 1)) * 0.9 + 0.025 for i in (1, 3))
+        return {"fused": star, "readings": star, "position and presence": hammer}
 
     monkeypatch.setattr(sessions, "believe", believe)
+    return seen
+
+
+def test_each_session_is_listed_with_its_object_and_the_number_recognised(dataset, seen):
+    """The parallelogram and the screwdriver are no candidates, and every other session is taken for the star."""
     meshes = {name: i2t.make_object(name).mesh for name in NAMES}
     config = i2t.RecognizerConfig(num_particles=8, overtravel=2e-3)
     result = i2t.recognize(meshes, dataset, i2t.load_pad_model("nominal"), config=config, touches=4)
@@ -55,8 +63,50 @@ def test_each_session_is_listed_with_its_object_and_the_number_recognised(datase
     said = str(result)
     assert said.startswith("18 sessions of 4 touches, 4 objects (simulated)\n")
     assert "session 003  parallelogram (no candidate)  star           0.93" in said
-    assert said.endswith("recognised 3 of 12: 0.25 [0.08, 0.53], chance 0.25")
+    rate, kinds, record, also = said.splitlines()[-4:]
+    assert rate == "recognised 3 of 12 sessions: 0.25 (95 % interval [0.01, 0.89] over 4 objects; chance 0.25)"
+    assert kinds == "by kind of evidence: all 0.25, position and presence 0.25, readings 0.25"
+    assert record == "whether these sessions were used in the fit of the pad model is not recorded"
+    assert also == "the pad model was also fitted to touches of hexagon"
     assert repr(result) == "RecognizedSessions(18 sessions, 4 objects, simulated)"
+
+
+def test_sessions_of_the_fit_do_not_count_in_the_rate(dataset, seen):
+    known, numbers = i2t.load_pad_model("nominal"), dataset.touches.session
+    meshes = {name: i2t.make_object(name).mesh for name in NAMES}
+
+    def recognize(*used: str) -> i2t.RecognizedSessions:
+        rows = np.isin(numbers, [dataset.sessions.index(name) for name in used]) & (np.arange(len(dataset)) % 2 == 0)
+        digests = tuple(touch_digests(dataset.select(rows)))
+        pad = known._replace(origin=replace(known.origin, objects=("star",), used_touches=digests))
+        return i2t.recognize(meshes, dataset, pad, touches=4)
+
+    result = recognize("session 000", "session 006")  # of hexagon and star
+    assert np.flatnonzero(result.in_fit).tolist() == [0, 6]
+    said = str(result).splitlines()
+    assert said[2].endswith("  used in the fit")
+    assert not any("used in the fit" in line for line in said[3:8])
+    assert said[-4].startswith("recognised 2 of 10 sessions that were not used in the fit: 0.20 (95 % interval [")
+    assert said[-4].endswith("] over 4 objects; chance 0.25)")
+    assert said[-3] == "by kind of evidence: all 0.20, position and presence 0.30, readings 0.20"
+    assert said[-2] == "2 of the 18 sessions were used in the fit of the pad model"
+    assert said[-1] == "the pad model was also fitted to touches of star"
+    of_two = [name for name, shape in zip(dataset.sessions, result.touched, strict=True) if shape in ("star", "hammer")]
+    rest = sorted(set(dataset.sessions) - set(of_two))
+    assert "recognised 3 of 6 sessions that were not used in the fit: 0.50 (no interval: 2 objects;" in str(
+        recognize(*rest)
+    )
+    assert "recognised" not in str(recognize(*dataset.sessions))
+    assert "0 of the" not in (none := str(recognize()))
+    assert "not recorded" not in none
+
+
+def test_presses_of_an_indenter_hold_no_object_to_recognise(dataset):
+    upright = dataset.touches._replace(T_w_t=np.tile(np.eye(4, dtype=np.float32), (len(dataset), 1, 1)))
+    presses = replace(dataset, touches=upright, objects=("sphere:4.0", *dataset.objects[1:]))
+    with pytest.raises(DataError, match=r"DATA: holds presses of an indenter \(sphere:4\.0, .*no object to recognise"):
+        sessions.require_objects_touched(presses, "DATA")
+    sessions.require_objects_touched(dataset)
 
 
 def test_touches_of_another_skin_are_refused_or_noted(dataset):

@@ -12,6 +12,7 @@ import i2t
 from i2t import skin_models
 from i2t.contact.press import PressLimits
 from i2t.contact.pressure import ContactPressure
+from i2t.dataset.digests import touch_digests
 from i2t.errors import SerializationError
 from i2t.files import serialization
 from i2t.objects import catalogue
@@ -131,6 +132,7 @@ def test_a_pad_model_has_the_common_interface(tmp_path):
     newtons = jnp.zeros((3, 20, 20)).at[:, 8:12, 8:12].set(jnp.float32([0.02, 0.05, 0.1])[:, None, None])
     contact = ContactPressure(newtons, jnp.sum(newtons, axis=(1, 2)))
     fitted = ContactModel(errors, limits).fit(jax.random.key(2), data)
+    assert fitted.origin.used_touches == tuple(touch_digests(dataset))
     assert_common_interface(fitted, (contact,), tmp_path / "pad_model.npz")
     mean, _ = fitted.predict(contact)
     assert (np.diff(np.linalg.norm(mean, axis=1)) > 0).all()  # a larger load gives a larger reading

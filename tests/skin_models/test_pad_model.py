@@ -1,5 +1,7 @@
 """Pad models in files, and the skins they belong to."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,9 +15,11 @@ from i2t.skin.pad import nominal_pad
 from i2t.skin_models.layer import Layer
 from i2t.skin_models.likelihood import fit_likelihood
 from i2t.skin_models.pad_model import (
+    PAD_MODEL_KIND,
     KnownPad,
     PadModel,
     PadOrigin,
+    _Record,
     load_pad_model,
     require_skin,
     same_board,
@@ -43,6 +47,13 @@ def test_a_saved_pad_model_loads_with_its_skin(skin, tmp_path):
     skin.save(tmp_path / "pad_model.npz")
     again = load_pad_model(tmp_path / "pad_model.npz")
     assert again.origin == skin.origin
+    digests = replace(skin.origin, used_touches=("00aa", "11bb"))
+    skin._replace(origin=digests).save(tmp_path / "digests.npz")
+    assert load_pad_model(tmp_path / "digests.npz").origin == digests
+    record, about = serialization.load(tmp_path / "pad_model.npz", PAD_MODEL_KIND, _Record)
+    del about["used_touches"]  # as in older files
+    serialization.save(tmp_path / "older.npz", PAD_MODEL_KIND, record, about)
+    assert load_pad_model(tmp_path / "older.npz").origin.used_touches is None
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-6), again.model, skin.model)
     np.testing.assert_allclose(again.board.chips, BOARD.chips, atol=1e-9)
 

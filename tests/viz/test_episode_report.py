@@ -68,9 +68,9 @@ def test_many_touches_and_candidates_of_any_board_fit_on_a_page(meshes):
 
 def test_the_evidence_is_stacked_by_source_from_zero_to_either_side(meshes, tmp_path):
     """Bars of the weights of evidence for the most probable object against the next one, and their sums."""
-    evidence = np.zeros((3, 2, 3))
-    evidence[:, 0] = [(2, 1, 0), (3, -1, 0.5), (0, 0, -4)]
-    evidence[:, 1] = [(1, 0, 0), (0, 0, 0), (0, 0, 0)]
+    evidence = np.zeros((3, 2, 4))
+    evidence[:, 0] = [(2, 1, 0, 0), (3, -1, 0.5, -1), (0, 0, -4, 0)]
+    evidence[:, 1] = [(1, 0, 0, 0), (0, 0, 0, 0), (0, 0, 0, 0)]
     page = viz.plot_episode(record(meshes, evidence=evidence))
     (axes,) = [axes for axes in page.axes if axes.get_title().startswith("evidence")]
     assert axes.get_title() == "evidence for square against hexagon"
@@ -81,9 +81,10 @@ def test_the_evidence_is_stacked_by_source_from_zero_to_either_side(meshes, tmp_
         "reading": [(0, 1), (0, 3), (0, 0)],
         "position": [(1, 2), (0, -1), (0, 0)],
         "presence": [(2, 2), (3, 3.5), (0, -4)],
+        "calibration": [(2, 2), (-1, -2), (0, 0)],
     }
-    assert [text.get_text().strip() for text in axes.texts] == ["+2.0", "+2.5", "-4.0"]
-    with pytest.raises(ValueError, match="must have 3 sources for each of the 3 touches and 2 candidates"):
+    assert [text.get_text().strip() for text in axes.texts] == ["+2.0", "+1.5", "-4.0"]
+    with pytest.raises(ValueError, match="must have 4 sources for each of the 3 touches and 2 candidates"):
         viz.write_episode_report(record(meshes, evidence=evidence[:, :1]), tmp_path)
 
 
