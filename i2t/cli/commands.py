@@ -157,9 +157,8 @@ def _write_completion(words: list[str]) -> None:
 
 def _with_files(script: str) -> str:
     """Change tyro's script, which completes sub-commands and options only, to complete files and known names too."""
-    from i2t.objects.catalogue import NAMES
-
-    known = {"imagine": NAMES, "fit": ("nominal",), "recognize": ("nominal",), "view": ("nominal",)}
+    objects = pkgutil.resolve_name("i2t.objects.catalogue:NAMES")
+    known = {"imagine": objects, "fit": ("nominal",), "recognize": ("nominal",), "view": ("nominal",)}
     mark = "__TYRO_COMPLETE_FILES__"  # tyro's answer if the shell is to complete the name of a file
     changes = (
         (  # the Python part, for a word after the last sub-command that is no option
