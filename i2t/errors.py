@@ -65,6 +65,10 @@ class DeviceError(I2TError, RuntimeError):
     """An arm, skin or camera failed."""
 
 
+class MissingDriverError(DeviceError, MissingExtraError):
+    """A device cannot be used because the package that drives it is missing or too old."""
+
+
 class NotConnectedError(DeviceError):
     """A device was used before `connect` or after `close`."""
 

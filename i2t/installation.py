@@ -51,11 +51,11 @@ def extra_advice(extra: str, package: str = "") -> str:
         A command: in a checkout it installs the extra, elsewhere the needed packages by their own names.
     """
     if checkout():
-        return f'pip install -e ".[{extra}]"'
+        return f'python -m pip install -e ".[{extra}]"'
     requirements = [Requirement(line) for line in metadata.requires(DISTRIBUTION) or ()]
     of_extra = [r for r in requirements if r.marker and r.marker.evaluate({"extra": extra})]
     if package:
         named = [r for r in of_extra if canonicalize_name(r.name) == canonicalize_name(package)]
         # An extra may leave a package out for this version of Python.
         of_extra = named or [Requirement(package)]
-    return " ".join(["pip install", *(f'"{r.name}{r.specifier}"' for r in of_extra)])
+    return " ".join(["python -m pip install", *(f'"{r.name}{r.specifier}"' for r in of_extra)])

@@ -141,28 +141,40 @@ def test_the_completions_of_bash_are_the_sub_commands_and_their_options(tmp_path
     subprocess.run([sys.executable, "-c", WRITE, "bash", str(script)], cwd=ROOT, check=True)  # without JAX
     subprocess.run(["bash", "-n", str(script)], check=True)
     options = {"imagine": "--sites", "convert presses": "--indenter", "hand-eye capture": "--host", "place": "--arm"}
-    typed = ["", "convert", *(f"{words} --" for words in options)]
+    files = ["fit", "convert presses", "imagine --out"]
+    typed = ["", "convert", *(f"{words} --" for words in options), *files, "imagine"]
     done = subprocess.run(
-        ["bash", "-c", DRIVE, "bash", str(script), *typed], capture_output=True, text=True, check=True
+        ["bash", "-c", DRIVE, "bash", str(script), *typed], capture_output=True, text=True, check=True, cwd=tmp_path
     )
     first, *lines = done.stdout.splitlines()
-    assert first == "complete -F _tyro_i2t i2t"
+    assert first == "complete -o bashdefault -o default -F _tyro_i2t i2t"
     completions = dict(line.split("=", 1) for line in lines)
     assert list(completions) == typed
     assert set(completions[""].split()) == {"-h", "--help", *COMMANDS}
     assert {"presses", "stream"} < set(completions["convert"].split())
     for words, option in options.items():
         assert option in completions[f"{words} --"].split()
+    # The only entry of the folder is "new"; objects and data sets are known by name.
+    assert [completions[words] for words in files] == ["nominal new", "new", "new"]
+    assert {"hammer", "new"} < set(completions["imagine"].split())
     # After a line break, a description would be offered as words to type.
     assert "\\n" not in next(line for line in script.read_text().splitlines() if line.startswith("COMPLETION_SPEC"))
 
 
-def test_the_completions_of_zsh_are_written(tmp_path):
-    with pytest.raises(SystemExit):
-        main(["--tyro-write-completion", "zsh", str(tmp_path / "_i2t")])
-    script = (tmp_path / "_i2t").read_text()
-    assert script.startswith("#compdef i2t")
-    assert "--indenter" in script
+def test_the_completions_of_each_shell_include_files_and_names(tmp_path):
+    for shell, first, files in (
+        ("zsh", "#compdef i2t", "compadd -a names\n    _files\n"),
+        ("bash", "# AUTOMATICALLY", "complete -o default -o bashdefault -F _tyro_i2t i2t\n"),
+    ):
+        with pytest.raises(SystemExit):
+            main(["--tyro-write-completion", shell, str(tmp_path / shell)])
+        script = (tmp_path / shell).read_text()
+        assert script.startswith(first)
+        assert files in script
+        assert "--indenter" in script
+        assert "'hammer'" in script
+        if shutil.which(shell):
+            subprocess.run([shell, "-n", str(tmp_path / shell)], check=True)
 
 
 def test_versions_name_python_and_each_installed_package_that_is_required(capsys):

@@ -11,7 +11,9 @@ from experiments.reconstruct.arguments import ReconstructArgs
 from experiments.studies.arguments import StudyArgs
 from i2t.cli.options import require_path, require_writable
 from i2t.convert.commands import main as convert
-from i2t.errors import EXTRAS, MissingExtraError
+from i2t.errors import EXTRAS, DeviceError, MissingExtraError
+from i2t.hardware.reskin.driver import ReSkin
+from i2t.hardware.reskin.monitor import main as monitor
 from i2t.objects import make_object, random_object
 
 ROOT = Path(__file__).parents[1]
@@ -40,8 +42,16 @@ def test_a_command_checks_its_extra_before_it_works(tmp_path, monkeypatch, capsy
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     (tmp_path / "touches").mkdir()
     assert convert(["lerobot", str(tmp_path / "touches"), str(tmp_path / "lerobot")]) == 2
-    assert "needs pyarrow, which is missing: pip install" in capsys.readouterr().err
+    assert "needs pyarrow, which is missing: python -m pip install" in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["touches"]
+
+
+def test_a_device_without_its_driver_is_refused_like_any_missing_package(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    assert monitor([]) == 2
+    assert "the skin needs pyserial: python -m pip install" in capsys.readouterr().err
+    with pytest.raises(DeviceError):
+        ReSkin()
 
 
 def test_a_random_object_is_refused_with_the_option_that_draws_it(monkeypatch):

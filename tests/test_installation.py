@@ -30,7 +30,7 @@ def wheel(monkeypatch, tmp_path):
 
 def test_a_checkout_is_advised_to_install_the_extra_and_to_train_by_the_experiment():
     assert installation.checkout() == ROOT
-    assert installation.extra_advice("hardware", "pyserial") == 'pip install -e ".[hardware]"'
+    assert installation.extra_advice("hardware", "pyserial") == 'python -m pip install -e ".[hardware]"'
     assert installation.training_command() == "python -m experiments.train"
 
 
@@ -39,18 +39,18 @@ def test_a_wheel_is_advised_to_install_packages_by_their_names_and_to_train_by_i
     assert installation.training_command() == "i2t fit"
     for extra in ("hardware", "view", "reconstruct", "lerobot"):
         advice = installation.extra_advice(extra)
-        assert advice.startswith("pip install ")
+        assert advice.startswith("python -m pip install ")
         assert set(re.findall(r'"([\w-]+)[<>=]', advice)) == NAMES[extra]
 
 
 def test_a_wheel_is_advised_to_install_only_the_package_that_is_missing(wheel, monkeypatch):
-    assert re.fullmatch(r'pip install "rerun-sdk>=[\d.]+"', installation.extra_advice("view", "Rerun_SDK"))
+    assert re.fullmatch(r'python -m pip install "rerun-sdk>=[\d.]+"', installation.extra_advice("view", "Rerun_SDK"))
     # An extra of another version of Python does not bring the package.
-    assert installation.extra_advice("hardware", "some-driver") == 'pip install "some-driver"'
+    assert installation.extra_advice("hardware", "some-driver") == 'python -m pip install "some-driver"'
     assert re.search(r'pip install "ur-rtde[>=\d.]*" on Python 3.11 or 3.12$', explain_missing_library())
     for module, (_, extra) in EXTRAS.items():
         monkeypatch.setitem(sys.modules, module, None)
-        with pytest.raises(MissingExtraError, match="which is missing: pip install ") as error:
+        with pytest.raises(MissingExtraError, match="which is missing: python -m pip install ") as error:
             require_extra(module, "it")
         assert "imagine2touch" not in str(error.value), extra
         assert str(error.value).count('"') == 2  # one package

@@ -39,7 +39,7 @@ from i2t.types import Surface, Touches
 def patches(small: bool) -> Iterator[Contest]:
     """Compare patches with warp's, if it is installed."""
     if find_spec("warp") is None:
-        print("patches are skipped: install their peer with pip install warp-lang")
+        print("patches are skipped: install their peer with python -m pip install warp-lang")
         return
     batch = 4 if small else 4096
     for name, mesh in {

@@ -17,6 +17,8 @@ from typing import Any, TypeAlias
 from experiments.common.config_file import config_path, options_of_config
 from experiments.common.runs import METRICS, check_folder, check_out, exit_code_of_run, folder_of, pictures_in
 from i2t.cli.options import check_options, docstring_of, read_options, refuse_renamed
+from i2t.cli.pipes import ExitCode
+from i2t.errors import did_you_mean
 from i2t.models.finished import kind_of_config
 
 # Function from the command line (by default that of the process) to the exit code.
@@ -62,6 +64,10 @@ def command_of_parts(
         path = config_path(words)
         if words and words[0] in parts:
             name = words.pop(0)
+        elif words and not words[0].startswith("-"):  # no part has positional arguments
+            remedy = did_you_mean(words[0], parts, f"its parts are {', '.join(parts)}")
+            print(f"error: {words[0]} is no part of python -m {package}; {remedy}", file=sys.stderr)
+            return ExitCode.WRONG_USE
         else:
             kind = None if path is None else kind_of_config(path)
             name = next((part for part, (options, _) in parts.items() if options.__name__ == kind), first)

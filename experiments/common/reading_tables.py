@@ -192,7 +192,7 @@ def refuse_counters(table: ReadingTable, path: Path, *, may_number_touches: bool
 
 def _read(path: Path, label: str, group: str | None, ignore: Sequence[str], touch: str | None) -> _Part:
     special = [name for name in (label, group, touch, *ignore) if name is not None]
-    header, rows, notes = open_text_table(path, as_named=True, texts=special)
+    header, rows, notes, _ = open_text_table(path, as_named=True, texts=special)
     if missing := [name for name in special if name not in header]:
         remedy = did_you_mean(missing[0], header, "name one of its columns")
         raise DataError(f"{path}: there is no column {missing[0]} ({describe_header(header)}); {remedy}")

@@ -147,7 +147,42 @@ def _write_completion(words: list[str]) -> None:
     for name in COMMANDS:
         kind = Annotated[command_of(name).kind, tyro.conf.subcommand(name=name, description=COMMANDS[name].purpose)]
         kinds = kind if kinds is None else kinds | kind
-    read_options(kinds, words, program="i2t")
+    try:
+        read_options(kinds, words, program="i2t")
+    finally:  # tyro exits after it has written the script
+        script = Path(words[2])
+        if script.is_file():
+            script.write_text(_with_files(script.read_text()))
+
+
+def _with_files(script: str) -> str:
+    """Change tyro's script, which completes sub-commands and options only, to complete files and known names too."""
+    objects = pkgutil.resolve_name("i2t.objects.catalogue:NAMES")
+    known = {"imagine": objects, "fit": ("nominal",), "recognize": ("nominal",), "view": ("nominal",)}
+    mark = "__TYRO_COMPLETE_FILES__"  # tyro's answer if the shell is to complete the name of a file
+    changes = (
+        (  # the Python part, for a word after the last sub-command that is no option
+            "    # Generate completions.\n",
+            '    if not current_word.startswith("-") and not current_spec.get("subcommands"):\n'
+            f"        names = {known!r}.get(words[0], ())\n"
+            f'        return ["{mark}", *(name for name in names if name.startswith(current_word))]\n',
+        ),
+        (f'== "{mark}" ]]', f'== "{mark}"* ]]'),
+        (  # of bash
+            '    COMPREPLY=($(compgen -f -- "$cur"))\n',
+            "    local IFS=$'\\n'\n"
+            f'    COMPREPLY=(${{completions#{mark}}} $(compgen -f -- "${{COMP_WORDS[COMP_CWORD]}}"))\n'
+            "    compopt -o filenames 2>/dev/null\n",
+        ),
+        ("complete -F", "complete -o default -o bashdefault -F"),
+        (  # of zsh
+            "    _files\n",
+            f"    local -a names=(${{(f)completions#{mark}}})\n    compadd -a names\n    _files\n",
+        ),
+    )
+    for before, after in changes:
+        script = script.replace(before, after)
+    return script
 
 
 def _list(program: str, *, everything: bool) -> None:

@@ -91,7 +91,9 @@ def read_options(
             text = description or None
             cli: Any = tyro.cli
             more = {} if default is None else {"default": default}
-            options: Options = cli(kind, args=words, prog=program, description=text, config=config, **more)
+            options: Options = cli(
+                kind, args=words, prog=program, description=text, config=config, registry=_registry(), **more
+            )
             return options
         except SystemExit:
             sys.stdout.flush()  # here, where a failure can be handled
@@ -99,6 +101,35 @@ def read_options(
     except BrokenPipeError:
         output_is_closed()
         raise SystemExit(ExitCode.OUTPUT_CLOSED) from None
+
+
+@cache
+def _registry() -> Any:
+    """Make tyro's rules for numbers, whose messages Python would word for programmers."""
+    import tyro.constructors
+
+    registry = tyro.constructors.ConstructorRegistry()
+
+    @registry.primitive_rule
+    def number_rule(about: tyro.constructors.PrimitiveTypeInfo) -> Any:
+        kind = about.type
+        if kind not in (int, float):
+            return None
+
+        def read(words: list[str]) -> Any:
+            try:
+                return kind(words[0])
+            except ValueError:
+                whole = "a whole number" if kind is int else "a number"
+                raise ValueError(f"{words[0]!r} is not {whole}; give one, without a unit") from None
+
+        return tyro.constructors.PrimitiveConstructorSpec(
+            nargs=1, metavar=kind.__name__.upper(), instance_from_str=read,
+            is_instance=lambda value: isinstance(value, int if kind is int else (int, float)),
+            str_from_instance=lambda value: [str(value)],
+        )  # fmt: skip
+
+    return registry
 
 
 def refuse_renamed(kind: Any, words: Sequence[str] | None) -> None:

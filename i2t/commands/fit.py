@@ -19,7 +19,7 @@ import time
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 class FitArgs:
     """Fit a predictor and a pad model to a data set, and score the predictor on touches that are held out."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     """Folder or file of touches, or nominal, the simulated touches that come with i2t."""
     method: str = "gp"
     """Method of the predictor, by its name (docs/prediction.md) or as my_package.module:Method."""
@@ -156,7 +156,7 @@ def _pad_model(args: FitArgs, dataset: "Dataset", split: "Split") -> "KnownPad |
 
     from i2t.recognition.recorded import fit_pad_model
 
-    print("fitting a pad model")
+    print("fitting a pad model, which takes a minute or more", flush=True)
     meshes = read_meshes(args.objects, args.unit)
     try:
         return fit_pad_model(

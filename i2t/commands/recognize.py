@@ -13,7 +13,7 @@ every skin differs. In a checkout, `python -m experiments.recognize` scores the 
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import tyro
 
@@ -29,7 +29,7 @@ from i2t.objects.named import meshes_of_dataset, read_meshes, require_objects
 class RecognizeArgs:
     """Recognise the objects of recorded sessions."""
 
-    dataset: tyro.conf.Positional[Path]
+    dataset: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DATASET")]
     """Folder or file of touches, or nominal, the simulated touches that come with i2t."""
     pad_model: Path = Path("nominal")
     """Pad model of the skin: folder of a fit, file, or nominal, of the simulated pad of the data set nominal."""

@@ -30,6 +30,7 @@ from i2t.cli.exit_codes import command
 from i2t.cli.options import require_writable
 from i2t.convert import EFLESH_TIP_RADIUS_M, EFLESH_WINDOW_M, PAPER_CAMERA_OFFSET_M
 from i2t.errors import DataError, printable, require_extra
+from i2t.installation import checkout
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class WriteCommand(ReadCommand):
     overwrite: bool = False  # replace the files of an earlier conversion
     verbose: bool = False  # print all notes on the conversion; the data set holds them as well
     written: ClassVar[tuple[str, ...]] = (PACKED_FILE, "README.md", "index.json")  # files of an earlier conversion
+    of_one_tip: ClassVar[bool] = False  # whether the result holds presses of one tip, which a calibration can use
 
     def _require(self) -> None:
         """Refuse a missing source and an occupied folder, before anything large is imported."""
@@ -119,6 +121,9 @@ class WriteCommand(ReadCommand):
         counts = ", ".join(f"{len(names)} {noun}{'s' if len(names) > 1 else ''}" for names, noun in parts)
         print(f"wrote {len(dataset)} touches ({counts}) to {path}")
         print(f"next: i2t view {self.target}")
+        if self.of_one_tip and len(dataset.pads) == 1:
+            module = f"python -m experiments.calibrate --dataset {self.target}"
+            print(f"      {module if checkout() else 'i2t.calibrate, in Python (docs/calibration.md)'}")
 
     def _print_notes(self, notes: Sequence[str], brief: Sequence[str]) -> None:
         """Print all notes or the brief ones."""
@@ -134,7 +139,8 @@ class Recording(WriteCommand):
     touches are real, and whether mistakes are looked for.
     """
 
-    window_mm: float = 1e3 * PATCH_WINDOW  # edge (mm) of the square that a patch shows; presses outside it are left out
+    # edge (mm) of the square that a patch shows; presses whose tip it does not show are left out
+    window_mm: float = 1e3 * PATCH_WINDOW
     # largest depth (mm) behind the nearest point in a patch; deeper points are clipped to it
     reach_mm: float = 1e3 * REACH
     # whether the touches are real or simulated, if the recording does not state it
@@ -202,7 +208,7 @@ class FromEflesh(Recording):
     (states.csv, sensor_post_baselines.csv), or a folder of sessions.
     """
 
-    # edge (mm) of the square that a patch shows; presses outside it are left out
+    # edge (mm) of the square that a patch shows; presses whose tip it does not show are left out
     window_mm: float = 1e3 * EFLESH_WINDOW_M
     # radius (mm) of the probe's spherical tip, which the recordings do not state
     tip_radius_mm: float = 1e3 * EFLESH_TIP_RADIUS_M
@@ -225,6 +231,7 @@ class FromEflesh(Recording):
 class _FromTable(Recording):
     """Base of the commands that convert presses of one indenter."""
 
+    of_one_tip: ClassVar[bool] = True
     indenter: str | None = None  # shape of the indenter: sphere:RADIUS or cylinder:RADIUS (mm), or mesh:FILE
     # board of the skin, which determines number, order and rotation of its chips: reskin, anyskin, or grid-RxC
     board: str = "reskin"

@@ -64,7 +64,7 @@ def convert(
     Args:
         source: Folder of a session, or of sessions.
         radius: Radius (m) of the probe's spherical tip, which the recordings do not state.
-        window: Edge (m) of the square that a patch shows; presses outside it are left out.
+        window: Edge (m) of the square that a patch shows; presses whose tip it does not show are left out.
         reach: Depth (m) behind the tip's lowest point to which patches are clipped.
         zero: The robot's z (m) at first contact. By default it is where readings begin. If no press is above that, it
             is the session's highest z, so that no travel is negative; if all presses go to one height, travels are

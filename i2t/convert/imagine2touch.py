@@ -107,7 +107,7 @@ def convert(
 def _corrected(dataset: Dataset, notes: ReadingLog) -> Dataset:
     """Make pressing forces positive, and convert readings to microtesla."""
     touches = dataset.touches
-    units = find_units(np.zeros((len(dataset), 2)), touches.reading.astype(np.float64))
+    units = find_units(np.full((len(dataset), 2), np.nan), touches.reading.astype(np.float64))
     sign = find_force_sign(touches.force.astype(np.float64), touches.reading)
     for finding in (units, sign):
         notes.finding(finding)

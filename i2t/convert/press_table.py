@@ -133,7 +133,7 @@ def presses_dataset(
         board: Board of the readings.
         notes: Log that receives a sentence on what was left out.
         whose: Name of the source in messages.
-        window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
+        window: Edge (m) of the square that a patch shows; presses whose tip it does not show are left out.
         reach: Depth (m) behind the tip's lowest point to which patches are clipped.
         source: "real", "simulated" or "mixed".
         meta: Provenance, in words.
@@ -142,14 +142,17 @@ def presses_dataset(
         The data set, with one touch for each press.
 
     Raises:
-        DataError: If no press lies inside the window.
+        DataError: If the window shows the tip of no press.
     """
-    inside = (np.abs(presses.position) <= window / 2).all(1)
-    if not inside.all():
-        notes.change("window", f"left out: {np.sum(~inside)} presses outside the window of {1e3 * window:g} mm")
-    if not inside.any():
+    patch = tip.patches(*presses.position.T, window, reach)
+    # A press beside the window is kept if its patch shows a part of the tip; calibrations do not use patches.
+    shown = (np.abs(presses.position) <= window / 2).all(1) | (patch < reach).any((1, 2))
+    if not shown.any():
         raise DataError(f"{whose}: no press lies inside the window of {1e3 * window:g} mm; widen --window-mm")
-    position, readings, height, force, time, pad, session = presses.rows(inside)
+    if not shown.all():
+        outside = f"{np.sum(~shown)} presses whose tip is outside the window of {1e3 * window:g} mm"
+        notes.change("window", f"left out: {outside}; a larger --window-mm keeps them")
+    position, readings, height, force, time, pad, session = presses.rows(shown)
     assert height is not None
     assert time is not None
     assert pad is not None
@@ -159,7 +162,7 @@ def presses_dataset(
     T_w_o = np.tile(np.eye(4), (n, 1, 1))
     T_w_o[:, :3, 3] = np.column_stack([x, y, np.nan_to_num(height) - tip.lowest])
     touches = Touches(
-        patch=tip.patches(x, y, window, reach),
+        patch=patch[shown],
         view=missing_views(n),
         nearest=height,
         reading=readings,

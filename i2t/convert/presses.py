@@ -9,6 +9,7 @@ there are forces.
 """
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from i2t.recordings.columns import (
     TIME_COLUMN,
     ambient_columns,
     field_columns,
+    notes_on_depth,
 )
 from i2t.recordings.diagnose import corrected_presses, find_travel_sign, first_contact
 from i2t.recordings.log import ZERO_AMBIENT, ReadingLog, require_ambient
@@ -68,7 +70,7 @@ def convert(
         source: File of the table.
         indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `unit`.
         board: Board that sent the values; the table has three columns for each of its chips.
-        window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
+        window: Edge (m) of the square that a patch shows; presses whose tip it does not show are left out.
         reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
         unit: Unit of the mesh file: m, cm, mm or inch.
         as_stated: Whether to take all units, signs and axes as recorded, without a search for mistakes.
@@ -130,9 +132,11 @@ def _read(source: Path, table: TextTable, chips: int, notes: ReadingLog) -> tupl
         notes.info(note)
     if table.log is not None:
         notes.include(table.log)
+    for note in notes_on_depth(table.header, table.stated):
+        notes.change("travel", note)
     height = next((name for name in HEIGHT_COLUMNS if name in table.header and "travel_mm" not in table.header), None)
     header = ["travel_mm" if name == height else name for name in table.header]
-    values, ambient = _value_columns(source, header, chips, notes)
+    values, ambient = _value_columns(source, header, chips, notes, table.stated)
     places = [name for name in PLACE_COLUMNS if name in header]
     columns = [*places, *values, *ambient, *([FORCE_COLUMN] if FORCE_COLUMN in header else [])]
 
@@ -226,10 +230,13 @@ def _sources(source: Path, header: list[str], rows: list[tuple[int, list[str]]])
     return "mixed" if len(line_of) > 1 else next(iter(line_of))
 
 
-def _value_columns(source: Path, header: list[str], chips: int, notes: ReadingLog) -> tuple[list[str], list[str]]:
+def _value_columns(
+    source: Path, header: list[str], chips: int, notes: ReadingLog, stated: Sequence[str]
+) -> tuple[list[str], list[str]]:
     """List the columns of a board's values and of its ambient field; refuse a table that lacks some."""
     by_force = "travel_mm" not in header and FORCE_COLUMN in header
-    values = field_columns(source, header, chips, PLACE_COLUMNS[:2] if by_force else PLACE_COLUMNS)
+    needed = PLACE_COLUMNS[:2] if by_force else PLACE_COLUMNS
+    values = field_columns(source, header, chips, needed, stated=stated)
     if by_force:
         notes.info("no travel was recorded: presses are described by their force")
     ambient = ambient_columns(values)

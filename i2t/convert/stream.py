@@ -30,7 +30,15 @@ from i2t.errors import DataError
 from i2t.files.writing import replacing
 from i2t.patches.dimensions import PATCH_WINDOW, REACH
 from i2t.recordings.clocks import pause_threshold
-from i2t.recordings.columns import FORCE_COLUMN, HEIGHT_COLUMNS, PLACE_COLUMNS, TEXT_COLUMNS, TIME_COLUMN, field_columns
+from i2t.recordings.columns import (
+    FORCE_COLUMN,
+    HEIGHT_COLUMNS,
+    PLACE_COLUMNS,
+    TEXT_COLUMNS,
+    TIME_COLUMN,
+    field_columns,
+    notes_on_depth,
+)
 from i2t.recordings.log import ReadingLog
 from i2t.recordings.segmentation import (
     OpenRecording,
@@ -176,7 +184,7 @@ def convert(
         source: File of the log, plain or gzip-ed.
         indenter: `sphere:RADIUS` or `cylinder:RADIUS` with the radius in mm, or `mesh:FILE` in `unit`.
         board: Board that sent the values.
-        window: Edge (m) of the square that a patch shows; presses whose axis lies outside it are left out.
+        window: Edge (m) of the square that a patch shows; presses whose tip it does not show are left out.
         reach: Depth (m) behind the indenter's lowest point to which patches are clipped.
         unit: Unit of a mesh file: m, cm, mm or inch.
         as_stated: Whether to skip the search for and correction of mistakes in units, signs and axes.
@@ -244,6 +252,8 @@ def table_of_presses(source: Path, *, board: Board, skip_bad: bool = False, rate
     table = open_text_table(source)
     columns = _columns(source, table, board.num_chips, timed=rate is None)
     notes = ReadingLog(skip_bad, [*table.notes, *columns.notes])
+    for note in notes_on_depth(table.header, table.stated):
+        notes.change("travel", note)
     names: list[tuple[str, ...]] = []
     log_presses = _LogPresses(columns)
     timed = on_one_clock(_rows(source, table, columns, notes, names), f"{source}: its time", notes, rate)
@@ -374,7 +384,7 @@ def _columns(source: Path, table: TableRows, chips: int, *, timed: bool) -> _Col
     remedy = f"so this is not a log of a board of {chips} chips: name columns as in docs/data.md"
     if timed and TIME_COLUMN not in header:
         remedy = "name the column of time by its unit (time_s, time_ms, time_us), or give --rate-hz where there is none"
-    values = field_columns(source, header, chips, [TIME_COLUMN] if timed else [], remedy)
+    values = field_columns(source, header, chips, [TIME_COLUMN] if timed else [], remedy, stated=table.stated)
     labels = [name for name in (*PLACE_COLUMNS, FORCE_COLUMN) if name in header]
     if "travel_mm" not in header:
         labels += [name for name in HEIGHT_COLUMNS if name in header][:1]

@@ -20,7 +20,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from i2t.depth.camera import Camera, Distortion, brown_conrady, invert_brown_conrady
-from i2t.errors import DeviceError
+from i2t.errors import MissingDriverError
 from i2t.geometry import inverse, so3_exp, transform
 from i2t.installation import extra_advice
 from i2t.types import Array
@@ -127,14 +127,14 @@ def fit(views: Sequence[BoardView], focal: float, *, config: HandEyeConfig = Han
 
 
 def opencv() -> Any:
-    """Import and return OpenCV; raise DeviceError if it is missing, or too old to have ChArUco boards."""
+    """Import and return OpenCV; raise MissingDriverError if it is missing, or too old to have ChArUco boards."""
     advice = extra_advice("hardware", "opencv-python-headless")
     try:
         import cv2
     except ImportError as error:
-        raise DeviceError(f"finding boards needs OpenCV: {advice}") from error
+        raise MissingDriverError(f"finding boards needs OpenCV: {advice}") from error
     if not hasattr(getattr(cv2, "aruco", None), "CharucoDetector"):
-        raise DeviceError(f"OpenCV {cv2.__version__} cannot find boards: {advice}")
+        raise MissingDriverError(f"OpenCV {cv2.__version__} cannot find boards: {advice}")
     return cv2
 
 

@@ -32,7 +32,7 @@ import tyro
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, require_path
 from i2t.depth.camera import MAX_UINT16, Camera
-from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.errors import DeviceError, DeviceTimeoutError, MissingDriverError, NotConnectedError
 from i2t.geometry import transform
 from i2t.hardware import camera_folder
 from i2t.hardware.base import CameraBase
@@ -119,7 +119,9 @@ class RealSense(CameraBase):
         try:
             import pyrealsense2
         except ImportError as error:
-            raise DeviceError(f"a RealSense needs pyrealsense2: {extra_advice('hardware', 'pyrealsense2')}") from error
+            raise MissingDriverError(
+                f"a RealSense needs pyrealsense2: {extra_advice('hardware', 'pyrealsense2')}"
+            ) from error
         self._rs: Any = pyrealsense2
         self._serial, self._size, self._rate, self._distance = serial, size, rate, distance
         self._file = Path(file) if file is not None else None

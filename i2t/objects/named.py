@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 
 from i2t.errors import DataError, did_you_mean
 from i2t.files.kinds import MESH_SUFFIXES, METRE_SUFFIXES, METRES_PER_UNIT
-from i2t.geometry import inverse
 
 if TYPE_CHECKING:
     from i2t.objects.solids import Mesh, Object
@@ -216,6 +215,8 @@ def describe_placement(thing: "Object") -> str:
     Returns:
         A sentence for the user; empty if the frames are the same and no piece is left out.
     """
+    from i2t.geometry import inverse
+
     T_object_file = inverse(thing.T_file_object)
     x, y, z = (1e3 * T_object_file[:3, 3]).tolist()
     turned = "turned from y up to z up and " if T_object_file[2, 1] > 0.5 else ""

@@ -85,7 +85,13 @@ def library_factor(name: str) -> float:
 
 
 def field_columns(
-    path: Path, header: list[str], chips: int, needed: Sequence[str], remedy: str = "name columns as in docs/data.md"
+    path: Path,
+    header: list[str],
+    chips: int,
+    needed: Sequence[str],
+    remedy: str = "name columns as in docs/data.md",
+    *,
+    stated: Sequence[str] = (),
 ) -> list[str]:
     """Name the columns of a board's values, after checking that a table has exactly those of its chips.
 
@@ -95,6 +101,7 @@ def field_columns(
         chips: Number of chips of the board.
         needed: Names of other columns that the table must have.
         remedy: Advice on a missing column.
+        stated: Names of the columns as the file spells them, for messages; by default, those of `header`.
 
     Returns:
         The names b0x_uT, b0y_uT, b0z_uT, b1x_uT ..., three for each chip.
@@ -105,7 +112,7 @@ def field_columns(
     values = value_columns(range(chips))
     if missing := [name for name in (*needed, *values) if name not in header]:
         names = ", ".join(missing[:5]) + (" ..." if len(missing) > 5 else "")
-        raise DataError(f"{path}: column {names} is missing ({describe_header(header)}); {remedy}")
+        raise DataError(f"{path}: column {names} is missing ({describe_header(list(stated or header))}); {remedy}")
     if beyond := [name for name in header if FIELD_COLUMN.fullmatch(name) and name not in values]:
         raise DataError(
             f"{path}: column {', '.join(beyond)} belongs to no chip of the board, which has {chips}; name the right "
@@ -136,6 +143,20 @@ def describe_header(header: list[str]) -> str:
         return f"its first line holds only {header[0][:60]!r}: delete lines above the names"
     more = " ..." if len(header) > 6 else ""
     return f"its first line names {', '.join(header[:6])}{more}"
+
+
+def notes_on_depth(header: Sequence[str], stated: Sequence[str]) -> list[str]:
+    """Note the column of travel that the file calls a depth.
+
+    Args:
+        header: Names of the columns as i2t writes them.
+        stated: Names of the same columns as the file spells them.
+
+    Returns:
+        A clause for each column.
+    """
+    pairs = zip(header, stated, strict=False)
+    return [f"{own} is read as travel" for name, own in pairs if name == "travel_mm" and "depth" in own.lower()]
 
 
 def is_library_column(name: str) -> bool:

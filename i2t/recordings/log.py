@@ -31,6 +31,7 @@ class ReadingLog:
     silent_chips: Counter[int] = field(default_factory=Counter)  # number of rows in which each chip did not answer
     changes: dict[str, list[str]] = field(default_factory=dict)  # notes on what was changed or left out, by topic
     doubts: dict[str, list[str]] = field(default_factory=dict)  # notes on what is doubtful, by topic
+    advice: dict[str, str] = field(default_factory=dict)  # clauses on what to do about doubts, by topic
 
     def info(self, line: str) -> None:
         """Add a sentence to the notes unless they contain it.
@@ -63,14 +64,21 @@ class ReadingLog:
         """Add the result of a test of the recording, as a change, a doubt or a mere note.
 
         Args:
-            finding: The result.
+            finding: The result. A test that could not be made is a mere note.
             where: The part of the recording that was tested, such as " in session 1"; empty if it is the whole.
             kept: Whether the recording is not corrected, although the finding contradicts it.
         """
         if finding.wrong and not kept:
             self.change(finding.name, f"corrected{where}: {finding.sentence}")
+        elif finding.untested:
+            self.info(f"not tested{where}: {finding.sentence}")
         elif finding.wrong or not finding.identifiable:
-            self.doubt(finding.name, f"{'contradicted' if finding.wrong else 'doubtful'}{where}: {finding.sentence}")
+            sentence = (
+                f"{finding.sentence.removesuffix('.')}; {finding.advice}." if finding.advice else finding.sentence
+            )
+            self.doubt(finding.name, f"{'contradicted' if finding.wrong else 'doubtful'}{where}: {sentence}")
+            if finding.advice:
+                self.advice[finding.name] = finding.advice
         else:
             self.info(f"found{where}: {finding.sentence}")
 
@@ -87,6 +95,7 @@ class ReadingLog:
             self.changes.setdefault(topic, []).extend(lines)
         for topic, lines in other.doubts.items():
             self.doubts.setdefault(topic, []).extend(lines)
+        self.advice |= other.advice
 
     def _add(self, notes: dict[str, list[str]], topic: str, line: str) -> None:
         if line not in self.lines:
@@ -184,7 +193,8 @@ class ReadingLog:
             topics = ", ".join([*self.changes, *self._counts()][max_changes - 1 :])
             changes = [*changes[: max_changes - 1], f"also changed or left out: {topics}"]
         if len(self.doubts) > 1:
-            return [*changes, f"doubtful: {', '.join(self.doubts)}"]
+            topics = [f"{topic} ({self.advice[topic]})" if topic in self.advice else topic for topic in self.doubts]
+            return [*changes, f"doubtful: {', '.join(topics)}"]
         return [*changes, *map(_first_of, self.doubts.values())]
 
     def _counts(self) -> list[str]:

@@ -402,10 +402,8 @@ def _reading_columns(table: _LooseTable, path: Path) -> list[str]:
     chips = sorted({int(match[1]) for name in table.columns if (match := FIELD_COLUMN.fullmatch(name))})
     names = value_columns(chips)
     if not chips or any(name not in table.columns for name in names):
-        raise DataError(
-            f"{path}: lacks the columns b0x_uT, b0y_uT, b0z_uT, ... ({describe_header(table.text.header)}); name them "
-            "as in docs/data.md"
-        )
+        line = describe_header(list(table.text.stated))
+        raise DataError(f"{path}: lacks the columns b0x_uT, b0y_uT, b0z_uT, ... ({line}); name them as in docs/data.md")
     return names
 
 

@@ -65,6 +65,7 @@ class TextTable(NamedTuple):
     rows: list[tuple[int, list[str]]]  # number of the line in the file, and its fields
     notes: list[str]  # what was changed in the table, one sentence each
     log: ReadingLog | None = None  # log of the table from which this one was made
+    stated: Sequence[str] = ()  # names of the columns as the file spells them
 
 
 class TableRows(NamedTuple):
@@ -73,6 +74,7 @@ class TableRows(NamedTuple):
     header: list[str]
     rows: Iterator[tuple[int, list[str]]]  # number of the line in the file, and its fields
     notes: list[str]  # what was changed in the table, one sentence each; the last ones are added when the rows end
+    stated: Sequence[str]  # names of the columns as the file spells them
 
 
 def read_text_table(path: Path) -> TextTable:
@@ -90,7 +92,7 @@ def read_text_table(path: Path) -> TextTable:
     with os_errors_as_data_errors(path):
         require_unpackable(path)
     table = open_text_table(path)
-    return TextTable(table.header, list(table.rows), table.notes)
+    return TextTable(table.header, list(table.rows), table.notes, stated=table.stated)
 
 
 def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] = ()) -> TableRows:
@@ -139,7 +141,8 @@ def open_text_table(path: Path, *, as_named: bool = False, texts: Sequence[str] 
         notes.append("the line below the names of the columns states the units")
     numbered = _parsed(path, chain(top.sample, lines), top.delimiter, top.before)
     rows = _data_rows(path, numbered, top, columns, units, notes)
-    return TableRows(columns.header, _converted(rows, top, columns, named, numbers, signs, changes, notes), notes)
+    rows = _converted(rows, top, columns, named, numbers, signs, changes, notes)
+    return TableRows(columns.header, rows, notes, [top.names[i] for i in named])
 
 
 def valid_rows(

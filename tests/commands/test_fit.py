@@ -53,6 +53,14 @@ def test_wrong_options_of_a_fit_are_refused(tmp_path, capsys, monkeypatch):
         assert fit.main(words) == 2
         assert reason in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "mine").iterdir()] == ["notes.txt"]
+    for words, reason in (
+        (["--help"], "[OPTIONS] DATASET"),
+        (["nominal", "--epochs", "3x"], "not a whole number; give one, without a unit"),
+        (["nominal", "--epochs", "2.5"], "'2.5' is not a whole number"),
+    ):
+        with pytest.raises(SystemExit):
+            fit.main(words)
+        assert reason in " ".join("".join(capsys.readouterr()).replace("│", " ").split())
 
 
 def test_wrong_options_of_a_recognition_are_refused(tmp_path, capsys, monkeypatch):

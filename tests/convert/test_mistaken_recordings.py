@@ -89,6 +89,53 @@ def test_a_set_of_mostly_pulling_forces_is_corrected_once(tmp_path, capsys):
     assert corrected_dataset(dataset) == (dataset, ())
 
 
+@pytest.mark.parametrize("level", [False, True])
+def test_a_table_in_metres_under_names_in_millimetres_is_corrected_as_a_whole(level, tmp_path, capsys):
+    """24 presses; if all go to one height, only the stated zero shows that their travel is too small."""
+    sound = press(0, 24, free=0.0)
+    if level:
+        sound = sound._replace(height=np.full(24, -4.07e-4))
+    options = ("--indenter", "sphere:4", "--window-mm", 40)
+    expected = converted("presses", write_presses(tmp_path / "mm.csv", sound), tmp_path / "mm", *options).touches
+    printed = capsys.readouterr().out
+    assert "doubtful" not in printed
+    assert "corrected" not in printed
+    small = sound._replace(position=1e-3 * sound.position, height=1e-3 * sound.height)
+    dataset = converted("presses", write_presses(tmp_path / "m.csv", small), tmp_path / "m", *options)
+    assert "all lengths are multiplied by 1000" in capsys.readouterr().out
+    for name in ("T_w_o", "travel"):
+        np.testing.assert_allclose(getattr(dataset.touches, name), getattr(expected, name), rtol=1e-5, atol=1e-9)
+    notes = dataset.meta["notes"]
+    assert "not tested in session: Lag of the labels: not identifiable, because 24 presses are too few" in notes
+
+
+def test_a_press_beside_the_window_is_kept_if_its_patch_shows_the_tip(tmp_path, capsys):
+    sound = press(0, 24, free=0.0)
+    distance = np.abs(sound.position).max(1)
+    assert np.sum(distance > 8.5e-3) > 5
+    path = write_presses(tmp_path / "presses.csv", sound)
+    dataset = converted("presses", path, tmp_path / "data", "--indenter", "sphere:4")
+    assert len(dataset) == np.sum(distance < 12.4e-3)
+    beside = np.abs(dataset.touches.T_w_o[:, :2, 3]).max(1) > 8.5e-3
+    assert beside.any()
+    assert (dataset.touches.patch[beside] < dataset.reach).any((1, 2)).all()
+    assert "presses whose tip is outside the window of 17 mm" in capsys.readouterr().out
+
+
+def test_the_names_of_columns_are_quoted_as_the_file_spells_them(tmp_path, capsys):
+    path = write_presses(tmp_path / "presses.csv", press(0, 5, free=0.0))
+    header, rows = path.read_text().split("\n", 1)
+    header = header.replace("x_mm", "X (mm)").replace("travel_mm", "depth (mm)")
+    path.write_text(f"{header}\n{rows}")
+    words = ("presses", path, tmp_path / "data", "--indenter", "sphere:4")
+    assert run(*words) == 0
+    assert "depth (mm) is read as travel" in capsys.readouterr().out.splitlines()
+    path.write_text(f"{header.replace('b0x_uT', 'Bx [uT]')}\n{rows}")
+    assert run(*words, "--overwrite") == 2
+    stated = "column b0x_uT is missing (its first line names X (mm), y_mm, depth (mm), force_N, Bx [uT], b0y_uT ...)"
+    assert stated in capsys.readouterr().err
+
+
 @pytest.mark.full
 def test_presses_to_one_height_have_no_depth_but_keep_frame_and_times(shared_data, tmp_path, capsys):
     """The presses are those of a real session to 142.6 mm."""
@@ -123,11 +170,18 @@ def test_the_default_output_is_brief_and_the_data_set_holds_every_note(tmp_path,
     log.info("only a note")
     log.finding(unknowns.Finding("units", "They fit.", identifiable=True), " in s")
     log.finding(unknowns.Finding("height zero", "It is unknown.", identifiable=False), " in s")
-    assert log.brief() == ["a 1 (and 1 more of this kind)", "doubtful in s: It is unknown."]
+    assert log.brief() == [
+        "a 1 (and 1 more of this kind)",
+        "doubtful in s: It is unknown; continue if travel counts from first contact.",
+    ]
     log.finding(unknowns.Finding("lag", "It is 2 rows.", identifiable=True, wrong=True), kept=True)
     log.skip_row(DataError("line 3 is damaged"))
     damaged = "left out: 1 damaged rows; the first: line 3 is damaged"
-    assert log.brief() == ["a 1 (and 1 more of this kind)", damaged, "doubtful: height zero, lag"]
+    assert log.brief() == [
+        "a 1 (and 1 more of this kind)",
+        damaged,
+        "doubtful: height zero (continue if travel counts from first contact), lag",
+    ]
     log.change("b", "b 1")
     log.change("c", "c 1")
     assert len(log.brief()) == 4
@@ -141,11 +195,12 @@ def test_the_default_output_is_brief_and_the_data_set_holds_every_note(tmp_path,
     assert run(*words) == 0
     brief = capsys.readouterr().out.splitlines()
     assert len(brief) <= 6
-    assert brief[-2:] == [
+    assert brief[-3:] == [
         f"wrote 100 touches (1 object, 1 skin, 1 session) to {tmp_path / 'brief' / 'touches.h5'}",
         f"next: i2t view {tmp_path / 'brief'}",
+        f"      python -m experiments.calibrate --dataset {tmp_path / 'brief'}",
     ]
     notes = load_dataset(tmp_path / "brief").meta["notes"].split(" | ")
-    assert brief[-3] == f"--verbose prints all {len(notes)} notes on the conversion"
+    assert brief[-4] == f"--verbose prints all {len(notes)} notes on the conversion"
     assert any(note.startswith("found in session: ") for note in notes)
     assert not any(line.startswith("found") for line in brief)

@@ -99,7 +99,7 @@ def test_every_command_that_writes_config_json_is_tested():
     assert {kind for kind in experiments if "common" not in kind.__module__} == set(KINDS)
 
 
-def test_the_command_line_overrides_the_file_and_the_file_chooses_the_part(tmp_path, monkeypatch):
+def test_the_command_line_overrides_the_file_and_the_file_chooses_the_part(tmp_path, monkeypatch, capsys):
     """The folder of a run names its config.json, and options that it leaves out have their defaults."""
     given_options = []
     monkeypatch.setattr("experiments.common.commands.importlib.import_module", lambda _: Module)
@@ -122,6 +122,9 @@ def test_the_command_line_overrides_the_file_and_the_file_chooses_the_part(tmp_p
     assert main(["--config", str(path), "--out", str(out)]) == 0
     assert given_options.pop() == FidelityArgs(dataset=(tmp_path / "table.csv",), seed=4, out=out, config=path)
     assert main(["one", "--config", str(path)]) == 2
+    capsys.readouterr()
+    assert main(["ne", "--config", str(path)]) == 2
+    assert capsys.readouterr().err == "error: ne is no part of python -m experiments.none; did you mean one?\n"
     assert config_path(["--dataset", "x"]) is None
     assert config_path([]) is None
 

@@ -163,7 +163,7 @@ def test_a_table_that_does_not_fit_is_refused_in_a_sentence(table, tmp_path, mon
         assert printed.count("\n") == 1
         assert not (tmp_path / "run").exists()
     monkeypatch.setitem(sys.modules, "sklearn", None)
-    with pytest.raises(MissingExtraError, match="needs scikit-learn, which is missing: pip install"):
+    with pytest.raises(MissingExtraError, match="needs scikit-learn, which is missing: python -m pip install"):
         ShapesArgs(readings=table, label="kind").check()
 
 

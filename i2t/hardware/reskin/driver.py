@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from i2t.errors import DeviceError, DeviceTimeoutError, NotConnectedError
+from i2t.errors import DeviceError, DeviceTimeoutError, MissingDriverError, NotConnectedError
 from i2t.hardware.protocols import SkinCounters
 from i2t.hardware.reskin import frames
 from i2t.hardware.reskin.frames import Decoder, Frame
@@ -87,7 +87,7 @@ class ReSkin(StreamedSkin):
             import serial
             from serial.tools import list_ports
         except ImportError as error:
-            raise DeviceError(f"the skin needs pyserial: {extra_advice('hardware', 'pyserial')}") from error
+            raise MissingDriverError(f"the skin needs pyserial: {extra_advice('hardware', 'pyserial')}") from error
         self._serial, self._comports = serial.Serial, list_ports.comports
         self._requested_port, self._requested_serial, self._baud = port, serial_number, baud
         self._search = search

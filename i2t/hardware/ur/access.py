@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from i2t.errors import DeviceError
+from i2t.errors import DeviceError, MissingDriverError
 from i2t.hardware.poses import pose_from_vector
 from i2t.hardware.ur.ports import DASHBOARD, RTDE, SCRIPT, Answer, Port, explain_no_answer, probe
 from i2t.installation import extra_advice
@@ -195,7 +195,7 @@ def tool_pose(host: str) -> Array:
 
         receiver = rtde_receive.RTDEReceiveInterface(host, 125.0, ["timestamp", "actual_TCP_pose"])
     except ImportError as error:
-        raise DeviceError(explain_missing_library()) from error
+        raise MissingDriverError(explain_missing_library()) from error
     except RuntimeError as error:
         raise DeviceError(f"The controller at {host} sends no states: {error}.") from error
     try:

@@ -37,7 +37,7 @@ from typing import IO, Any, Literal
 import numpy as np
 
 from i2t.cli.signals import ENDING_SIGNALS
-from i2t.errors import DeviceError
+from i2t.errors import DeviceError, MissingDriverError
 from i2t.hardware.guarded import PolledArm
 from i2t.hardware.limits import SAFETY, range_of
 from i2t.hardware.motion_limits import MotionLimits
@@ -97,7 +97,7 @@ class UrArm(PolledArm):
                     f"The {name.replace('_', ' ')} {value:g} {unit} is outside {low:g} to {high:g} {unit}."
                 )
         if any(importlib.util.find_spec(module) is None for module in ("rtde_control", "rtde_receive")):
-            raise DeviceError(explain_missing_library())
+            raise MissingDriverError(explain_missing_library())
         super().__init__(limits)
         self.name, self.host, self.tool, self.payload = f"UR at {host}", host, tool, payload
         self.source = source or ("emulated" if is_on_this_machine(host) else "real")

@@ -103,7 +103,7 @@ def find_board(
             else f"a board of {chips} chips has too few ({config.min_chips} are enough)" if chips < config.min_chips
             else "all presses are at one place"
         )  # fmt: skip
-        return not_identifiable(FindingName.STAGE, reason)
+        return not_identifiable(FindingName.STAGE, reason, untested=True)
     sample = _sample(presses, growth, chips, config.max_presses)
     model, values = _fit_model(sample, board, config.grid_cells), sample.readings.size
     evidence = {

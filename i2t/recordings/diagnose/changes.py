@@ -104,7 +104,7 @@ def _find_change(positions: np.ndarray, loads: np.ndarray, readings: np.ndarray,
     """
     if len(readings) < config.min_presses:
         reason = f"{len(readings)} presses are too few ({config.min_presses} are enough)"
-        return not_identifiable(FindingName.CHANGED_SKIN, reason)
+        return not_identifiable(FindingName.CHANGED_SKIN, reason, untested=True)
     labels = np.column_stack([positions / np.maximum(positions.std(0), 1e-9), loads / max(loads.std(), 1e-9)])
     ratio, changed = _compare_halves(labels, readings, config)
     by_chip = np.split(readings, readings.shape[1] // AXES_OF_CHIP, axis=1)

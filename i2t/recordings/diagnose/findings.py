@@ -30,6 +30,18 @@ class FindingName(StrEnum):
     STEEL_TIP = "tip of steel"
 
 
+# Advice on a finding that a recording cannot answer, by the name of the hypothesis.
+ADVICE: Mapping[str, str] = {
+    FindingName.UNITS: "check the unit of x and y, and continue if the presses were made at one place",
+    FindingName.FORCE_SIGN: "check the axes of the force",
+    FindingName.TRAVEL_SIGN: "check the travels that are negative",
+    FindingName.HEIGHT_AXIS: "check that travel grows into the skin",
+    FindingName.LAG: "continue if each row holds the reading of its own press",
+    FindingName.HEIGHT_ZERO: "continue if travel counts from first contact",
+    FindingName.STAGE: "check that x and y follow the board's axes",
+}
+
+
 @dataclass(frozen=True)
 class Finding:
     """Result of testing one hypothesis on a recording.
@@ -39,6 +51,7 @@ class Finding:
         sentence: Result as a sentence for a person.
         identifiable: Whether the recording can answer the question.
         wrong: Whether the recording contradicts what it states and should be corrected.
+        untested: Whether the hypothesis was not tested, because the recording lacks the presses or columns for it.
         estimate: Estimated value in `unit`; None if there is none.
         low: Lower end of the estimate's 90 % interval, in `unit`.
         high: Upper end of the estimate's 90 % interval, in `unit`.
@@ -51,12 +64,18 @@ class Finding:
     sentence: str
     identifiable: bool
     wrong: bool = False
+    untested: bool = False
     estimate: float | None = None
     low: float | None = None
     high: float | None = None
     unit: str = ""
     evidence: Mapping[str, float | int | list[int]] = field(default_factory=dict)
     correction: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def advice(self) -> str:
+        """Clause on how to go on if the question is open; empty if there is nothing to do."""
+        return "" if self.identifiable or self.wrong or self.untested else ADVICE.get(self.name, "")
 
     def to_json(self) -> dict[str, Any]:
         """Convert the finding to types that JSON can hold.
@@ -67,18 +86,20 @@ class Finding:
         return {name: _to_json(value) for name, value in asdict(self).items()}
 
 
-def not_identifiable(name: FindingName, reason: str, **evidence: float | int) -> Finding:
+def not_identifiable(name: FindingName, reason: str, *, untested: bool = False, **evidence: float | int) -> Finding:
     """Create the finding of a test whose question the recording cannot answer.
 
     Args:
         name: Name of the hypothesis.
         reason: Clause that completes "not identifiable, because".
+        untested: Whether the recording lacks the presses or columns for the test.
         **evidence: Numbers behind the reason.
 
     Returns:
         The finding without an estimate.
     """
-    return Finding(name, f"{name.capitalize()}: not identifiable, because {reason}.", False, evidence=evidence)
+    sentence = f"{name.capitalize()}: not identifiable, because {reason}."
+    return Finding(name, sentence, False, untested=untested, evidence=evidence)
 
 
 def find(findings: Iterable[Finding], name: str) -> Finding | None:

@@ -142,7 +142,7 @@ def find_height_zero(
         the presses bound the height, and otherwise none.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
-        return not_identifiable(FindingName.HEIGHT_ZERO, "no height of the tip was recorded")
+        return not_identifiable(FindingName.HEIGHT_ZERO, "no height of the tip was recorded", untested=True)
     if np.isfinite(presses.height).all():
         zeros = find_approaches(np.asarray(presses.height, np.float64), presses.readings, config=config.approach)
         if len(zeros):
@@ -151,10 +151,11 @@ def find_height_zero(
     height = np.asarray(presses.height, np.float64)
     span = float(np.subtract(*np.quantile(height, [0.95, 0.05])))
     if len(height) < config.min_presses or span < config.min_range_m:
-        reason = f"all presses go to one height (within {1e3 * span:.2g} mm)"
-        if len(height) < config.min_presses:
+        reason, few = f"all presses go to one height (within {1e3 * span:.2g} mm)", len(height) < config.min_presses
+        if few:
             reason = f"{len(height)} presses are too few ({config.min_presses} are enough)"
-        return not_identifiable(FindingName.HEIGHT_ZERO, reason, presses=len(height), height_range_mm=1e3 * span)
+        evidence = {"presses": len(height), "height_range_mm": 1e3 * span}
+        return not_identifiable(FindingName.HEIGHT_ZERO, reason, untested=few, **evidence)
     order = np.random.default_rng(0).permutation(len(height))
     count = min(config.max_subsets, max(len(height) // config.subset_presses, 1))
     subsets = [presses.rows(np.sort(order[i::count][: config.subset_presses])) for i in range(count)]

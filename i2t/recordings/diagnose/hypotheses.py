@@ -73,9 +73,13 @@ def _is_empty(column: np.ndarray | None) -> bool:
     return column is None or not np.isfinite(column).any()
 
 
-def _units(presses: Presses) -> Finding:
-    height = presses.height
-    travel = None if height is None or _is_empty(height) else np.abs(height - np.nanmax(height))
+def _units(presses: Presses, stated: _Stated) -> Finding:
+    height, travel = presses.height, None
+    if height is not None and not _is_empty(height):
+        top = float(np.nanmax(height))
+        # Presses to one height show their travel only if the height of first contact is stated.
+        is_level = top == np.nanmin(height) and stated.zero is not None
+        travel = np.abs(height - (stated.zero if is_level else top))
     return find_units(presses.position, presses.readings, travel=travel, force=presses.force)
 
 
@@ -90,7 +94,7 @@ def _board(presses: Presses, stated: _Stated, findings: Sequence[Finding]) -> Fi
 Hypothesis: TypeAlias = Callable[[Presses, _Stated, Sequence[Finding]], Finding | None]
 # Tests of the labels of a recording: units, force sign, height axis and lag.
 LABEL_HYPOTHESES: tuple[Hypothesis, ...] = (
-    lambda presses, *_: _units(presses),
+    lambda presses, stated, _: _units(presses, stated),
     lambda presses, *_: None if presses.force is None else find_force_sign(presses.force, presses.readings),
     lambda presses, *_: None if presses.height is None else find_height_axis(presses),
     lambda presses, *_: find_lag(presses),

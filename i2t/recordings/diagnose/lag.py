@@ -67,7 +67,7 @@ def lag_between(
     rows = subsample(n - 2 * max_lag, config.max_rows) + max_lag
     if len(rows) < config.min_rows:
         reason = f"{n} presses are too few ({config.min_rows + 2 * max_lag} are enough)"
-        return not_identifiable(FindingName.LAG, reason)
+        return not_identifiable(FindingName.LAG, reason, untested=True)
     r2 = {lag: smooth_r2(labels[rows + lag], readings[rows]) for lag in range(-max_lag, max_lag + 1)}
     best = max(r2, key=lambda lag: r2[lag])
     neighbours = [lag for lag in r2 if 0 < abs(lag - best) <= 3]

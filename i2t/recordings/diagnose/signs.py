@@ -121,14 +121,14 @@ def find_height_axis(presses: Presses, *, config: SignConfig = SignConfig()) -> 
         Finding whose estimate is 1 if heights point out of the skin and -1 if they point into it.
     """
     if presses.height is None or not np.isfinite(presses.height).any():
-        return not_identifiable(FindingName.HEIGHT_AXIS, "no height was recorded")
+        return not_identifiable(FindingName.HEIGHT_AXIS, "no height was recorded", untested=True)
     has_height = np.isfinite(presses.height)
     travel, norm = -presses.height[has_height], np.linalg.norm(presses.readings[has_height], axis=1)
     if len(norm) < config.min_rows:
         reason = f"{len(norm)} presses are too few ({config.min_rows} are enough)"
-        return not_identifiable(FindingName.HEIGHT_AXIS, reason)
+        return not_identifiable(FindingName.HEIGHT_AXIS, reason, untested=True)
     if np.ptp(travel) == 0 or np.ptp(norm) == 0:
-        return not_identifiable(FindingName.HEIGHT_AXIS, "all heights, or all readings, are equal")
+        return not_identifiable(FindingName.HEIGHT_AXIS, "all heights, or all readings, are equal", untested=True)
     correlation = float(np.corrcoef(rankdata(travel), rankdata(norm))[0, 1])
     evidence = {"rank_correlation": correlation, "presses": len(norm)}
     number = f"(rank correlation with travel {correlation:+.2f})"

@@ -24,7 +24,9 @@ def test_a_finding_on_too_few_presses_states_how_many_are_enough(find, enough):
     rng = np.random.default_rng(0)
     place, travel, readings = rng.uniform(-8e-3, 8e-3, (30, 2)), rng.uniform(1e-3, 4e-3, 30), rng.normal(size=(30, 15))
     recorded = {n: Presses(place[:n], readings[:n], height=-travel[:n]) for n in (enough - 1, enough)}
-    sentences = {n: find(some).sentence for n, some in recorded.items()}
+    findings = {n: find(some) for n, some in recorded.items()}
+    assert [findings[n].untested for n in recorded] == [True, False]
+    sentences = {n: finding.sentence for n, finding in findings.items()}
     assert f"{enough - 1} presses are too few ({enough} are enough)" in sentences[enough - 1]
     assert "too few" not in sentences[enough]
 
@@ -72,6 +74,25 @@ def test_wrong_signs_and_units_are_found_and_corrected():
         assert finding.wrong, name
         put_right = diagnose.corrected_presses(recording, [finding])
         np.testing.assert_allclose(getattr(put_right, field), getattr(sound, field), rtol=1e-12)
+
+
+def test_lengths_of_one_unit_are_corrected_together_and_nearly_equal_positions_are_doubtful():
+    sound = damaged("sound")
+    travel, readings = sound.height.max() - sound.height, np.repeat(100 * np.sin(200 * sound.position), 6, axis=1)
+
+    def units(position: float, load: float | None) -> Finding:
+        loads = None if load is None else load * travel
+        return diagnose.find_units(position * sound.position, readings, travel=loads)
+
+    assert units(1e-3, 1e-3).correction == {"length_factor": 1e3, "travel_factor": 1e3}
+    for finding, factor in ((units(1, 1e-3), "travel"), (units(8e-4, 1), "length")):
+        assert list(finding.correction) == [f"{factor}_factor"]
+        assert "alone" in finding.sentence
+    one_place = units(1e-5, 1)
+    assert (one_place.identifiable, one_place.wrong) == (False, False)
+    assert "unit is doubtful" in one_place.sentence
+    assert "one place" in one_place.advice
+    assert units(1, 1).identifiable
 
 
 def test_unanswerable_questions_are_reported_as_not_identifiable():
