@@ -15,7 +15,7 @@ import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import tyro
@@ -140,7 +140,7 @@ def _board(args: ImagineArgs, predictor: "Predictor") -> "Board":
     return board
 
 
-def _load(args: ImagineArgs, predictor: "Predictor") -> tuple[dict[str, float], str]:
+def _load(args: ImagineArgs, predictor: "Predictor") -> tuple[dict[str, Any], str]:
     """Choose the load of the presses, as an argument of `Predictor.predict` and in words."""
     if predictor.load == "force":
         if args.travel is not None:

@@ -1,6 +1,9 @@
 """Predicted touches: their sites differ in kind, the words fit the patches, and the text fits the picture."""
 
+from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import numpy as np
@@ -117,3 +120,31 @@ def test_straight_steps_are_edges_and_round_surfaces_are_not():
     for radius, words in ((8e-3, {"tip"}), (30e-3, {"curved"})):
         ball = trimesh.creation.icosphere(4, radius)
         assert kind_on(ball, tuple(ball.triangles_center[7])) in words
+
+
+def by(load: str) -> Any:
+    return SimpleNamespace(load=load, default_travel=0.33e-3)
+
+
+def test_the_load_is_the_one_that_the_predictor_uses(capsys):
+    args = imagine.ImagineArgs(model="runs/fit")
+    assert imagine._load(args, by("force")) == ({"force": 1.0}, "1 N")
+    given, words = imagine._load(args, by("travel"))
+    assert (given["travel"], words) == (pytest.approx(0.33e-3), "0.33 mm travel")
+    assert capsys.readouterr().out.endswith("was fitted to presses by travel; all touches have 0.33 mm travel\n")
+    assert imagine._load(replace(args, travel=0.5), by("travel"))[0]["travel"] == pytest.approx(0.5e-3)
+    with pytest.raises(ValueError, match="--force: the predictor of runs/fit was fitted to presses by travel; give"):
+        imagine._load(replace(args, force=1.0), by("travel"))
+    with pytest.raises(ValueError, match="--travel: the predictor of runs/fit was fitted to presses by force; give"):
+        imagine._load(replace(args, travel=0.5), by("force"))
+
+
+def test_a_place_gives_one_touch_or_is_refused_in_one_sentence():
+    box = trimesh.creation.box((40e-3, 40e-3, 40e-3))
+    mesh = Mesh(np.asarray(box.vertices), np.asarray(box.faces, np.int32))
+    touches: Any = SimpleNamespace(render_touches=lambda surface, T_o_t: T_o_t.shape)
+    T_o_t, seen = imagine._touch_at((3.0, -4.0, 20.0), touches, prepare_surface(mesh), mesh)
+    assert seen == (1, 4, 4)
+    np.testing.assert_allclose(T_o_t[0, :3, 2:].T, [[0, 0, -1], [3e-3, -4e-3, 20e-3]], atol=1e-9)
+    with pytest.raises(ValueError, match=r"^--at 3 -4 25: lies 5 mm off the surface, .*; give another place .* in mm"):
+        imagine._touch_at((3.0, -4.0, 25.0), touches, prepare_surface(mesh), mesh)

@@ -379,6 +379,28 @@ def test_the_position_of_the_skin_is_judged_by_the_faces_before_and_behind_it(bo
     user_input.check_in_front(half, on_top(up=True), seen(0.0), 17e-3)
 
 
+@pytest.mark.parametrize("overlap", [0.0, 2e-3])
+def test_what_stands_out_next_to_a_point_is_named(box, overlap):
+    """A wall of 15 or 100 mm on the box, 6 mm from the tool; the bodies touch or overlap."""
+    corners = np.asarray(box.vertices)[box.faces]
+    for height in (15e-3, 100e-3):
+        wall = trimesh.creation.box((10e-3, 60e-3, height + overlap))
+        wall.apply_translation([11e-3, 0, 60e-3 + (height - overlap) / 2])
+        both = np.concatenate([corners, wall.triangles])
+        depth = np.full((48, 48), REACH, np.float32)
+        depth[:, 41:] = 0  # the top of the lower wall
+        view = PatchView(Patch(depth, np.float32(-min(height, 40e-3))), VIEW.astype(np.float32))
+        said = rf"within the skin's 20 mm stands out by {1e3 * height:g} mm at this pose.*; choose a point farther"
+        with pytest.raises(ValueError, match=said):
+            user_input.check_in_front(Surface(both), on_top(), view, 17e-3)
+    with pytest.raises(ValueError, match=r"table=False keeps its file's frame"):
+        user_input.check_in_front(Surface(corners), on_top(30e-3), seen(30e-3), 17e-3)
+    at_wall = on_top()
+    at_wall[0, 3] = 11e-3
+    with pytest.raises(ValueError, match="from inside the object"):  # at the bottom of the wall, within both bodies
+        user_input.check_in_front(Surface(both), at_wall, seen(0.0), 17e-3)
+
+
 @pytest.mark.full
 def test_a_pose_on_the_surface_is_taken_and_one_without_contact_refused_in_one_sentence(predictor, box):
     """The poses are one or many, a little in the air or in the object."""

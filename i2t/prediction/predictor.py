@@ -117,9 +117,8 @@ class Predictor:
 
     def _uses(self, load: str) -> bool:
         """Test whether the model predicts from a load, or from another measurement of the same name."""
-        conditions = getattr(self.model, "conditions", None) or getattr(
-            getattr(self.model, "cfg", None), "conditions", ()
-        )
+        of_network = getattr(getattr(self.model, "cfg", None), "conditions", ())
+        conditions: Sequence[str] = getattr(self.model, "conditions", of_network)
         return load in conditions or (self.pressure is not None and self.pressure.control == load)
 
     @property

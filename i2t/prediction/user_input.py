@@ -529,17 +529,17 @@ def check_in_front(surface: Surface, T_o_t: Float[np.ndarray, "4 4"], view: Patc
     # A ray through a pixel's centre would meet edges of symmetric meshes.
     x, y = ((np.array([column, row]) + np.array([0.537, 0.471])) / len(depth) - 0.5) * window
     line = _crossings(triangles, T_o_t, float(x), float(y))
-    inside = _starts_inside(line)
     middle = _crossings(triangles, T_o_t, 1.7e-5, 1.1e-5)  # next to the tool's axis
-    on_surface = bool((abs(middle.height) < _INPUT_LIMITS.unnoticed_gap).any()) and not _starts_inside(middle)
-    if on_surface and (inside or nearest < -_INPUT_LIMITS.max_gap):
+    middle_inside = _starts_inside(middle)
+    on_surface = bool((abs(middle.height) < _INPUT_LIMITS.unnoticed_gap).any()) and not middle_inside
+    if on_surface and (_starts_inside(line) or nearest < -_INPUT_LIMITS.max_gap):
         raise ValueError(
             f"a part of the object within the skin's {1e3 * PAD_WINDOW:g} mm stands out by "
             f"{_mm(-float(line.height.min(initial=nearest)))} mm at this pose, so the skin cannot lie on the surface "
             "there; choose a point farther from it"
         )
     check_met(np.array([nearest]), np.asarray(view.depth)[None], pitch, remedy=remedy, stacklevel=5)
-    if inside:
+    if middle_inside or _starts_inside(line):
         raise ValueError(
             "the skin would meet the surface from inside the object at this pose: it lies in the object, or tool z "
             "points out of it; make T_o_t with i2t.contact_pose"

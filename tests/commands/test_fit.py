@@ -1,8 +1,12 @@
 """The commands `i2t fit` and `i2t recognize`: their files, what they print, and wrong options."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
+from helpers.baselines import placed_dataset
 
 import i2t
 from i2t.commands import fit, recognize
@@ -35,6 +39,22 @@ def test_a_fit_writes_a_run_that_recognises(tmp_path, capsys, monkeypatch):
 
     assert fit.main(["nominal", "--out", str(out)]) == 2
     assert "holds an earlier fit; pass --overwrite" in capsys.readouterr().err
+
+
+def test_presses_of_one_tip_are_followed_by_a_calibration_and_others_by_predictions(monkeypatch):
+    tip = placed_dataset(np.zeros((6, 2)), np.zeros((6, 48, 48)), np.zeros((6, 15)))
+    args = fit.FitArgs(Path("DATA"), out=Path("OUT"))
+    steps = "next: calibrate the skin for this tip: python -m experiments.calibrate --dataset DATA"
+    assert fit._next_steps(args, tip, pad_model=True)[-1] == steps
+    assert fit._next_steps(replace(args, skin_name="a"), tip, pad_model=True)[-1] == f"{steps} --skin-name a"
+    monkeypatch.setattr(fit, "checkout", lambda: None)
+    assert fit._next_steps(args, tip, pad_model=True)[-1].endswith("for this tip: i2t.calibrate")
+    tip.touches.T_w_t[0, :3, :3] = np.diag([1.0, -1, -1])  # one press from another side
+    touched = i2t.load_dataset("nominal")
+    hammer = touched.select(touched.touches.object == touched.objects.index("hammer"))
+    for other in (tip, touched, hammer):
+        assert fit._next_steps(args, other, pad_model=False) == ["next: i2t imagine star --model OUT"]
+    assert fit._next_steps(args, touched, pad_model=True)[1].strip() == "i2t recognize DATA --pad-model OUT"
 
 
 def test_wrong_options_of_a_fit_are_refused(tmp_path, capsys, monkeypatch):
