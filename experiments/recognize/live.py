@@ -198,7 +198,7 @@ class LiveEpisode:
         self.touches.append(touch)
         self.infos.append(info)
         self.contact_probability.append(contacts)
-        names, best = self.recognizer.names, np.argsort(-info.probability)[:3]
+        names, best = self.recognizer.names, np.argsort(-info.probability)[:3].tolist()
         predicted = ", ".join(f"{names[i]} {contacts[i]:.0%}" for i in best)
         print(f"  {'contact' if contact else 'no contact'}; predicted probability of contact: {predicted}")
         unknown = f"; unknown object {info.unknown:.1%}" if self.recognizer.config.prior_unknown else ""
