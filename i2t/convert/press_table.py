@@ -144,7 +144,7 @@ def presses_dataset(
     Raises:
         DataError: If the window shows the tip of no press.
     """
-    patch = tip.patches(*presses.position.T, window, reach)
+    patch = tip.patches(presses.position[:, 0], presses.position[:, 1], window, reach)
     # A press beside the window is kept if its patch shows a part of the tip; calibrations do not use patches.
     shown = (np.abs(presses.position) <= window / 2).all(1) | (patch < reach).any((1, 2))
     if not shown.any():

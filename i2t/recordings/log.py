@@ -193,8 +193,8 @@ class ReadingLog:
             topics = ", ".join([*self.changes, *self._counts()][max_changes - 1 :])
             changes = [*changes[: max_changes - 1], f"also changed or left out: {topics}"]
         if len(self.doubts) > 1:
-            topics = [f"{topic} ({self.advice[topic]})" if topic in self.advice else topic for topic in self.doubts]
-            return [*changes, f"doubtful: {', '.join(topics)}"]
+            doubts = [f"{topic} ({self.advice[topic]})" if topic in self.advice else topic for topic in self.doubts]
+            return [*changes, f"doubtful: {', '.join(doubts)}"]
         return [*changes, *map(_first_of, self.doubts.values())]
 
     def _counts(self) -> list[str]:

@@ -237,4 +237,4 @@ def _stage_finding(gains: dict[str, float], evidence_per_value: float, config: S
         sentence = f"The board is as described: any rotation or mirror loses {lead:.2f} of log evidence per value."
         return Finding(FindingName.STAGE, sentence, identifiable=True, evidence=evidence)
     reason = f"{best} and {second} explain the readings about equally well ({lead:+.3f} of log evidence per value)"
-    return not_identifiable(FindingName.STAGE, reason, **evidence)
+    return not_identifiable(FindingName.STAGE, reason, evidence=evidence)

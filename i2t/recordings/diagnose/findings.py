@@ -86,20 +86,22 @@ class Finding:
         return {name: _to_json(value) for name, value in asdict(self).items()}
 
 
-def not_identifiable(name: FindingName, reason: str, *, untested: bool = False, **evidence: float | int) -> Finding:
+def not_identifiable(
+    name: FindingName, reason: str, *, untested: bool = False, evidence: Mapping[str, float | int] | None = None
+) -> Finding:
     """Create the finding of a test whose question the recording cannot answer.
 
     Args:
         name: Name of the hypothesis.
         reason: Clause that completes "not identifiable, because".
         untested: Whether the recording lacks the presses or columns for the test.
-        **evidence: Numbers behind the reason.
+        evidence: Numbers behind the reason, by name.
 
     Returns:
         The finding without an estimate.
     """
     sentence = f"{name.capitalize()}: not identifiable, because {reason}."
-    return Finding(name, sentence, False, untested=untested, evidence=evidence)
+    return Finding(name, sentence, False, untested=untested, evidence=dict(evidence or {}))
 
 
 def find(findings: Iterable[Finding], name: str) -> Finding | None:

@@ -155,7 +155,7 @@ def find_height_zero(
         if few:
             reason = f"{len(height)} presses are too few ({config.min_presses} are enough)"
         evidence = {"presses": len(height), "height_range_mm": 1e3 * span}
-        return not_identifiable(FindingName.HEIGHT_ZERO, reason, untested=few, **evidence)
+        return not_identifiable(FindingName.HEIGHT_ZERO, reason, untested=few, evidence=evidence)
     order = np.random.default_rng(0).permutation(len(height))
     count = min(config.max_subsets, max(len(height) // config.subset_presses, 1))
     subsets = [presses.rows(np.sort(order[i::count][: config.subset_presses])) for i in range(count)]

@@ -77,7 +77,7 @@ def lag_between(
         is_weak = r2[best] < config.min_r2
         reason = "the readings hardly depend on the labels" if is_weak else "neighbouring rows are nearly alike"
         numbers = f"R2 is {r2[0]:.3f} as recorded and {r2[best]:.3f} at {best:+d} rows"
-        return not_identifiable(FindingName.LAG, f"{reason} ({numbers})", **evidence)
+        return not_identifiable(FindingName.LAG, f"{reason} ({numbers})", evidence=evidence)
     unexplained_ratio = (1 - r2[0]) / max(1 - r2[best], 1e-6)
     evidence["unexplained_ratio"] = unexplained_ratio
     gain = r2[best] - r2[0]

@@ -133,7 +133,9 @@ def find_height_axis(presses: Presses, *, config: SignConfig = SignConfig()) -> 
     evidence = {"rank_correlation": correlation, "presses": len(norm)}
     number = f"(rank correlation with travel {correlation:+.2f})"
     if abs(correlation) < max(config.min_standard_errors / np.sqrt(len(norm) - 1), config.min_correlation):
-        return not_identifiable(FindingName.HEIGHT_AXIS, f"readings hardly change with height {number}", **evidence)
+        return not_identifiable(
+            FindingName.HEIGHT_AXIS, f"readings hardly change with height {number}", evidence=evidence
+        )
     if correlation < 0:
         sentence = f"Readings grow with height, so the height points into the skin: its sign is reversed {number}."
         correction = {"height_sign": -1.0}
