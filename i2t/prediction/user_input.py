@@ -38,7 +38,10 @@ class InputLimits:
     warned_seen_fraction: float = 0.5  # of a patch's pixels; below it there is a warning
     # largest predicted value over the largest one of the training touches; a larger one is warned of
     max_reading_ratio: float = 3.0
-    mean_depth_tolerance: float = 0.125  # of the reach, by which mean depths may differ from those of training
+    # A touch is unlike the training ones beyond this share of their range above it, or of the least load below it:
+    # of a few dozen touches, those held out lie a little outside the range of the others.
+    range_margin: float = 0.5
+    mean_depth_margin: float = 0.125  # of the reach, the least margin of mean depths, whose range may be narrow
     min_seen_fraction: float = 0.1  # of a patch's pixels; below it there is no prediction
     size_tolerance: float = 1e-3  # relative rounding error of a patch's size
     pixel_tolerance: float = 1e-6  # m, rounding error of single precision
@@ -258,7 +261,7 @@ def check_press(
         least_force: Least force (N) of the training touches; 0 if it is unknown.
 
     Returns:
-        A doubt in words if a press is slightly harder, or lighter, than those of the training.
+        A doubt in words if a press is harder, or much lighter, than those of the training.
 
     Raises:
         ValueError: A force pulls, presses nothing, breaks a skin or is far beyond the training touches, or a travel is
@@ -278,7 +281,7 @@ def check_press(
         raise ValueError(f"travel is {longest:g} m, more than {_INPUT_LIMITS.max_travel:g}; give metres")
     if trained and hardest > trained:
         return [f"force is {hardest:g} N, and the model was trained on {about}"]
-    if (lightest := float(force.min())) < 0.99 * least_force:
+    if (lightest := float(force.min())) < _INPUT_LIMITS.range_margin * least_force:
         return [f"force is {lightest:g} N, and the model was trained on presses of at least {least_force:.2g} N"]
     return []
 
@@ -319,13 +322,17 @@ def unlike_training(
         value of a reading.
     """
     doubts = []
-    depth, margin = patches.mean((1, 2)), _INPUT_LIMITS.mean_depth_tolerance * reach
-    for name, subject, values, tolerance in (
-        ("travel_range", "travel is", travel, _INPUT_LIMITS.pixel_tolerance),
-        ("mean_depth_range", "patch has a mean depth of", depth, margin),
+    share, least_margin = _INPUT_LIMITS.range_margin, _INPUT_LIMITS.mean_depth_margin * reach
+    for name, subject, values in (
+        ("travel_range", "travel is", travel),
+        ("mean_depth_range", "patch has a mean depth of", patches.mean((1, 2))),
     ):
         if limits := known_range(metadata, name):
-            outside = (values < limits[0] - tolerance) | (values > limits[1] + tolerance)
+            above = share * (limits[1] - limits[0])
+            below = share * limits[0]
+            if name == "mean_depth_range":
+                above = below = max(above, least_margin)
+            outside = (values < limits[0] - below) | (values > limits[1] + above)
             if outside.any():
                 doubts.append(
                     f"{subject} {_mm(float(values[outside][0]))} mm{_which(outside)}, and the model was trained on "
