@@ -82,6 +82,7 @@ autodoc_member_order = "bysource"
 autodoc_typehints = "none"  # docstrings already state shapes and units
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
+napoleon_attr_annotations = False
 # Pages do not have to be in a table of contents.
 suppress_warnings = ["toc.not_included"]
 
