@@ -16,7 +16,6 @@ from i2t.geometry import so3_exp, so3_log
 Array: TypeAlias = NDArray[np.float64]
 Contact: TypeAlias = Callable[[Array, Array], Array]  # position (3,) and rotation (3, 3) of the tool -> wrench on it
 
-ROUNDING_RAD = 1e-9  # rad, rotation of a line that is only rounding
 ROTATION_LEVER_M = 0.25  # m, length of path of the emulated arm that counts as a rotation by one radian
 
 
@@ -105,7 +104,7 @@ class Robot:
             acceleration: Acceleration (m/s^2) at both ends.
         """
         turn = so3_log(so3_exp(pose[3:]) @ self.rotation.T)
-        turn = np.zeros(3) if np.linalg.norm(turn) <= ROUNDING_RAD else turn
+        turn = np.zeros(3) if np.linalg.norm(turn) <= 1e-9 else turn  # rad, which is only rounding
         displacement = np.concatenate([pose[:3] - self.position, turn])
         length = max(float(np.linalg.norm(displacement[:3])), ROTATION_LEVER_M * float(np.linalg.norm(turn)))
         self.travelled = self.speed = 0.0

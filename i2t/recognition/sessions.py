@@ -27,9 +27,6 @@ from i2t.recognition.site_pool import prepare_surfaces
 from i2t.recordings.sets import corrected_dataset
 from i2t.skin_models.pad_model import KnownPad, require_skin
 
-# Kinds of evidence (`i2t.recognition.episodes.EVIDENCE_WEIGHTS`) whose rates are printed, by their name in the line.
-SHOWN_EVIDENCE = {"all": "fused", "position and presence": "position and presence", "readings": "readings"}
-
 
 class Sessions(NamedTuple):
     """The sessions that are used, and the numbers of their touches."""
@@ -257,8 +254,8 @@ class RecognizedSessions:
             sessions = f"{len(fused)} sessions{' that were not used in the fit' * bool(in_fit.any())}"
             chance = f"chance {1 / len(self.names):.2f}"
             lines.append(f"recognised {fused.sum():.0f} of {sessions}: {rate:.2f} ({interval}; {chance})")
-            shares = (f"{name} {right[kind].mean():.2f}" for name, kind in SHOWN_EVIDENCE.items())
-            lines.append(f"by kind of evidence: {', '.join(shares)}")
+            shares = [f"{kind} {right[kind].mean():.2f}" for kind in ("position and presence", "readings")]
+            lines.append(f"by kind of evidence: {', '.join([f'all {fused.mean():.2f}', *shares])}")
         if in_fit.any():
             lines.append(f"{in_fit.sum()} of the {len(in_fit)} sessions were used in the fit of the pad model")
         elif self.in_fit is None:
