@@ -158,13 +158,13 @@ def _write_completion(words: list[str]) -> None:
 def _with_files(script: str) -> str:
     """Change tyro's script, which completes sub-commands and options only, to complete files and known names too."""
     objects = pkgutil.resolve_name("i2t.objects.catalogue:NAMES")
-    completed = {"imagine": objects, "fit": ("nominal",), "recognize": ("nominal",), "view": ("nominal",)}
+    completions = {"imagine": objects, "fit": ("nominal",), "recognize": ("nominal",), "view": ("nominal",)}
     mark = "__TYRO_COMPLETE_FILES__"  # tyro's answer if the shell is to complete the name of a file
     changes = (
         (  # the Python part, for a word after the last sub-command that is no option
             "    # Generate completions.\n",
             '    if not current_word.startswith("-") and not current_spec.get("subcommands"):\n'
-            f"        names = {completed!r}.get(words[0], ())\n"
+            f"        names = {completions!r}.get(words[0], ())\n"
             f'        return ["{mark}", *(name for name in names if name.startswith(current_word))]\n',
         ),
         (f'== "{mark}" ]]', f'== "{mark}"* ]]'),

@@ -104,7 +104,8 @@ class Robot:
             acceleration: Acceleration (m/s^2) at both ends.
         """
         turn = so3_log(so3_exp(pose[3:]) @ self.rotation.T)
-        turn = np.zeros(3) if np.linalg.norm(turn) <= 1e-9 else turn  # rad, which is only rounding
+        if np.linalg.norm(turn) <= 1e-9:  # rad; a rotation this small is only rounding
+            turn = np.zeros(3)
         displacement = np.concatenate([pose[:3] - self.position, turn])
         length = max(float(np.linalg.norm(displacement[:3])), ROTATION_LEVER_M * float(np.linalg.norm(turn)))
         self.travelled = self.speed = 0.0

@@ -38,8 +38,8 @@ class InputLimits:
     warned_seen_fraction: float = 0.5  # of a patch's pixels; below it there is a warning
     # largest predicted value over the largest one of the training touches; a larger one is warned of
     max_reading_ratio: float = 3.0
-    # A touch is unlike the training ones beyond this share of their range above it, or of the least load below it:
-    # of a few dozen touches, those held out lie a little outside the range of the others.
+    # Margin around the range of the training touches, as a share of its width and, below it, of its least value. Of a
+    # few dozen touches, those held out are often a little outside the range of the others.
     range_margin: float = 0.5
     mean_depth_margin: float = 0.125  # of the reach, the least margin of mean depths, whose range may be narrow
     min_seen_fraction: float = 0.1  # of a patch's pixels; below it there is no prediction
@@ -322,16 +322,14 @@ def unlike_training(
         value of a reading.
     """
     doubts = []
-    share, least_margin = _INPUT_LIMITS.range_margin, _INPUT_LIMITS.mean_depth_margin * reach
-    for name, subject, values in (
-        ("travel_range", "travel is", travel),
-        ("mean_depth_range", "patch has a mean depth of", patches.mean((1, 2))),
+    share, depth_margin = _INPUT_LIMITS.range_margin, _INPUT_LIMITS.mean_depth_margin * reach
+    for name, subject, values, least_margin in (
+        ("travel_range", "travel is", travel, _INPUT_LIMITS.pixel_tolerance),
+        ("mean_depth_range", "patch has a mean depth of", patches.mean((1, 2)), depth_margin),
     ):
         if limits := known_range(metadata, name):
-            above = share * (limits[1] - limits[0])
-            below = share * limits[0]
-            if name == "mean_depth_range":
-                above = below = max(above, least_margin)
+            width = limits[1] - limits[0]
+            above, below = (max(share * x, least_margin) for x in (width, min(width, abs(limits[0]))))
             outside = (values < limits[0] - below) | (values > limits[1] + above)
             if outside.any():
                 doubts.append(

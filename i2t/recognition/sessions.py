@@ -254,8 +254,8 @@ class RecognizedSessions:
             sessions = f"{len(fused)} sessions{' that were not used in the fit' * bool(in_fit.any())}"
             chance = f"chance {1 / len(self.names):.2f}"
             lines.append(f"recognised {fused.sum():.0f} of {sessions}: {rate:.2f} ({interval}; {chance})")
-            shares = [f"{kind} {right[kind].mean():.2f}" for kind in ("position and presence", "readings")]
-            lines.append(f"by kind of evidence: {', '.join([f'all {fused.mean():.2f}', *shares])}")
+            parts = [f"{kind} {right[kind].mean():.2f}" for kind in ("position and presence", "readings")]
+            lines.append(f"by kind of evidence: all {rate:.2f}, {', '.join(parts)}")
         if in_fit.any():
             lines.append(f"{in_fit.sum()} of the {len(in_fit)} sessions were used in the fit of the pad model")
         elif self.in_fit is None:

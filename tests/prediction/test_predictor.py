@@ -353,6 +353,14 @@ def test_a_touch_a_little_outside_the_training_is_not_warned_of(by_travel):
     by_travel.predict(1.3 * SLOPE, travel=0.8e-3)
 
 
+@pytest.mark.parametrize("trained", [[-2e-5, 6e-4], [5e-4, 5e-4]])
+def test_the_training_touches_themselves_are_not_warned_of(by_travel, trained):
+    """Recorded travel may be slightly negative, or the same for all touches."""
+    known = replace(by_travel, metadata=by_travel.metadata | {"travel_range": trained})
+    for travel in trained:
+        known.predict(SLOPE, travel=travel)
+
+
 def test_a_much_lighter_press_than_in_training_is_warned_of(process, patches):
     known = replace(process[0], metadata={"force_range": [0.5, 2.0]})
     with pytest.warns(UserWarning, match="force is 0.1 N, and the model was trained on presses of at least 0.5 N: its"):
