@@ -38,8 +38,9 @@ class InputLimits:
     warned_seen_fraction: float = 0.5  # of a patch's pixels; below it there is a warning
     # largest predicted value over the largest one of the training touches; a larger one is warned of
     max_reading_ratio: float = 3.0
-    # Margin around the range of the training touches, as a share of its width and, below it, of its least value. Of a
-    # few dozen touches, those held out are often a little outside the range of the others.
+    # Margin around the range of the training touches, as a share of its width; below the range, as a share of its
+    # least value if that is smaller. Of a few dozen touches, those held out are often a little outside the range of
+    # the others.
     range_margin: float = 0.5
     mean_depth_margin: float = 0.125  # of the reach, the least margin of mean depths, whose range may be narrow
     min_seen_fraction: float = 0.1  # of a patch's pixels; below it there is no prediction
@@ -329,7 +330,8 @@ def unlike_training(
     ):
         if limits := known_range(metadata, name):
             width = limits[1] - limits[0]
-            above, below = (max(share * x, least_margin) for x in (width, min(width, abs(limits[0]))))
+            above = max(share * width, least_margin)
+            below = max(share * min(width, abs(limits[0])), least_margin)
             outside = (values < limits[0] - below) | (values > limits[1] + above)
             if outside.any():
                 doubts.append(
