@@ -102,6 +102,7 @@ EXTRAS = {
     "skfem": Extra("scikit-fem", "test"),
     "skimage": Extra("scikit-image", "reconstruct"),
     "sklearn": Extra("scikit-learn", "notebooks"),
+    "viser": Extra("viser", "view"),
 }
 
 

@@ -13,6 +13,7 @@ from .mesh_files import load_mesh as load_mesh
 from .mesh_files import load_object as load_object
 from .mesh_files import read_mesh as read_mesh
 from .poses import contact_pose as contact_pose
+from .poses import point_on_ray as point_on_ray
 from .solids import Mesh as Mesh
 from .solids import Object as Object
 from .solids import place_on_table as place_on_table

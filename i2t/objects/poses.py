@@ -63,6 +63,35 @@ def contact_pose(
     return np.asarray(contact_frame(at, outward / np.linalg.norm(outward), roll))
 
 
+def point_on_ray(mesh: Mesh, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[np.ndarray, "3"] | None:
+    """Find the point where a ray first meets a mesh (Moeller and Trumbore, "Fast, minimum storage ray/triangle
+    intersection", 1997), such as the point under a mouse.
+
+    Args:
+        mesh: The object, in its own frame (m).
+        origin: `(3,)` start (m) of the ray.
+        direction: `(3,)` direction of the ray, of any length.
+
+    Returns:
+        `(3,)` nearest point (m) of the mesh in front of the origin; None if the ray misses it.
+
+    Example:
+        point = point_on_ray(mesh, origin=(0.3, 0.2, 0.2), direction=(-3.0, -2.0, -1.5))
+    """
+    start, along = np.asarray(origin, np.float64), np.asarray(direction, np.float64)
+    a, b, c = np.moveaxis(np.asarray(mesh.vertices, np.float64)[np.asarray(mesh.faces)], 1, 0)
+    edge, other = b - a, c - a
+    across = np.cross(along, other)
+    determinant = (edge * across).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a face parallel to the ray
+        u = ((start - a) * across).sum(1) / determinant
+        side = np.cross(start - a, edge)
+        v = (side @ along) / determinant
+        distance = (other * side).sum(1) / determinant
+    met = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+    return start + distance[met].min() * along if met.any() else None
+
+
 def _nearest(
     mesh: Mesh, at: Float[np.ndarray, "3"], *, tie: float = 1e-7, step: float = 10e-6
 ) -> tuple[float, Float[np.ndarray, "3"] | None]:

@@ -32,7 +32,7 @@ from i2t.objects import catalogue
 from i2t.recognition import belief, calibrated, outcomes
 from i2t.recognition.belief import Belief, TouchObservation
 from i2t.recognition.outcomes import PredictedTouch
-from i2t.recognition.policy import choose_informative_site
+from i2t.recognition.policy import choose_informative_site, expected_information_gain, safe_sites_mask
 from i2t.recognition.site_pool import (
     SitePool,
     place_surfaces,
@@ -324,6 +324,20 @@ class ObjectRecognizer:
                 return ChosenSite(number, self.site_pose(number))
         return None
 
+    def expected_information(self, state: RecognizerState) -> Float[np.ndarray, " sites"]:
+        """Estimate how much a touch of each site would tell about the object.
+
+        Args:
+            state: The state after the touches so far.
+
+        Returns:
+            `(sites,)` expected information (nats); NaN for a site that was touched or excluded, or is probably unsafe.
+        """
+        key = jax.random.fold_in(jax.random.key(self.config.seed), int(state.touched.sum()))
+        gain = _information(key, state.belief, self.table, self.likelihood, skin_change=self.config.skin_change)
+        allowed = np.asarray(safe_sites_mask(state.belief, self.safe)) & ~state.touched
+        return np.where(allowed, np.asarray(gain.object, np.float64), np.nan)
+
     def stop_reason(self, state: RecognizerState) -> str | None:
         """Explain why no more touches are needed or possible.
 
@@ -458,6 +472,25 @@ class ObjectRecognizer:
         mean, _ = belief.twist_estimate(state.belief, self.particles)
         return np.asarray(self.T_w_o @ np.asarray(from_twist(mean[self.names.index(name)]), np.float64))
 
+    def particle_poses(
+        self, state: RecognizerState, name: str, count: int = 8
+    ) -> tuple[Float[np.ndarray, "n 4 4"], Float[np.ndarray, " n"]]:
+        """Return the most probable poses of an object, given that it is the true one.
+
+        Args:
+            state: The state after the touches so far.
+            name: Name of the object.
+            count: Maximum number of poses.
+
+        Returns:
+            `(n, 4, 4)` poses T_w_o of its particles, the most probable first, and `(n,)` probabilities of all of them.
+        """
+        number = self.names.index(name)
+        weight = np.asarray(jax.nn.softmax(state.belief.log_weight[number]), np.float64)
+        best = np.argsort(-weight, kind="stable")[:count]
+        twists = (self.particles.twist + state.belief.mean[number])[best]
+        return self.T_w_o @ np.asarray(jax.vmap(from_twist)(twists), np.float64), weight[best]
+
     def site_pose(self, number: int) -> Float[np.ndarray, "4 4"]:
         """Return the tool's pose at a site, in the world.
 
@@ -537,6 +570,9 @@ class ObjectRecognizer:
         shares = named[None] * (1 - scaled)[:, None]
         _, unknown = calibrated.with_unknown_prior(shares, scaled, fitted_prior, prior)
         return named * (1 - float(unknown[0]))
+
+
+_information = jit_quickly(expected_information_gain)
 
 
 @jit_quickly

@@ -11,6 +11,7 @@ from .site_limits import SiteLimits as SiteLimits
 from .sites import COLLECTION_LIMITS as COLLECTION_LIMITS
 from .sites import RECOGNITION_LIMITS as RECOGNITION_LIMITS
 from .sites import TouchSites as TouchSites
+from .sites import explain_unsafe as explain_unsafe
 from .sites import sample_points as sample_points
 from .sites import sample_touch_sites as sample_touch_sites
 from .touches import SessionErrors as SessionErrors

@@ -155,6 +155,32 @@ def is_safe(surface: Surface, T_w_t: Float[Array, "4 4"], limits: SiteLimits) ->
     return is_upward(T_w_t, limits) & is_unoccluded(surface, T_w_t, limits) & is_above_table(T_w_t, limits)
 
 
+_is_unoccluded = jit_quickly(is_unoccluded)
+
+
+def explain_unsafe(surface: Surface, T_w_t: Float[Any, "4 4"], limits: SiteLimits = COLLECTION_LIMITS) -> str:
+    """Explain why an arm would not touch a site.
+
+    Args:
+        surface: Surface in the world.
+        T_w_t: Pose of the tool at the site.
+        limits: Limits of a safe site.
+
+    Returns:
+        The reasons, as one phrase after "the site is unsafe: "; empty if the site is safe.
+    """
+    angle, most = (np.degrees(np.arccos(np.clip(cosine, -1, 1))) for cosine in (-T_w_t[2, 2], limits.min_cos))
+    checks = (
+        (is_upward(T_w_t, limits), f"its normal is {angle:.0f} degrees from up, and {most:.0f} are allowed"),
+        (
+            _is_unoccluded(surface, jnp.asarray(T_w_t, jnp.float32), limits),
+            f"the object rises more than {1e3 * limits.max_rise:g} mm above it next to the skin",
+        ),
+        (is_above_table(T_w_t, limits), "mount or flange would meet the table"),
+    )
+    return "; ".join(reason for passed, reason in checks if not passed)
+
+
 def sample_sites(
     key: Key[Array, ""],
     surface: Surface,

@@ -52,6 +52,18 @@ class CalibrationRecord(NamedTuple):
     previous: PopulationGP | None = None  # mixture of an earlier session, or None
 
 
+class PressEstimate(NamedTuple):
+    """Position (m) of a press with its standard deviation, its load (m or N), and the misfit of its reading.
+
+    The misfit is the root mean square difference of the reading from that of the best press, in standard deviations.
+    """
+
+    position: Float[np.ndarray, "2"]  # m, in the tool frame
+    position_std: Float[np.ndarray, "2"]  # m
+    load: Float[np.ndarray, " kinds"]  # m of travel, N of force, both, or nothing, as in the calibration
+    misfit: float  # standard deviations; about 1 for a press of the calibration's tip, and larger for another contact
+
+
 @dataclass(frozen=True, repr=False)
 class Calibration:
     """Model that predicts the readings of one skin pressed by one tip; from `calibrate` or `load_calibration`.
@@ -138,6 +150,45 @@ class Calibration:
         mean, std = self._predict_table(PressTable(positions, loads))
         std = std * np.asarray(self.interval_scaling)
         return (mean[0], std[0]) if single else (mean, std)
+
+    def locate(self, reading: ArrayLike) -> "PressEstimate":
+        """Estimate the position of a press from its reading, by Bayes' rule on a grid.
+
+        Before the press, all positions between those of the fit are equally probable, with loads of the fit.
+
+        Args:
+            reading: `(c,)` reading (uT), ambient subtracted.
+
+        Returns:
+            Mean and standard deviation of the position, the mean of the loads, and how unlikely the reading is.
+
+        Raises:
+            ValueError: The reading has another number of values.
+        """
+        positions, loads, mean, std = self._press_grid
+        values = validation.numbers("reading", reading, f"{mean.shape[1]} values (uT)").astype(np.float64)
+        if values.shape != mean.shape[1:]:
+            raise ValueError(f"reading: has the shape {values.shape}; give the {mean.shape[1]} values of the skin")
+        squares = (((values - mean) / std) ** 2).sum(1)
+        log_density = -squares / 2 - np.log(std).sum(1)
+        weights = np.exp(log_density - log_density.max())
+        weights /= weights.sum()
+        centre = weights @ positions
+        spread = np.sqrt(weights @ (positions - centre) ** 2)
+        return PressEstimate(centre, spread, weights @ loads, float(np.sqrt(squares.min() / len(values))))
+
+    @cached_property
+    def _press_grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Positions (m) and loads of the presses that `locate` compares, with their readings and deviations (uT)."""
+        presses, steps = self.gp.presses, (25, 8)  # steps along each axis, and of the load
+        low, high = presses.position.min(0), presses.position.max(0)
+        at = np.stack(np.meshgrid(*np.linspace(low, high, steps[0]).T), -1).reshape(-1, 2)
+        ranks = np.linspace(0, len(presses.loads) - 1, steps[1] if presses.loads.size else 1).astype(int)
+        kinds = presses.loads.shape[1]
+        levels = presses.loads[np.argsort(presses.loads[:, 0])][ranks] if kinds else np.zeros((1, 0))
+        positions, loads = np.repeat(at, len(levels), axis=0), np.tile(levels, (len(at), 1))
+        given = None if not kinds else loads[:, 0] if kinds == 1 else loads
+        return positions, loads, *self.predict(positions, given)
 
     def _predict_table(self, table: PressTable) -> tuple[np.ndarray, np.ndarray]:
         """Predict means and standard deviations (uT), without `interval_scaling`."""

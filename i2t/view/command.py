@@ -1,67 +1,231 @@
-"""Command line of `i2t view`."""
+"""Look at i2t in the browser: an object under the mouse, an episode of recognition, recorded touches, a running skin.
 
-import sys
+    i2t view                                   the hammer of the catalogue
+    i2t view mug.stl --unit mm                 an object of your own: click it to press the skin there
+    i2t view DATA                              the touches of a session or data set
+    i2t view live --skin reskin                the readings of a skin that is plugged in
+    i2t view DATA --html                       a page in a file, for others
+
+The page has four scenes. In "explore", a click presses the skin on the object, and the page shows the predicted reading
+and a simulated one. In "recognise", simulated touches tell candidates apart, or those of a recorded session do.
+"Replay" shows the touches of a data set, measured against predicted, and "live" a running skin.
+"""
+
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from i2t.cli.exit_codes import command
-from i2t.cli.options import Count, require_with, require_writable
-from i2t.files.reading import explain_no_dataset
-from i2t.objects.named import require_object
+from i2t.cli.options import Count, Limits, docstring_of, require_with, require_writable
+from i2t.cli.signals import ended_by_ctrl_c
+from i2t.files.kinds import MESH_SUFFIXES
+from i2t.models import ready_path
+from i2t.models.checks import require_dataset
+from i2t.objects.named import object_name, require_object, require_objects, split_unit
+
+if TYPE_CHECKING:
+    from i2t.view.contents import Contents
+    from i2t.view.server import Scene
+
+LIVE = "live"  # what is shown, in place of an object or a data set
+EPISODE_OBJECTS = ("hammer", "screwdriver", "star", "cylinder", "square")  # candidates of an episode by default
 
 
 @dataclass(frozen=True)
 class ViewArgs:
-    """Write a session or data set as a Rerun recording (.rrd) and an HTML page for viewing."""
+    """Look at an object, an episode, recorded touches or a running skin in the browser."""
 
-    path: tyro.conf.Positional[Path]
-    """Folder of recorded touches, or a data set to show."""
-    out: Path = Path("runs/view")
-    """Folder in which the files are written; the files are named after PATH."""
-    mesh: str | None = None
-    """Object: its name in the catalogue, or a mesh file. By default, the object that the touches name."""
+    what: tyro.conf.Positional[str] = "hammer"
+    """Name of an object in the catalogue, a mesh file, a folder or file of touches, nominal (the touches that come with
+    i2t), or live."""
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    """Unit of the mesh file, if its name has none (mug.stl:mm); glTF is in metres."""
+    """Unit of mesh files whose names have none (mug.stl:mm); glTF is in metres."""
+    host: str = "127.0.0.1"
+    """Address to listen on. The page has no password."""
+    port: Annotated[int, Limits(1, 65535)] = 8080
+    """Port to listen on; the next free one if it is taken."""
+    no_browser: bool = False
+    """Open no browser."""
+    scene: Literal["explore", "recognise", "replay", "live"] | None = None
+    """Scene to begin with; by default that of WHAT."""
+    models: tuple[str, ...] = ("nominal",)
+    """Predictors to choose from: nominal, or folders in which one was trained."""
+    pads: tuple[str, ...] = ("nominal",)
+    """Pads to simulate with: nominal, files of pads, or boards (anyskin, grid-5x5) with a random pad."""
+    objects: tuple[Path, ...] = ()
+    """Candidates of "recognise": names in the catalogue or mesh files."""
+    dataset: Path | None = None
+    """Recorded sessions for "recognise" and "replay"."""
+    pad_model: Path = Path("nominal")
+    """Pad model for "recognise": folder of a fit, file, or nominal."""
+    skin: str = "reskin"
+    """Skin for "live": reskin, emulated, a name that a package registers, or package.module:Class."""
+    address: str | None = None
+    """Port of the skin; by default, that of the only board that is plugged in."""
+    board: str | None = None
+    """Board of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file (.toml)."""
+    calibration: str | None = None
+    """Calibration of the skin, with which "live" shows the place of a contact."""
+    record: Path = Path("runs/live.csv")
+    """Table of all samples that the button "record" of "live" writes."""
+    html: bool = False
+    """Write the touches as an HTML page in a file, and open no page."""
+    rerun: bool = False
+    """Write the touches as a Rerun recording (.rrd), and open no page."""
+    out: Path = Path("runs/view")
+    """Folder of the files of --html and --rerun, which are named after the touches."""
+    mesh: str | None = None
+    """Object of the touches: its name in the catalogue, or a mesh file. By default, as the touches name it."""
     touches: Count | None = None
     """Maximum number of touches to show; the first ones are shown. By default, all."""
     skin_name: str | None = None
     """Name of the skin to show; required if each touch has readings of several skins."""
-    html: bool = False
-    """Write only the HTML page, no Rerun recording."""
     overwrite: bool = False
     """Replace existing files."""
 
 
-def _write(args: ViewArgs) -> None:
-    require_with("--unit", args.unit is not None, "--mesh", args.mesh is not None)
+def _view(args: ViewArgs) -> None:
+    dataset = _dataset(args)
+    _check(args, dataset)
+    if args.html or args.rerun:
+        _write(args, dataset)
+        return
+    from i2t.view.server import Page
+
+    scenes = {
+        "explore": lambda: _explore(args, dataset),
+        "recognise": lambda: _recognize(args),
+        "replay": lambda: _replay(args, dataset or Path("nominal")),
+        "live": lambda: _live(args),
+    }
+    first = args.scene or ("live" if args.what == LIVE else "explore" if dataset is None else "replay")
+    page = Page(scenes, host=args.host, port=args.port)
+    try:
+        with ended_by_ctrl_c():
+            page.run(first, browser=not args.no_browser)
+    finally:
+        page.close()
+    print("ended")
+
+
+def _dataset(args: ViewArgs) -> Path | None:
+    """Find the data set of "replay": `--dataset`, or WHAT unless it is an object or a running skin."""
+    path = ready_path(args.what, "touches.h5")
+    if args.what == LIVE or split_unit(args.what)[0] != args.what or path.suffix.lower() in MESH_SUFFIXES:
+        return args.dataset
+    return path if path.exists() else args.dataset
+
+
+def _check(args: ViewArgs, dataset: Path | None) -> None:
+    """Refuse wrong options before JAX is imported."""
+    require_dataset("--dataset", args.dataset)
+    require_dataset("WHAT", dataset)
+    if dataset in (None, args.dataset) and args.what != LIVE:
+        require_object(args.what, args.unit)
     if args.mesh is not None:
         require_object(args.mesh, args.unit, flag="--mesh")
-    if args.path.is_file() and (why := explain_no_dataset(args.path)):
-        raise ValueError(why)
-    name = (args.path.resolve().stem or "view") + (f"-{args.skin_name}" if args.skin_name else "")
+    require_objects(args.objects, args.unit if args.objects else None)
+    if args.board is not None:
+        from i2t.skin.boards import make_board
+
+        make_board(args.board)
+    if (args.html or args.rerun) and dataset is None:
+        raise ValueError(f"--html and --rerun write recorded touches, and {args.what} is none; name their folder")
+    require_with("--overwrite", args.overwrite, "--html or --rerun", args.html or args.rerun)
+
+
+def _write(args: ViewArgs, dataset: Path | None) -> None:
+    """Write the touches as a page and as a Rerun recording."""
+    assert dataset is not None
+    name = (dataset.resolve().stem or "view") + (f"-{args.skin_name}" if args.skin_name else "")
     page, recording = (args.out / f"{name}{ending}" for ending in (".html", ".rrd"))
-    for path in (page, recording):
+    for path in [page] * args.html + [recording] * args.rerun:
         if path.exists() and not args.overwrite:
             raise FileExistsError(f"{path}: exists already; pass --overwrite to replace it, or another --out")
         require_writable("--out", path)
     # Imported late, because --help and refusals do not need NumPy and HDF5.
-    from i2t.view.contents import read_contents
     from i2t.view.page import write_page
-    from i2t.view.rerun_file import explain_no_recording, write_recording
+    from i2t.view.rerun_file import require_rerun, write_recording
 
-    contents = read_contents(args.path, mesh=args.mesh, unit=args.unit, max_touches=args.touches, skin=args.skin_name)
+    if args.rerun:
+        require_rerun()
+    contents = _contents(args, dataset)
     args.out.mkdir(parents=True, exist_ok=True)
-    print(f"wrote {write_page(contents, page)}")
     if args.html:
-        return
-    missing = explain_no_recording()
-    if missing:
-        print(missing, file=sys.stderr)
-        return
-    print(f"wrote {write_recording(contents, recording)}; look at it with: rerun {recording}")
+        print(f"wrote {write_page(contents, page)}")
+    if args.rerun:
+        print(f"wrote {write_recording(contents, recording)}; look at it with: rerun {recording}")
 
 
-main = command(ViewArgs, _write, program="python -m i2t.view")
+def _contents(args: ViewArgs, dataset: Path) -> "Contents":
+    from i2t.view.contents import read_contents
+
+    return read_contents(
+        ready_path(str(dataset), "touches.h5"), mesh=args.mesh, unit=args.unit, max_touches=args.touches,
+        skin=args.skin_name,
+    )  # fmt: skip
+
+
+def _explore(args: ViewArgs, dataset: Path | None) -> "Scene":
+    from i2t.emulators.world import read_pad
+    from i2t.objects.named import read_object
+    from i2t.prediction.predictor import load_predictor
+    from i2t.view import explore
+
+    what = args.mesh or ("hammer" if args.what == LIVE or dataset not in (None, args.dataset) else args.what)
+    pads = {}
+    for name in args.pads:
+        file, board = (Path(name), None) if Path(name).is_file() else (None, None if name == "nominal" else name)
+        pads[object_name(name)] = read_pad(file, board)
+    predictors = {name: load_predictor(name) for name in args.models}
+    return explore.ExploreScene(explore.begin(read_object(what, args.unit), predictors, pads))
+
+
+def _recognize(args: ViewArgs) -> "Scene":
+    from i2t.dataset import load_dataset
+    from i2t.emulators.world import read_pad
+    from i2t.models.finished import find_pad_model
+    from i2t.objects.named import meshes_of_dataset, read_meshes
+    from i2t.skin_models.pad_model import load_pad_model
+    from i2t.view import recognize
+
+    pad_model = load_pad_model(find_pad_model(args.pad_model)[0])
+    if args.dataset is None:
+        meshes = read_meshes(args.objects or EPISODE_OBJECTS, args.unit)
+        state = recognize.begin(meshes, pad_model, read_pad(None), next(iter(meshes)))
+    else:
+        recorded = load_dataset(args.dataset, skin=args.skin_name)
+        meshes = read_meshes(args.objects, args.unit) or meshes_of_dataset(recorded.objects, str(args.dataset))
+        state = recognize.begin_recorded(meshes, recorded, pad_model)
+    return recognize.RecognizeScene(state)
+
+
+def _replay(args: ViewArgs, dataset: Path) -> "Scene":
+    from i2t.prediction.predictor import load_predictor
+    from i2t.view import replay
+
+    predictor = load_predictor(args.models[0]) if args.models else None
+    return replay.ReplayScene(replay.begin(_contents(args, dataset), predictor))
+
+
+def _live(args: ViewArgs) -> "Scene":
+    from i2t.emulators.reskin_board import run_board
+    from i2t.hardware.plugins import DeviceSetup, load_device
+    from i2t.hardware.rig import Rig
+    from i2t.skin.boards import DEFAULT_BOARD, make_board
+    from i2t.skin_models.calibration import load_calibration
+    from i2t.view.live import LiveScene
+
+    stack, address = ExitStack(), args.address
+    calibration = None if args.calibration is None else load_calibration(args.calibration)
+    if args.skin == "emulated" and address is None:  # nothing presses this board but its own emulator
+        address, _ = stack.enter_context(run_board("--press", "1", "--board", args.board or DEFAULT_BOARD))
+    skin = load_device("skin", args.skin, DeviceSetup(Rig(), address, board=args.board))
+    board = getattr(skin, "board", None) or make_board(args.board or DEFAULT_BOARD)
+    return LiveScene(skin, board, calibration, args.record, stack)
+
+
+main = command(ViewArgs, _view, program="python -m i2t.view", description=docstring_of("i2t.view.command"))

@@ -6,6 +6,7 @@ Times are Unix time where touches were recorded with time series. Other touches 
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple, TypeAlias
 
@@ -80,14 +81,20 @@ class Contents:
         """Whether any of the touches are simulated."""
         return holds_simulated(self.dataset.source)
 
+    def record(self, row: int) -> Record:
+        """Read the record of a touch.
+
+        Args:
+            row: Index of the touch.
+
+        Returns:
+            The record. Images and series are missing if they were not recorded.
+        """
+        return read_touch(self.files[row]).of_skin(self.skin) if self.files else Record(self.dataset.select([row]))
+
     def records(self) -> Iterator[Record]:
-        """Yield the record of each touch. Images and series are missing if they were not recorded."""
-        if self.files:
-            for file in self.files:
-                yield read_touch(file).of_skin(self.skin)
-        else:
-            for row in range(len(self.dataset)):
-                yield Record(self.dataset.select([row]))
+        """Yield the record of each touch."""
+        return map(self.record, range(len(self.dataset)))
 
 
 def read_contents(
@@ -122,14 +129,28 @@ def read_contents(
         files = ()  # a packed set, or touches next to other files
     if max_touches is not None:
         dataset, files = dataset.select(np.arange(min(max_touches, len(dataset)))), files[:max_touches]
-    return Contents(path, dataset, files, _mesh(mesh, unit, dataset), skin=skin)
+    only = dataset.objects[0] if len(dataset.objects) == 1 else None
+    name = only if mesh is None and only in NAMES else mesh
+    return Contents(path, dataset, files, None if name is None else read_object(name, unit).mesh, skin=skin)
 
 
-def _mesh(name: str | None, unit: str | None, dataset: Dataset) -> Mesh | None:
-    if name is None:
-        only = dataset.objects[0] if len(dataset.objects) == 1 else None
-        return make_object(only).mesh if only in NAMES else None
-    return read_object(name, unit).mesh
+def mesh_of(contents: Contents, row: int) -> Mesh | None:
+    """Find the mesh of the object of a touch.
+
+    Args:
+        contents: The session or data set.
+        row: Index of the touch.
+
+    Returns:
+        The mesh that was given for all touches, or that of the catalogue; None if there is neither.
+    """
+    touched = contents.dataset.objects[contents.dataset.touches.object[row]]
+    if contents.mesh is not None or touched not in NAMES:
+        return contents.mesh
+    return _catalogue_mesh(touched)
+
+
+_catalogue_mesh = cache(lambda name: make_object(name).mesh)
 
 
 def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:

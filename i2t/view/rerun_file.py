@@ -18,21 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from i2t.errors import explain_missing_extra, require_extra
+from i2t.errors import require_extra
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.view.contents import Contents, DepthImage, Events, Field, Item, Numbers, Poses, camera_of, items, span
 
-NEEDS_RERUN = "a Rerun recording"  # what needs the package rerun-sdk, in messages
-
-
-def explain_no_recording() -> str:
-    """Explain why this Python environment cannot write Rerun recordings.
-
-    Returns:
-        One sentence with the remedy, or an empty string if a recording can be written.
-    """
-    why = explain_missing_extra("rerun", NEEDS_RERUN)
-    return why and f"{why}, or pass --html alone"
+require_rerun = partial(require_extra, "rerun", "a Rerun recording")  # raises MissingExtraError
 
 
 def write_recording(contents: Contents, path: Path) -> Path:
@@ -48,7 +38,7 @@ def write_recording(contents: Contents, path: Path) -> Path:
     Raises:
         MissingExtraError: rerun-sdk is missing.
     """
-    require_extra("rerun", NEEDS_RERUN)
+    require_rerun()
     import rerun as rr
 
     stream = rr.RecordingStream("i2t", recording_id=contents.path.resolve().name or "i2t")

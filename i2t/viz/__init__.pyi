@@ -9,6 +9,7 @@ from .interactive import object_plotter as object_plotter
 from .patches import draw_length as draw_length
 from .patches import draw_map as draw_map
 from .patches import draw_patch as draw_patch
+from .patches import draw_view as draw_view
 from .patches import plot_patches as plot_patches
 from .rates import plot_confusions as plot_confusions
 from .rates import plot_intervals as plot_intervals
@@ -19,9 +20,11 @@ from .skins import draw_chip_numbers as draw_chip_numbers
 from .skins import draw_key as draw_key
 from .skins import draw_reading as draw_reading
 from .skins import draw_skin as draw_skin
+from .skins import drawn_field as drawn_field
 from .skins import plot_press as plot_press
 from .skins import plot_readings as plot_readings
 from .skins import plot_skin_map as plot_skin_map
+from .style import pixels as pixels
 from .style import save_figure as save_figure
 from .surfaces import ShownSurface as ShownSurface
 from .surfaces import plot_growing_surface as plot_growing_surface

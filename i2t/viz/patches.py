@@ -6,11 +6,14 @@ import numpy as np
 from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
 from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
-from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PATCH_WINDOW, REACH
+from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array
 from i2t.viz.style import MM_PER_M, Picture, titled
+
+STANDS_OUT_M = 1e-5  # m, least distance in front of a patch that is drawn as standing out
 
 
 def draw_map(
@@ -57,6 +60,29 @@ def draw_patch(
         The drawn image, from which a colour bar can be made.
     """
     return draw_map(axes, np.asarray(patch) * MM_PER_M, window, cmap="cividis_r", low=0, high=reach * MM_PER_M)
+
+
+def draw_view(
+    axes: Axes, view: Float[Array, "rows columns"], window: float, patch: float = PATCH_WINDOW, reach: float = REACH
+) -> AxesImage:
+    """Draw a patch with its surroundings, red where they stand out in front of it, and outline patch and skin.
+
+    Args:
+        axes: Axes to draw into.
+        view: Depth (m) behind the patch's nearest point, negative where something stands out in front of it.
+        window: Edge (m) of the view.
+        patch: Edge (m) of the patch.
+        reach: Largest depth (m) of a patch.
+
+    Returns:
+        The drawn image, from which a colour bar can be made.
+    """
+    image = draw_patch(axes, np.clip(view, 0, reach), window, reach)
+    draw_map(axes, np.where(np.asarray(view) < -STANDS_OUT_M, 1.0, np.nan), window, cmap="autumn", low=1, high=2)
+    for edge, colour, style in ((patch, "white", "-"), (PAD_WINDOW, "black", ":")):
+        half = edge * MM_PER_M / 2
+        axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=colour, lw=1.2, ls=style))
+    return image
 
 
 def draw_length(axes: Axes, length_mm: float = 5.0) -> None:

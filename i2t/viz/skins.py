@@ -78,7 +78,7 @@ def draw_reading(
     """
     chips = np.asarray(board.chips)[:, :2] * MM_PER_M
     mm_per_ut = arrow_mm(board) / scale
-    field, covariances = _drawn(board, reading, std, mm_per_ut)
+    field, covariances = drawn_field(board, reading, std, mm_per_ut)
     x, y, normal = field.T
     arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "color": colour, "width": width}
     axes.quiver(*chips.T, x, y, label=label, **arrows)
@@ -114,7 +114,7 @@ def margin_mm(
     chips = np.asarray(board.chips)[:, :2] * MM_PER_M
     reach = [least + PAD_WINDOW * MM_PER_M / 2]
     for i, reading in enumerate(np.asarray(readings)):
-        drawn = _drawn(board, reading, None if std is None else np.asarray(std)[i], arrow_mm(board) / scale)
+        drawn = drawn_field(board, reading, None if std is None else np.asarray(std)[i], arrow_mm(board) / scale)
         for chip, vector, covariance in zip(chips, *drawn, strict=True):
             deviations = np.sqrt(np.diag(covariance))
             reach.append(float(np.max(abs(chip + vector[:2]) + deviations[:2])))
@@ -122,10 +122,20 @@ def margin_mm(
     return 1.02 * max(reach) - PAD_WINDOW * MM_PER_M / 2
 
 
-def _drawn(
+def drawn_field(
     board: Board, reading: Shaped[Array, " c"], std: Shaped[Array, " c"] | None, mm_per_ut: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the field at each chip, as drawn (mm), with its covariance (mm^2); zero without standard deviations."""
+    """Compute the field at each chip as it is drawn, in tool axes.
+
+    Args:
+        board: Board with n chips.
+        reading: `(3 n,)` reading (uT).
+        std: `(3 n,)` standard deviations (uT), or None.
+        mm_per_ut: Length (mm) of the arrow of a field of 1 uT.
+
+    Returns:
+        `(n, 3)` vectors (mm), and their `(n, 3, 3)` covariances (mm^2), which are zero without standard deviations.
+    """
     field = np.asarray(board.to_tool(np.asarray(reading)), np.float64) * mm_per_ut
     # The values of a reading have independent errors in the axes of the chips, so that these turn as a covariance.
     deviations = np.zeros(3 * len(field)) if std is None else np.asarray(std, np.float64)

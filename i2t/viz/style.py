@@ -7,6 +7,8 @@ import io
 from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import Shaped
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -57,6 +59,22 @@ def save_figure(figure: Figure, path: Path | str) -> Path:
     with replacing(Path(path)) as temporary:
         figure.savefig(temporary, dpi=150, bbox_inches="tight")
     return Path(path)
+
+
+def pixels(figure: Figure, dpi: float = 100) -> Shaped[np.ndarray, "rows columns 3"]:
+    """Draw a figure into an array.
+
+    Args:
+        figure: The figure to draw.
+        dpi: Pixels per inch.
+
+    Returns:
+        `(rows, columns, 3)` RGB values from 0 to 255.
+    """
+    figure.set_dpi(dpi)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
 def titled(title: str, simulated: bool) -> str:

@@ -12,7 +12,7 @@ from i2t.leave_one_out import STDS_WITHIN_90
 from i2t.objects.solids import Mesh
 from i2t.patches.dimensions import PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array, Board
-from i2t.viz.patches import draw_length, draw_patch
+from i2t.viz.patches import draw_length, draw_patch, draw_view
 from i2t.viz.scene import draw_number, draw_object, touch_colours
 from i2t.viz.skins import common_scale, draw_chip_numbers, draw_key, draw_reading, draw_skin, key_layout, margin_mm
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M, Colour, Picture, titled
@@ -29,6 +29,7 @@ def plot_predicted_touches(
     std: Mapping[str, Float[Array, "n c"]] | None = None,
     mesh: Mesh | None = None,
     T_o_t: Float[Array, "n 4 4"] | None = None,
+    views: Float[Array, "n w w"] | None = None,
     window: float = PATCH_WINDOW,
     reach: float = REACH,
 ) -> Picture:
@@ -46,6 +47,7 @@ def plot_predicted_touches(
         std: `(n, c)` standard deviations (uT) of the sets that have some, by name.
         mesh: The touched object.
         T_o_t: Tool poses of the touches in the object's frame; required with a mesh.
+        views: Patches with their surroundings (m), which are drawn in place of the patches (`draw_view`).
         window: Edge (m) of a patch.
         reach: Largest depth (m) of a patch.
 
@@ -74,7 +76,10 @@ def plot_predicted_touches(
     for i in range(n):
         x, y = scene + 0.55 + i % columns * (edge + 0.1), height - 0.35 - (i // columns + 1) * row_height
         above, below = place(x, y + edge + 0.35, edge, edge), place(x, y + 0.28, edge, edge)
-        image = draw_patch(above, patches[i], window, reach)
+        if views is None:
+            image = draw_patch(above, patches[i], window, reach)
+        else:
+            image = draw_view(above, views[i], window * len(views[i]) / len(patches[i]), window, reach)
         above.set(xticks=[], yticks=[])
         above.set_title(labels[i], fontsize=10)
         if mesh is not None:
@@ -86,7 +91,7 @@ def plot_predicted_touches(
             spread = std[name][i] if name in std else None
             draw_reading(below, board, readings[i], scale, std=spread, colour=colour)
         if i % columns == 0:
-            above.set_ylabel("depth patch", fontsize=10)
+            above.set_ylabel("depth patch" if views is None else "patch and\nsurroundings", fontsize=10)
             below.set_ylabel("reading" if len(sets) > 1 else f"{name}\nreading", fontsize=10)
             below.set_xlabel(f"skin, {PAD_WINDOW * MM_PER_M:g} mm", fontsize=10, labelpad=1)
             draw_length(above)

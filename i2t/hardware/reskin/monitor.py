@@ -14,15 +14,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TextIO
 
 import numpy as np
+from jaxtyping import Float
 
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Positive
 from i2t.cli.signals import ended_by_ctrl_c
 from i2t.errors import DeviceError
-from i2t.hardware.protocols import Samples, SkinCounters
+from i2t.hardware.protocols import Samples, Skin, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.skin_health import check_skin
 from i2t.skin.boards import DEFAULT_BOARD, board_note, make_board, mean_finite
@@ -93,7 +94,7 @@ def _run(args: Options) -> None:
         record = None
         if args.record is not None:
             file = stack.enter_context(args.record.open("x", newline="", buffering=1))
-            record = stack.callback(_recorder(skin, csv.writer(file)))  # also the last samples of a board that is gone
+            record = stack.callback(sample_recorder(skin, file))  # also the last samples of a board that is gone
         _show(skin, args.seconds, record)
 
 
@@ -107,9 +108,7 @@ def _show(skin: ReSkin, seconds: float, record: Callable[[], None] | None) -> No
         if record is not None:
             record()
         if rest is None and newest - first >= REST_SAMPLES:
-            early = skin.since(first)
-            rest, defects = mean_finite(early.reading, axis=0), check_skin(early).defects
-            health = "; ".join(f"UNHEALTHY: {defect.sentence}" for defect in defects) or "healthy at rest"
+            rest, health = judge_rest(skin.since(first))
         lines = [*table(skin.counters, shown, mean_finite(shown.reading, axis=0) if rest is None else rest), health]
         if live:
             print(f"\x1b[{drawn}F\x1b[J" if drawn else "", "\n".join(lines), sep="")
@@ -119,11 +118,35 @@ def _show(skin: ReSkin, seconds: float, record: Callable[[], None] | None) -> No
         time.sleep(0.1 if live else 1.0)
 
 
-def _recorder(skin: ReSkin, file: Any) -> Callable[[], None]:
-    """Begin a table at the newest sample; the returned function writes the samples since its last call."""
+def judge_rest(samples: Samples) -> tuple[Float[np.ndarray, " c"], str]:
+    """Average the samples of a skin that touches nothing, and judge its health.
+
+    Args:
+        samples: n samples, at least one.
+
+    Returns:
+        `(c,)` reading at rest (uT), NaN for a missing chip, and a phrase about the skin's health.
+    """
+    defects = check_skin(samples).defects
+    health = "; ".join(f"UNHEALTHY: {defect.sentence}" for defect in defects) or "healthy at rest"
+    return mean_finite(samples.reading, axis=0), health
+
+
+def sample_recorder(skin: Skin, file: TextIO) -> Callable[[], None]:
+    """Begin a table of samples (`--record`) at the skin's newest one.
+
+    Args:
+        skin: A connected skin.
+        file: Open text file for the table.
+
+    Returns:
+        A function that writes the samples since its last call. It must be called before the skin's queue overflows, at
+        least every five seconds. It writes the last samples of a skin that is gone.
+    """
+    writer = csv.writer(file)
     first = skin.latest()
     newest, chips = int(first.number[-1]) - 1, range(first.temperature.shape[1])
-    file.writerow(["time_s", *(f"b{i}{axis}_uT" for i in chips for axis in "xyz"), *(f"t{i}_C" for i in chips)])
+    writer.writerow(["time_s", *(f"b{i}{axis}_uT" for i in chips for axis in "xyz"), *(f"t{i}_C" for i in chips)])
 
     def record() -> None:
         nonlocal newest
@@ -131,7 +154,7 @@ def _recorder(skin: ReSkin, file: Any) -> Callable[[], None]:
             new = skin.since(newest)
             columns = np.column_stack([new.time - first.time[0], new.reading, new.temperature])
             # Six decimals exceed the resolution of the converter.
-            file.writerows([f"{x:.6f}" if np.isfinite(x) else "" for x in row] for row in columns)
+            writer.writerows([f"{x:.6f}" if np.isfinite(x) else "" for x in row] for row in columns)
             newest = max([newest, *new.number.tolist()])
 
     return record

@@ -1,0 +1,191 @@
+"""The page in the browser: a viser server, the scene that it shows, and the thread in which the scene changes.
+
+A scene is one of `explore`, `recognize`, `replay` and `live`. It holds its whole state in one named tuple, and
+`update(state, event)` returns the state after an event, such as a click. The page calls `update` and then draws the new
+state. Events are handled one at a time; an event that waits is replaced by a newer one of its kind, so that a slider
+that moves faster than readings are predicted does not lag behind. All windows of the page show the same scene.
+"""
+
+import contextlib
+import io
+import logging
+import os
+import sys
+import threading
+import warnings
+import webbrowser
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from i2t.errors import I2TError, require_extra
+
+LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")  # addresses that only this machine reaches
+log = logging.getLogger(__name__)
+
+
+class Scene(Protocol):
+    """A scene of the page."""
+
+    state: Any  # named tuple with a field `message`, a sentence for the user
+
+    def update(self, state: Any, event: Any) -> Any:
+        """Return the state after an event; raise ValueError to refuse the event."""
+
+    def build(self, page: "Page") -> None:
+        """Add the scene's nodes and widgets, which send events to the page."""
+
+    def draw(self, state: Any) -> None:
+        """Show a state."""
+
+    def close(self) -> None:
+        """Release what the scene holds, such as a device."""
+
+
+class ShowScene(NamedTuple):
+    """Event: another scene was chosen."""
+
+    name: str
+
+
+class Page:
+    """The page, which listens from its creation on.
+
+    Args:
+        scenes: Functions that make the scenes, by name. Each is called when its scene is chosen.
+        host: Address to listen on.
+        port: Port to listen on; the next free one if it is taken.
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        OSError: The address is not one of this machine.
+    """
+
+    def __init__(self, scenes: Mapping[str, Callable[[], Scene]], *, host: str, port: int) -> None:
+        require_extra("viser", "the page in the browser")
+        import viser
+
+        with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
+            self.server = viser.ViserServer(host=host, port=port, label="i2t", verbose=False)
+        self.address = f"http://{'localhost' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+        self._scenes, self._host = scenes, host
+        self._scene: Scene | None = None
+        self._events: dict[type, Any] = {}  # by their kind, in order of time
+        self._changed = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name="page", daemon=True)
+
+    def send(self, event: Any) -> None:
+        """Put an event into the queue. It replaces one of the same kind that still waits.
+
+        Args:
+            event: The event, a named tuple of the shown scene.
+        """
+        with self._changed:
+            self._events.pop(type(event), None)
+            self._events[type(event)] = event
+            self._changed.notify()
+
+    def on(self, register: Callable[[Any], Any], event: Callable[[], Any]) -> None:
+        """Send an event whenever a user changes a widget, but not when the program does.
+
+        Args:
+            register: Method of the widget that takes a callback, such as `on_update`.
+            event: Function that makes the event.
+        """
+        register(lambda change: self.send(event()) if change.client is not None else None)
+
+    def say(self, message: str) -> None:
+        """Show a sentence at the top of the page.
+
+        Args:
+            message: The sentence, in Markdown.
+        """
+        self._message.content = message
+
+    def look_at(self, points: Float[np.ndarray, "n 3"]) -> None:
+        """Point the camera of each window at some points, from their front and above.
+
+        Args:
+            points: Points (m), such as the vertices of an object.
+        """
+        low, high = np.min(points, axis=0), np.max(points, axis=0)
+        middle, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.05)
+        eye = middle + size * np.array([-0.6, -1.2, 1.0])
+        clients: list[Any] = [client.camera for client in self.server.get_clients().values()]
+        for camera in [self.server.initial_camera, *clients]:
+            camera.near = 1e-3
+            camera.position, camera.look_at = eye, middle
+
+    def run(self, first: str, *, browser: bool) -> None:
+        """Show a scene, print the page's address, and serve until Ctrl-C.
+
+        Args:
+            first: Name of the first scene.
+            browser: Whether a browser is opened, if there is a display.
+        """
+        self._thread.start()
+        self.send(ShowScene(first))
+        print(f"i2t view: {self.address} (Ctrl-C ends it)", flush=True)
+        if self._host not in LOCAL_HOSTS:
+            print("this page has no password: whoever reaches this address can use it", file=sys.stderr)
+        has_display = sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+        if browser and has_display:
+            webbrowser.open(self.address)
+        self._thread.join()
+
+    def close(self) -> None:
+        """Close the shown scene and stop listening."""
+        self.send(None)
+        self._thread.join(timeout=10)
+        if self._scene is not None:
+            self._scene.close()
+        self.server.stop()
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._events)
+                event = self._events.pop(next(iter(self._events)))
+            if event is None:
+                return
+            try:
+                self._handle(event)
+            except (I2TError, ValueError, OSError) as error:
+                self.say(str(error))
+            except Exception as error:
+                log.exception("the page could not handle %s", type(event).__name__)
+                self.say(f"that failed ({type(error).__name__}: {error}); the terminal has the details")
+
+    def _handle(self, event: Any) -> None:
+        if isinstance(event, ShowScene):
+            self._show(event.name)
+        elif (scene := self._scene) is not None:
+            with warnings.catch_warnings(record=True) as doubts:
+                warnings.simplefilter("always")
+                state = scene.update(scene.state, event)
+            doubt = [f"*{doubt.message}*" for doubt in doubts if issubclass(doubt.category, UserWarning)]
+            scene.state = state
+            self.say("\n\n".join([state.message, *doubt]))
+            scene.draw(state)
+
+    def _show(self, name: str) -> None:
+        """Close the shown scene, and build another one."""
+        if self._scene is not None:
+            self._scene.close()
+        self._scene = None
+        self.server.scene.reset()
+        self.server.scene.set_up_direction("+z")
+        gui = self.server.gui
+        gui.reset()
+        gui.set_panel_label("i2t")
+        gui.configure_theme(show_logo=False, show_share_button=False)  # a share would make the page public
+        choice = gui.add_button_group("scene", tuple(self._scenes))
+        self.on(choice.on_click, lambda: ShowScene(choice.value))
+        self._message = gui.add_markdown(f"{name}: loading ...")
+        scene = self._scenes[name]()
+        scene.build(self)
+        self._scene = scene
+        self.say(scene.state.message)
+        scene.draw(scene.state)
