@@ -38,53 +38,53 @@ EPISODE_OBJECTS = ("hammer", "screwdriver", "star", "cylinder", "square")  # can
 class ViewArgs:
     """Look at an object, an episode, recorded touches or a running skin in the browser."""
 
+    # name of an object in the catalogue, a mesh file, a folder or file of touches, nominal (the touches that come
+    # with i2t), or live
     what: tyro.conf.Positional[str] = "hammer"
-    """Name of an object in the catalogue, a mesh file, a folder or file of touches, nominal (the touches that come with
-    i2t), or live."""
+    # unit of mesh files whose names have none (mug.stl:mm); glTF is in metres
     unit: Literal["m", "cm", "mm", "inch"] | None = None
-    """Unit of mesh files whose names have none (mug.stl:mm); glTF is in metres."""
+    # address to listen on. The page has no password
     host: str = "127.0.0.1"
-    """Address to listen on. The page has no password."""
+    # port to listen on; the next free one if it is taken
     port: Annotated[int, Limits(1, 65535)] = 8080
-    """Port to listen on; the next free one if it is taken."""
+    # open no browser
     no_browser: bool = False
-    """Open no browser."""
+    # scene to begin with; by default that of WHAT
     scene: Literal["explore", "recognise", "replay", "live"] | None = None
-    """Scene to begin with; by default that of WHAT."""
+    # predictors to choose from: nominal, or folders in which one was trained
     models: tuple[str, ...] = ("nominal",)
-    """Predictors to choose from: nominal, or folders in which one was trained."""
+    # pads to simulate with: nominal, files of pads, or boards (anyskin, grid-5x5) with a random pad
     pads: tuple[str, ...] = ("nominal",)
-    """Pads to simulate with: nominal, files of pads, or boards (anyskin, grid-5x5) with a random pad."""
+    # candidates of "recognise": names in the catalogue or mesh files
     objects: tuple[Path, ...] = ()
-    """Candidates of "recognise": names in the catalogue or mesh files."""
+    # recorded sessions for "recognise" and "replay"
     dataset: Path | None = None
-    """Recorded sessions for "recognise" and "replay"."""
+    # pad model for "recognise": folder of a fit, file, or nominal
     pad_model: Path = Path("nominal")
-    """Pad model for "recognise": folder of a fit, file, or nominal."""
+    # skin for "live": reskin, emulated, a name that a package registers, or package.module:Class
     skin: str = "reskin"
-    """Skin for "live": reskin, emulated, a name that a package registers, or package.module:Class."""
+    # port of the skin; by default, that of the only board that is plugged in
     address: str | None = None
-    """Port of the skin; by default, that of the only board that is plugged in."""
+    # board of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file (.toml)
     board: str | None = None
-    """Board of the skin: reskin, anyskin, eflesh, grid-RxC, or a board file (.toml)."""
+    # calibration of the skin, with which "live" shows the place of a contact
     calibration: str | None = None
-    """Calibration of the skin, with which "live" shows the place of a contact."""
+    # table of all samples that the button "record" of "live" writes
     record: Path = Path("runs/live.csv")
-    """Table of all samples that the button "record" of "live" writes."""
+    # write the touches as an HTML page in a file, and open no page
     html: bool = False
-    """Write the touches as an HTML page in a file, and open no page."""
+    # write the touches as a Rerun recording (.rrd), and open no page
     rerun: bool = False
-    """Write the touches as a Rerun recording (.rrd), and open no page."""
+    # folder of the files of --html and --rerun, which are named after the touches
     out: Path = Path("runs/view")
-    """Folder of the files of --html and --rerun, which are named after the touches."""
+    # object of the touches: its name in the catalogue, or a mesh file. By default, as the touches name it
     mesh: str | None = None
-    """Object of the touches: its name in the catalogue, or a mesh file. By default, as the touches name it."""
+    # maximum number of touches to show; the first ones are shown. By default, all
     touches: Count | None = None
-    """Maximum number of touches to show; the first ones are shown. By default, all."""
+    # name of the skin to show; required if each touch has readings of several skins
     skin_name: str | None = None
-    """Name of the skin to show; required if each touch has readings of several skins."""
+    # replace existing files
     overwrite: bool = False
-    """Replace existing files."""
 
 
 def _view(args: ViewArgs) -> None:
@@ -219,13 +219,14 @@ def _live(args: ViewArgs) -> "Scene":
     from i2t.skin_models.calibration import load_calibration
     from i2t.view.live import LiveScene
 
-    stack, address = ExitStack(), args.address
+    address = args.address
     calibration = None if args.calibration is None else load_calibration(args.calibration)
-    if args.skin == "emulated" and address is None:  # nothing presses this board but its own emulator
-        address, _ = stack.enter_context(run_board("--press", "1", "--board", args.board or DEFAULT_BOARD))
-    skin = load_device("skin", args.skin, DeviceSetup(Rig(), address, board=args.board))
-    board = getattr(skin, "board", None) or make_board(args.board or DEFAULT_BOARD)
-    return LiveScene(skin, board, calibration, args.record, stack)
+    with ExitStack() as stack:
+        if args.skin == "emulated" and address is None:  # nothing presses this board but its own emulator
+            address, _ = stack.enter_context(run_board("--press", "1", "--board", args.board or DEFAULT_BOARD))
+        skin = load_device("skin", args.skin, DeviceSetup(Rig(), address, board=args.board, stack=stack))
+        board = getattr(skin, "board", None) or make_board(args.board or DEFAULT_BOARD)
+        return LiveScene(skin, board, calibration, args.record, stack.pop_all())
 
 
 main = command(ViewArgs, _view, program="python -m i2t.view", description=docstring_of("i2t.view.command"))

@@ -1,4 +1,4 @@
-"""Contents of a session or data set for viewing, as one list of items that every writer shows.
+"""Contents of a session or data set for viewing.
 
 Times are Unix time where touches were recorded with time series. Other touches are a second apart.
 """
@@ -8,62 +8,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
 
 from i2t.dataset import Dataset, Record, Series, holds_simulated, load_dataset, read_touch
-from i2t.dataset.sets import AXIS_NAMES
 from i2t.depth.camera import Camera
 from i2t.objects.catalogue import NAMES, make_object
 from i2t.objects.named import read_object
 from i2t.objects.solids import Mesh
-
-Times: TypeAlias = Float[np.ndarray, " n"]  # s, times
-
-
-class Poses(NamedTuple):
-    """Poses (4, 4) of the object, tool or camera in the world over time, in m."""
-
-    frame: str  # "object", "tool" or "camera"
-    time: Times
-    T: Float[np.ndarray, "n 4 4"]  # pose of the frame in the world
-
-
-class Numbers(NamedTuple):
-    """Time series of readings (uT), temperature (degrees Celsius), force (N) or torque (Nm); NaN where unknown."""
-
-    place: str  # "readings" (uT, ambient subtracted), "temperature" (degrees Celsius), "force" (N) or "torque" (Nm)
-    names: tuple[str, ...]
-    time: Times
-    values: Float[np.ndarray, "n names"]
-
-
-class Field(NamedTuple):
-    """Readings (uT) over time as one vector in tool axes for each chip of the board."""
-
-    time: Times
-    vectors: Float[np.ndarray, "n chips 3"]  # uT, tool axes
-
-
-class DepthImage(NamedTuple):
-    """A depth image or depth patch (m) of a touch, its frame and its time (s)."""
-
-    place: str  # "depth" or "patch"
-    frame: str  # frame in which it was taken
-    time: float  # s, time at which the picture was taken
-    metres: Float[np.ndarray, "rows columns"]
-
-
-class Events(NamedTuple):
-    """Text events of a touch and their Unix times (s)."""
-
-    time: Times
-    texts: tuple[str, ...]
-
-
-Item: TypeAlias = Poses | Numbers | Field | DepthImage | Events
 
 
 @dataclass(frozen=True)
@@ -153,50 +106,7 @@ def mesh_of(contents: Contents, row: int) -> Mesh | None:
 _catalogue_mesh = cache(lambda name: make_object(name).mesh)
 
 
-def items(contents: Contents, number: int, record: Record) -> Iterator[Item]:
-    """Generate the items to show of a touch.
-
-    Args:
-        contents: The session or data set.
-        number: Index of the touch in it.
-        record: Record of the touch.
-
-    Yields:
-        The poses, images, readings, forces and events of the touch, as far as they were recorded.
-    """
-    touches, series, board = record.touch.touches, record.series, contents.dataset.board
-    start, end = span(number, record)
-    begin_time, end_time = np.array([start]), np.array([end])
-    yield Poses("object", begin_time, np.asarray(touches.T_w_o[:1], float))
-    if "pose" in series:
-        rows = _thinned(series["pose"].time)
-        yield Poses("tool", series["pose"].time[rows], series["pose"].values[rows].reshape(-1, 4, 4))
-    yield Poses("tool", end_time, np.asarray(touches.T_w_t[:1], float))
-    yield DepthImage("patch", "tool", start, np.asarray(touches.patch[0], np.float32))
-    if "camera" in series and len(series["camera"].values):
-        yield Poses("camera", begin_time, series["camera"].values[:1].reshape(1, 4, 4))
-    if "depth" in record.images:
-        image = record.images["depth"]
-        yield DepthImage("depth", "camera", start, (image.values * image.scale).astype(np.float32))
-    time, readings = readings_of(number, record)
-    names = tuple(f"chip{chip}/{axis}" for chip in range(board.num_chips) for axis in AXIS_NAMES)
-    yield Numbers("readings", names, time, readings)
-    rows = _thinned(time)
-    times, shown = np.append(time[rows], end), np.concatenate([readings[rows], np.asarray(touches.reading[:1], float)])
-    yield Field(times, np.nan_to_num(np.stack([board.to_tool(reading) for reading in shown])))
-    if "temperature" in series:
-        chips = tuple(f"chip{chip}" for chip in range(board.num_chips))
-        yield Numbers("temperature", chips, series["temperature"].time, series["temperature"].values)
-    if "wrench" in series:
-        yield Numbers("force", AXIS_NAMES, series["wrench"].time, series["wrench"].values[:, :3])
-        yield Numbers("torque", AXIS_NAMES, series["wrench"].time, series["wrench"].values[:, 3:])
-    else:
-        yield Numbers("force", ("normal",), begin_time, np.asarray(touches.force[:1, None], float))
-    if record.events:
-        yield Events(np.array([when for when, _ in record.events]), tuple(text for _, text in record.events))
-
-
-def readings_of(number: int, record: Record) -> tuple[Times, Float[np.ndarray, "n c"]]:
+def readings_of(number: int, record: Record) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, "n c"]]:
     """Read the readings of a touch, with the ambient subtracted.
 
     Args:
@@ -227,14 +137,6 @@ def span(number: int, record: Record) -> tuple[float, float]:
     recorded: list[Series] = [series for series in record.series.values() if len(series.time)]
     times = [float(series.time[i]) for series in recorded for i in (0, -1)] + [when for when, _ in record.events]
     return (min(times), max(times)) if times else (float(number),) * 2
-
-
-def _thinned(time: np.ndarray, rate: float = 30.0) -> np.ndarray:
-    """Choose the rows of a series at about `rate` (Hz), fast enough for animated poses and field vectors."""
-    if not len(time):
-        return np.zeros(0, np.int64)
-    slots = np.floor((time - time[0]) * rate).astype(np.int64)
-    return np.unique(slots, return_index=True)[1]
 
 
 def camera_of(dataset: Dataset) -> Camera | None:

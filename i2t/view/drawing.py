@@ -96,9 +96,12 @@ class SkinNode:
         self._scene, self._name, self._sets = scene, name, 0
         size = (PAD_WINDOW, PAD_WINDOW)
         scene.add_box(f"{name}/skin", color=SKIN_COLOUR, dimensions=(*size, 2e-3), position=(0, 0, -1e-3), opacity=0.75)
-        self._field = scene.add_frame(f"{name}/field", show_axes=False, position=(0, 0, -lift))
+        scene.add_frame(f"{name}/field", show_axes=False, position=(0, 0, -lift))
         if lift:
             scene.add_box(f"{name}/field/plate", color=SKIN_COLOUR, dimensions=(*size, 5e-4), opacity=0.35)
+            corners = np.array([[x, y, 0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * PAD_WINDOW
+            lines = np.stack([corners, corners + np.array([0, 0, lift])], 1)
+            scene.add_line_segments(f"{name}/field/edges", lines, SKIN_COLOUR, thickness=3e-4)
 
     def draw(self, board: Board, readings: Mapping[str, Reading], scale: float) -> None:
         """Draw the field of some readings, each in its colour.
@@ -133,7 +136,7 @@ class SkinNode:
         normal = np.maximum(abs(vectors[:, 2]) / 2, 1e-6)
         shades = np.where(vectors[:, 2:] > 0, rgb, 128 + rgb // 2)
         self._scene.add_arrows(
-            f"{name}/arrows", np.stack([chips, tips], 1), rgb, shaft_radius=3.5e-4, head_radius=8e-4, head_length=1.2e-3
+            f"{name}/arrows", np.stack([chips, tips], 1), rgb, shaft_radius=2.5e-4, head_radius=6e-4, head_length=8e-4
         )
         discs = {"batched_scales": np.stack([normal, normal, np.full_like(normal, 2e-3)], 1), "batched_colors": shades}
         balls = {"batched_scales": np.sqrt(np.maximum(squares, 1e-14)), "batched_colors": rgb}

@@ -5,11 +5,12 @@ one's choice simulates it without errors of arm and sensor.
 """
 
 import textwrap
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+import viser.transforms
 
 from i2t import viz
 from i2t.contact.press import PressLimits
@@ -20,15 +21,18 @@ from i2t.objects.solids import Object
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading, TouchBatch
 from i2t.rendering.render import prepare_surface
-from i2t.simulation.sites import explain_unsafe
+from i2t.simulation.sites import explain_unsafe, sample_touch_sites
 from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin.boards import same_board
 from i2t.types import Array, Board, Pad, ReturnCode, Surface
 from i2t.view.drawing import SkinNode, add_mesh, place
-from i2t.view.server import Page
+from i2t.view.server import Page, Scene
 from i2t.viz.skins import common_scale
 
-NONE = "none"  # name of the choice of no pad
+NO_PAD = "none"  # choice of no simulated pad
+REFUSED = "**No touch here:** "  # begins the message about a touch that is refused
+UNITS = {"force": ("N", 1.0), "travel": ("mm of travel", 1e3)}  # of the load that is shown, with its factor
+BLANK = np.full((8, 8, 3), 255, np.uint8)  # picture before the first touch
 
 
 class Explorer(NamedTuple):
@@ -87,20 +91,8 @@ def begin(thing: Object, predictors: Mapping[str, Predictor], pads: Mapping[str,
     """
     first = next(iter(predictors))
     message = "\n\n".join(filter(None, ["Click the object to press the skin there.", describe_placement(thing)]))
-    surface, pad = prepare_surface(thing.mesh), next(iter(pads), NONE)
-    return Explorer(thing, surface, predictors, pads, first, pad, usual_load(predictors[first]), message)
-
-
-def usual_load(predictor: Predictor) -> float:
-    """Return the load of the typical training touch of a predictor.
-
-    Args:
-        predictor: The predictor.
-
-    Returns:
-        Force (N) or travel (m), as the predictor takes it.
-    """
-    return predictor.default_force if predictor.load == "force" else predictor.default_travel
+    surface, load = prepare_surface(thing.mesh), _usual_load(predictors[first])
+    return Explorer(thing, surface, predictors, pads, first, next(iter(pads), NO_PAD), load, message)
 
 
 def update(state: Explorer, event: Any) -> Explorer:
@@ -119,104 +111,88 @@ def update(state: Explorer, event: Any) -> Explorer:
             if point is None:
                 return state
             try:
-                return _touched(state._replace(T_o_t=contact_pose(state.object.mesh, point)))
+                state = state._replace(T_o_t=contact_pose(state.object.mesh, point))
             except ValueError as error:
-                T_o_t = np.eye(4)
-                T_o_t[:3, 3] = point
-                return _refused(state._replace(T_o_t=T_o_t), error)
+                return _refused(state._replace(T_o_t=np.r_[np.c_[np.eye(3), point], [[0, 0, 0, 1]]]), error)
         case Moved(T_o_t):
-            return _touched(state._replace(T_o_t=np.asarray(T_o_t, np.float64)))
+            state = state._replace(T_o_t=np.asarray(T_o_t, np.float64))
         case Loaded(load):
-            return _touched(state._replace(load=load))
+            state = state._replace(load=load)
         case Chosen(predictor, pad):
             same = state.predictors[predictor].load == state.predictors[state.predictor].load
-            load = state.load if same else usual_load(state.predictors[predictor])
-            return _touched(state._replace(predictor=predictor, pad=pad, load=load))
-    return state
+            load = state.load if same else _usual_load(state.predictors[predictor])
+            state = state._replace(predictor=predictor, pad=pad, load=load)
+    return state if state.T_o_t is None else _touched(state, state.T_o_t)
 
 
-def _touched(state: Explorer) -> Explorer:
-    """Predict and simulate the touch at the state's pose."""
-    if state.T_o_t is None:
-        return state
+def _touched(state: Explorer, T_o_t: Array) -> Explorer:
+    """Predict the touch at a pose, and simulate it."""
     predictor, pad = state.predictors[state.predictor], state.pads.get(state.pad)
+    load: dict[str, Any] = {predictor.load: state.load}
     try:
-        seen = predictor.render_touches(state.surface, state.T_o_t[None])
-        load: dict[str, Any] = {predictor.load: state.load}
+        seen = predictor.render_touches(state.surface, T_o_t[None])
         mean, std = predictor.predict(seen, **load)
     except ValueError as error:
         return _refused(state, error)
-    readings, board, lines = {"predicted": Reading(mean[0], std[0])}, predictor.board, []
+    unit, factor = UNITS[predictor.load]
+    readings, board = {"predicted": Reading(mean[0], std[0])}, predictor.board
+    lines = [f"**{state.object.name}, {factor * state.load:.2f} {unit}**"]
     if pad is not None and predictor.load != "force":
         lines.append("The pad is pressed by force and this predictor by travel, so the touch is not simulated.")
     elif pad is not None:
-        touch = simulate(state.surface, pad, state.load)(state.T_o_t)
-        simulated = Reading(touch.reading, np.zeros_like(touch.reading))
+        limits = PressLimits(force=state.load, skin_change=1e9, overshoot=0.0)  # the force alone ends the press
+        exact = SimulationErrors.error_free()
+        touch = touch_simulator(jax.random.key(0), state.surface, pad, errors=exact, limits=limits)(T_o_t)
         if int(touch.code) == ReturnCode.AIR:
             lines.append("The simulated press meets nothing.")
-        elif board is not None and same_board(pad.board, board):
-            readings["simulated"] = simulated
-        else:
-            readings, board = {"simulated": simulated}, Board(*map(np.asarray, pad.board))
+        elif board is None or not same_board(pad.board, board):
+            readings, board = {}, Board(*map(np.asarray, pad.board))
             lines.append("Pad and predictor are of different boards, so only the simulated reading is drawn.")
-    if unsafe := explain_unsafe(state.surface, state.T_o_t):
+        readings["simulated"] = Reading(touch.reading, np.zeros_like(touch.reading))
+    if unsafe := explain_unsafe(state.surface, T_o_t):
         lines.append(f"An arm would not touch here: {unsafe}.")
-    pressed = f"{state.load:.2f} N" if predictor.load == "force" else f"{1e3 * state.load:.2f} mm of travel"
-    message = "\n\n".join([f"**{state.object.name}, {pressed}**", *lines])
-    return state._replace(seen=seen, readings=readings, board=board, message=message)
+    return state._replace(seen=seen, readings=readings, board=board, message="\n\n".join(lines))
 
 
-def simulate(surface: Surface, pad: Pad, force: float) -> Callable[[Array], Any]:
-    """Make a function that simulates a press up to a force, without errors of arm, camera and sensor.
-
-    Args:
-        surface: The touched surface.
-        pad: The pad.
-        force: Force (N) at which the press ends.
-
-    Returns:
-        A function of a tool pose that returns the touch.
-    """
-    limits = PressLimits(force=force, skin_change=1e9, overshoot=0.0)
-    return touch_simulator(jax.random.key(0), surface, pad, errors=SimulationErrors.error_free(), limits=limits)
+def _usual_load(predictor: Predictor) -> float:
+    return predictor.default_force if predictor.load == "force" else predictor.default_travel
 
 
 def _refused(state: Explorer, error: ValueError) -> Explorer:
-    reason = str(error).removeprefix("point: ")
-    return state._replace(seen=None, readings={}, board=None, message=f"**No touch here:** {reason}")
+    return state._replace(seen=None, readings={}, message=REFUSED + str(error).removeprefix("point: "))
 
 
-class ExploreScene:
-    """Nodes and widgets of the scene.
+class ExploreScene(Scene):
+    """Nodes and widgets of the scene."""
 
-    Args:
-        state: State before the first touch.
-    """
-
-    def __init__(self, state: Explorer) -> None:
-        self.state = state
-        self.update = update
+    update = staticmethod(update)
 
     def build(self, page: Page) -> None:
-        """Add the object, the skin with its handles, and the widgets."""
+        """Add the object, the skin with its handles, and the widgets; touch a first place."""
         state, gui, self._scene = self.state, page.server.gui, page.server.scene
         page.look_at(state.object.mesh.vertices)
         mesh = add_mesh(self._scene, "/object", state.object.mesh)
         mesh.on_click(lambda click: page.send(Clicked(click.ray_origin, click.ray_direction)))
-        self._handles = self._scene.add_transform_controls("/tool", scale=0.03, line_width=1.5, visible=False)
-        self._handles.on_update(lambda change: page.send(Moved(pose_of(change.target))))
+        self._handles = self._scene.add_transform_controls("/tool", scale=0.02, line_width=1.5, visible=False)
+        page.on(self._handles.on_update, lambda: Moved(pose_of(self._handles)))
         self._skin = SkinNode(self._scene, "/tool")
-        forces = gui.add_slider("force (N)", 0.1, 4.0, 0.05, min(state.load, 4.0))
-        travels = gui.add_slider("travel (mm)", 0.05, 4.0, 0.05, min(1e3 * state.load, 4.0))
-        page.on(forces.on_update, lambda: Loaded(float(forces.value)))
-        page.on(travels.on_update, lambda: Loaded(1e-3 * travels.value))
-        self._loads = {"force": forces, "travel": travels}
+        self._loads = {}
+        for load, (unit, factor) in UNITS.items():
+            slider = gui.add_slider(
+                f"{load} ({unit[:2].strip()})", 0.1, 4.0, 0.1, round(min(factor * state.load, 4), 1)
+            )
+            page.on(slider.on_update, lambda slider=slider, factor=factor: Loaded(slider.value / factor))
+            self._loads[load] = slider
         predictors = gui.add_dropdown("predictor", tuple(state.predictors), initial_value=state.predictor)
-        pads = gui.add_dropdown("simulated pad", (NONE, *state.pads), initial_value=state.pad)
+        pads = gui.add_dropdown("simulated pad", (NO_PAD, *state.pads), initial_value=state.pad)
         for choice in (predictors, pads):
             page.on(choice.on_update, lambda: Chosen(predictors.value, pads.value))
-        self._picture = gui.add_image(np.full((8, 8, 3), 255, np.uint8), format="png", visible=False)
+        self._picture = gui.add_image(BLANK, format="png", visible=False)
         self._numbers = gui.add_markdown("")
+        try:
+            page.send(Moved(sample_touch_sites(state.object.mesh, 1, seed=0).T_o_t[0]))
+        except ValueError as error:  # no safe site
+            page.say(f"{state.message}\n\n{error}")
 
     def draw(self, state: Explorer) -> None:
         """Show the touch: first skin and numbers, then the picture, which takes longer."""
@@ -228,20 +204,22 @@ class ExploreScene:
         self._handles.visible = True
         place(self._handles, state.T_o_t)
         self._picture.visible = bool(state.readings)
+        self._numbers.content = describe(state) if state.readings else ""
         if state.seen is None or state.board is None:
             self._skin.clear()
-            self._numbers.content = ""
-            reason = state.message.removeprefix("**No touch here:** ")
-            text = textwrap.shorten(reason, 60, placeholder=" ...")
+            text = textwrap.shorten(state.message.removeprefix(REFUSED), 60, placeholder=" ...")
             self._scene.add_label("/refusal", text, position=state.T_o_t[:3, 3])
             return
-        scale = common_scale(np.stack([reading.mean for reading in state.readings.values()]))
-        self._skin.draw(state.board, state.readings, scale)
-        self._numbers.content = describe(state)
-        self._picture.image = viz.pixels(_figure(state))
-
-    def close(self) -> None:
-        """Nothing is held."""
+        readings = {name: reading.mean[None] for name, reading in state.readings.items()}
+        self._skin.draw(state.board, state.readings, common_scale(np.stack(list(readings.values()))))
+        predictor = state.predictors[state.predictor]
+        simulated = "simulated" in readings or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
+        figure = viz.plot_predicted_touches(
+            state.seen.patch, readings, [""], state.board, state.object.name, simulated,
+            std={name: reading.std[None] for name, reading in state.readings.items() if reading.std.any()},
+            views=state.seen.view, window=predictor.window, reach=predictor.reach,
+        )  # fmt: skip
+        self._picture.image = viz.pixels(figure)
 
 
 def pose_of(node: Any) -> Array:
@@ -253,11 +231,8 @@ def pose_of(node: Any) -> Array:
     Returns:
         `(4, 4)` pose (m).
     """
-    import viser.transforms
-
-    return viser.transforms.SE3.from_rotation_and_translation(
-        viser.transforms.SO3(np.asarray(node.wxyz, np.float64)), np.asarray(node.position, np.float64)
-    ).as_matrix()
+    rotation = viser.transforms.SO3(np.asarray(node.wxyz, np.float64))
+    return viser.transforms.SE3.from_rotation_and_translation(rotation, np.asarray(node.position, float)).as_matrix()
 
 
 def describe(state: Explorer) -> str:
@@ -267,29 +242,11 @@ def describe(state: Explorer) -> str:
         state: State with a touch.
 
     Returns:
-        Markdown: the tool pose as Python's nested lists (m), and a table of the readings (uT) in the board's order.
+        Markdown: the tool pose (m), and the readings (uT) with a row for each chip, as Python's nested lists.
     """
-    pose = np.array2string(np.asarray(state.T_o_t), precision=7, separator=", ", suppress_small=True)
-    head = ["chip", *state.readings]
-    rows = [head, ["---"] * len(head)]
-    for chip in range(next(iter(state.readings.values())).mean.size // 3):
-        row = [str(chip)]
-        for mean, std in state.readings.values():
-            values = zip(mean.reshape(-1, 3)[chip], std.reshape(-1, 3)[chip], strict=True)
-            row.append(", ".join(f"{value:.1f}" + f" ± {spread:.1f}" * bool(spread) for value, spread in values))
-        rows.append(row)
-    table = "\n".join(f"| {' | '.join(row)} |" for row in rows)
-    return f"T_o_t (m)\n```\n{pose}\n```\nx, y, z in the chips' axes (µT)\n\n{table}"
-
-
-def _figure(state: Explorer) -> Any:
-    assert state.seen is not None
-    assert state.board is not None
-    predictor = state.predictors[state.predictor]
-    source = (predictor.metadata or {}).get("source", "simulated")
-    return viz.plot_predicted_touches(
-        state.seen.patch, {name: reading.mean[None] for name, reading in state.readings.items()}, [""], state.board, "",
-        "simulated" in state.readings or holds_simulated(source),
-        std={name: reading.std[None] for name, reading in state.readings.items() if reading.std.any()},
-        views=state.seen.view, window=predictor.window, reach=predictor.reach,
-    )  # fmt: skip
+    shown = {"T_o_t (m)": np.asarray(state.T_o_t)}
+    for name, (mean, std) in state.readings.items():
+        shown |= {f"{name} (µT)": mean.reshape(-1, 3)} | ({"± std (µT)": std.reshape(-1, 3)} if std.any() else {})
+    texts = {name: np.array2string(array, precision=7 - 6 * (array.shape[1] == 3), separator=", ",
+                                   suppress_small=True) for name, array in shown.items()}  # fmt: skip
+    return "\n".join(f"{name}\n```\n{text}\n```" for name, text in texts.items())

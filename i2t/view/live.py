@@ -3,11 +3,12 @@
 The samples are read, and recorded, in a thread of their own, so that a slow browser loses none.
 """
 
+import itertools
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,12 +18,13 @@ from jaxtyping import Float
 from i2t.errors import DeviceError
 from i2t.hardware.protocols import Samples, Skin, SkinCounters
 from i2t.hardware.reskin.monitor import REST_SAMPLES, SHOWN_SAMPLES, judge_rest, sample_recorder
+from i2t.patches.dimensions import PAD_WINDOW
 from i2t.prediction.touch_model import Reading
 from i2t.skin.boards import mean_finite
 from i2t.skin_models.calibration import Calibration, PressEstimate
 from i2t.types import Board
 from i2t.view.drawing import SkinNode
-from i2t.view.server import Page
+from i2t.view.server import Page, Scene
 
 FRAME_S = 1 / 30  # s, time from one picture to the next
 TOUCHED_UT, MAX_MISFIT = 20.0, 5.0  # uT and standard deviations, between which a contact has a place
@@ -115,47 +117,48 @@ def _worded(where: PressEstimate, load_kind: str) -> str:
     return f"contact at x {x:.1f} ± {dx:.1f} mm, y {y:.1f} ± {dy:.1f} mm (loads: {load_kind})"
 
 
-class LiveScene:
+class LiveScene(Scene):
     """Nodes, widgets and the thread of the scene, which holds the skin until it is closed.
 
     Args:
         skin: The skin, not connected.
         board: Its board.
         calibration: Calibration of this skin, from which the place of a contact follows.
-        record: Table to write when "record" is pressed; a number is added to its name if it exists.
+        table: Table to write when "record" is pressed; a number is added to its name if it exists.
         stack: Stack that ends what was started for the skin.
     """
 
+    update = staticmethod(update)
+
     def __init__(
-        self, skin: Skin, board: Board, calibration: Calibration | None, record: Path, stack: ExitStack
+        self, skin: Skin, board: Board, calibration: Calibration | None, table: Path, stack: ExitStack
     ) -> None:
-        self.state = Live(f"{skin.features.name} ({skin.features.source})", board, calibration)
-        self.update = update
-        self._skin, self._path, self._stack = skin, record, stack
+        super().__init__(Live(f"{skin.features.name} ({skin.features.source})", board, calibration))
+        self._skin, self._path, self._stack = skin, table, stack
         self._stop, self._thread = threading.Event(), threading.Thread(target=self._read, name="live", daemon=True)
-        self._recording = ExitStack()
-        self._write: Callable[[], None] | None = None
-        self._lock = threading.Lock()
-        self._zero_from: int | None = -1  # number of the sample from which zero is measured; -1 for the next one
-        self._frames: deque[float] = deque(maxlen=30)  # s, times of the newest pictures
+        self._zeroes, self._records = True, False  # whether zero and a recording are wanted
+        self._zero_from: int | None = None  # number of the sample from which zero is measured
+        self._write: Callable[[], None] | None = None  # writes the samples since its last call
+        self._reported = ""  # reason of the loss that was reported last
+        self._drawn: deque[float] = deque(maxlen=30)  # s, times of the newest pictures
 
     def build(self, page: Page) -> None:
         """Add the skin and the widgets, and begin to read."""
-        self._page, gui = page, page.server.gui
-        edge = 0.02
-        page.look_at(np.array([[-edge, -edge, 0], [edge, edge, edge]]))
-        self._node = SkinNode(page.server.scene, "/tool", lift=0.0)
-        self._dot = page.server.scene.add_icosphere("/tool/place", radius=1e-3, color=(0, 0, 0), visible=False)
-        gui.add_button("zero").on_click(lambda _: setattr(self, "_zero_from", -1))
-        gui.add_button("record").on_click(lambda _: self._toggle())
+        self._page, gui, scene = page, page.server.gui, page.server.scene
+        half = PAD_WINDOW / 2
+        page.look_at(np.array([[-half, -half, 0], [half, half, 0]]))
+        self._node = SkinNode(scene, "/tool", lift=0.0)
+        self._dot = scene.add_icosphere("/tool/place", radius=1e-3, color=(0, 0, 0), visible=False)
+        gui.add_button("zero").on_click(lambda _: setattr(self, "_zeroes", True))
+        gui.add_button("record").on_click(lambda _: setattr(self, "_records", not self._records))
         gui.add_button("connect again").on_click(lambda _: self._connect())
-        self._scale = gui.add_slider("scale (µT)", 5, 500, 5, 50)
+        self._scale = gui.add_slider("5 mm are (µT)", 5, 500, 5, 50)
         self._connect()
         self._thread.start()
 
     def draw(self, state: Live) -> None:
         """Show the newest samples."""
-        self._frames.append(time.monotonic())
+        self._drawn.append(time.monotonic())
         if state.change is not None:
             reading = Reading(state.change, np.zeros_like(state.change))
             self._node.draw(state.board, {"measured": reading}, float(self._scale.value))
@@ -169,69 +172,55 @@ class LiveScene:
         self._stop.set()
         if self._thread.is_alive():
             self._thread.join(timeout=5)
-        self._end_recording()
         self._skin.close()
         self._stack.close()
 
     def _connect(self) -> None:
         try:
             self._skin.connect()
-            self._zero_from = -1
+            self._zeroes = True
         except DeviceError as error:
             self._page.send(Lost(str(error)))
 
     def _read(self) -> None:
         """Record and show samples until the scene is closed; a skin that is gone may be connected again."""
-        lost = False
-        while not self._stop.wait(FRAME_S):
-            try:
-                newest = int(self._skin.latest().number[-1])
-                lost = False
-                with self._lock:
-                    if self._write is not None:
-                        self._write()
-                if self._zero_from == -1:
-                    self._zero_from = newest
-                if self._zero_from is not None and newest - self._zero_from >= REST_SAMPLES:
-                    self._page.send(Zeroed(self._skin.since(self._zero_from)))
-                    self._zero_from = None
-                fps = (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9) if self._frames else 0.0
-                self._page.send(Ticked(self._skin.since(newest - SHOWN_SAMPLES), self._skin.counters, fps))
-            except (DeviceError, OSError) as error:
-                if not lost:
-                    self._end_recording()
-                    self._page.send(Recorded(""))
-                    self._page.send(Lost(str(error)))
-                lost = True
+        with ExitStack() as table:
+            while not self._stop.wait(FRAME_S):
+                try:
+                    self._read_once(table)
+                except (DeviceError, OSError) as error:
+                    self._records, self._write = False, None
+                    with suppress(OSError):  # the disk may be full
+                        table.close()  # after the last samples
+                    if str(error) != self._reported:
+                        self._page.send(Lost(str(error)))
+                    self._reported = str(error)
 
-    def _toggle(self) -> None:
-        """Begin or end recording."""
-        with self._lock:
-            recording = self._write is not None
-        if recording:
-            self._end_recording()
-            self._page.send(Recorded(""))
-            return
-        path, number = self._path, 1
-        while path.exists():
-            number += 1
-            path = self._path.with_stem(f"{self._path.stem}-{number}")
-        try:
+    def _read_once(self, table: ExitStack) -> None:
+        """Send the newest samples to the page, and write those since the last call if a recording is wanted."""
+        newest, self._reported = int(self._skin.latest().number[-1]), ""
+        if self._records and self._write is None:
+            path = _unused(self._path)
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = path.open("x", newline="", buffering=1)
-            write = sample_recorder(self._skin, file)
-        except (DeviceError, OSError) as error:
-            self._page.say(f"not recorded: {error}")
-            return
-        with self._lock:
-            self._recording.push(file)
-            self._write = write
-        self._page.send(Recorded(str(path)))
+            self._write = sample_recorder(self._skin, table.enter_context(path.open("x", newline="", buffering=1)))
+            table.callback(self._write)
+            self._page.send(Recorded(str(path)))
+        elif self._write is not None and not self._records:
+            self._write = None
+            table.close()
+            self._page.send(Recorded(""))
+        if self._write is not None:
+            self._write()
+        if self._zeroes:
+            self._zeroes, self._zero_from = False, newest
+        if self._zero_from is not None and newest - self._zero_from >= REST_SAMPLES:
+            self._page.send(Zeroed(self._skin.since(self._zero_from)))
+            self._zero_from = None
+        fps = (len(self._drawn) - 1) / max(self._drawn[-1] - self._drawn[0], 1e-3) if self._drawn else 0.0
+        self._page.send(Ticked(self._skin.since(newest - SHOWN_SAMPLES), self._skin.counters, fps))
 
-    def _end_recording(self) -> None:
-        """Write the last samples and close the table."""
-        with self._lock:
-            write, self._write = self._write, None
-            if write is not None:
-                write()
-            self._recording.close()
+
+def _unused(path: Path) -> Path:
+    """Add a number to the name of a file that exists."""
+    names = (path.with_stem(f"{path.stem}-{number}") for number in itertools.count(2))
+    return path if not path.exists() else next(name for name in names if not name.exists())

@@ -64,13 +64,23 @@ def write_page(contents: Contents, path: Path, *, max_pictured: int = 10, max_ro
 def _time_courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:
     """Plot the time courses of the chosen touches whose series were recorded."""
     return [
-        (row, _time_course(record, contents.simulated, row))
+        (row, plot_time_course(record, contents.simulated, row))
         for row, record in enumerate(contents.records())
         if row in shown and "tactile" in record.series
     ]
 
 
-def _time_course(record: Record, simulated: bool, row: int) -> Figure:
+def plot_time_course(record: Record, simulated: bool, row: int) -> Picture:
+    """Plot the readings and forces of a touch over time.
+
+    Args:
+        record: Record of the touch, with the series of its samples.
+        simulated: Whether the touch is simulated.
+        row: Index of the touch.
+
+    Returns:
+        The figure.
+    """
     (time, readings), wrench = readings_of(row, record), record.series.get("wrench")
     figure = Picture(figsize=(9, 3.4), layout="constrained")
     left, right = figure.subplots(1, 2)

@@ -22,10 +22,11 @@ from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin_models.pad_model import KnownPad
 from i2t.types import Array, Board, Pad, ReturnCode
 from i2t.view.drawing import SkinNode, add_discs, add_mesh, place, quaternions
-from i2t.view.server import Page
+from i2t.view.server import Page, Scene
 from i2t.viz.skins import common_scale
 
 CONFIG = RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, so that an episode begins sooner
+GAP_M = 0.03  # m, between candidates
 
 
 class Step(NamedTuple):
@@ -133,9 +134,8 @@ def update(state: Recognition, event: Any) -> Recognition:
             touched = state.recorded.touched[state.recorded.sessions.index(name)]
             state = state._replace(session=name, touched=touched, steps=steps, shown=len(steps))
         case Begun(name) if state.recognizer is not None and state.pad is not None:
-            touch = touch_simulator(
-                jax.random.key(1), prepare_surface(state.meshes[name]), state.pad, errors=SimulationErrors()
-            )
+            surface = prepare_surface(state.meshes[name])
+            touch = touch_simulator(jax.random.key(1), surface, state.pad, errors=SimulationErrors())
             state = state._replace(touched=name, steps=(), shown=0, states=(state.recognizer.init(),), touch=touch)
     return state._replace(message=_message(state))
 
@@ -144,8 +144,12 @@ def _touched(state: Recognition, recognizer: ObjectRecognizer, number: int | Non
     """Touch a site, or the one that the belief chooses; the state stays if no more touch is needed."""
     assert state.touch is not None
     before = state.states[-1]
-    site = None if number is None else ChosenSite(number, recognizer.site_pose(number))
-    site = site or recognizer.choose_touch(before)
+    if number is None:
+        site = recognizer.choose_touch(before)
+    elif np.isfinite(recognizer.expected_information(before)[number]):
+        site = ChosenSite(number, recognizer.site_pose(number))
+    else:
+        raise ValueError("this site was touched already, or a touch there may be unsafe; choose another one")
     if site is None:
         return state
     touch = state.touch(site.T_w_t)
@@ -176,31 +180,26 @@ def _message(state: Recognition) -> str:
     return "\n\n".join(lines)
 
 
-class RecognizeScene:
-    """Nodes and widgets of the scene.
+class RecognizeScene(Scene):
+    """Nodes and widgets of the scene."""
 
-    Args:
-        state: The state before the first touch, or of a recorded session.
-    """
-
-    def __init__(self, state: Recognition) -> None:
-        self.state = state
-        self.update = update
+    update = staticmethod(update)
 
     def build(self, page: Page) -> None:
         """Add the candidates in a row, and the widgets."""
         state, self._page, self._scene = self.state, page, page.server.scene
-        spacing = 1.4 * max(float(np.ptp(mesh.vertices, axis=0)[:2].max()) for mesh in state.meshes.values())
+        widths = [float(np.ptp(mesh.vertices, axis=0)[0]) + GAP_M for mesh in state.meshes.values()]
+        self._columns = np.cumsum(widths) - np.array(widths) / 2  # m, x of the middle of each candidate
         self._frames = {}
         for column, (name, mesh) in enumerate(state.meshes.items()):
-            position = np.array([column * spacing, 0, 0])
+            position = np.array([self._columns[column], 0, 0])
             self._frames[name] = f"/candidates/{column}"
             self._scene.add_frame(self._frames[name], show_axes=False, position=position)
             add_mesh(self._scene, f"{self._frames[name]}/mesh", mesh)
             high = float(np.max(mesh.vertices, axis=0)[2]) + 0.03
             self._scene.add_label(f"{self._frames[name]}/label", name, position=(0, 0, high))
-        row = [mesh.vertices + np.array([i * spacing, 0, 0]) for i, mesh in enumerate(state.meshes.values())]
-        page.look_at(np.concatenate(row))
+        at = zip(state.meshes.values(), self._columns, strict=True)
+        page.look_at(np.concatenate([mesh.vertices + np.array([x, 0, 0]) for mesh, x in at]))
         gui, recorded = page.server.gui, state.recorded
         choices = tuple(state.meshes) if recorded is None else recorded.sessions
         begun = state.touched if recorded is None else state.session
@@ -214,23 +213,24 @@ class RecognizeScene:
             page.on(again.on_click, lambda: Begun(choice.value))
         self._slider: Any = gui.add_slider("touches", 0, 1, 1, 0)
         page.on(self._slider.on_update, lambda: Shown(int(self._slider.value)))
-        self._bars = gui.add_html("")
+        self._bars = gui.add_markdown("")
 
     def draw(self, state: Recognition) -> None:
         """Show the belief after the shown touches, and the sites of the next one."""
         p = state.probability
         self._slider.max = max(1, len(state.steps))
         self._slider.value = state.shown
-        self._bars.content = bars(dict(zip(state.meshes, p, strict=True)), state.touched)
+        rows = [
+            f"{share:4.0%} {name:12.12} {'█' * round(14 * share)}" for name, share in zip(state.meshes, p, strict=True)
+        ]
+        self._bars.content = "\n".join(["```", *rows, "```"])
+        gain = None if state.recognizer is None else state.recognizer.expected_information(state.states[state.shown])
         for column, (name, frame) in enumerate(self._frames.items()):
             last = int(column == p.argmax()) and state.shown
             self._draw_touches(state, frame, name, bool(last))
-            if state.recognizer is not None:
+            if state.recognizer is not None and gain is not None:
                 self._draw_ghosts(state, state.recognizer, frame, name)
-                self._draw_sites(state, state.recognizer, frame, column)
-
-    def close(self) -> None:
-        """Nothing is held."""
+                self._draw_sites(state.recognizer, gain, frame, column)
 
     def _draw_touches(self, state: Recognition, frame: str, name: str, leads: bool) -> None:
         """Draw the last shown touch on the most probable candidate, with its reading."""
@@ -250,32 +250,10 @@ class RecognizeScene:
             batched_opacities=weights / weights.max(), batched_colors=(86, 180, 233), lod="off", cast_shadow=False,
         )  # fmt: skip
 
-    def _draw_sites(self, state: Recognition, recognizer: ObjectRecognizer, frame: str, column: int) -> None:
+    def _draw_sites(self, recognizer: ObjectRecognizer, gain: np.ndarray, frame: str, column: int) -> None:
         """Draw the sites of a candidate, coloured by the information that is expected there."""
-        gain = recognizer.expected_information(state.states[state.shown])
         numbers = np.flatnonzero(np.asarray(recognizer.sites.owner) == column)
         share = gain[numbers] / max(float(np.nanmax(gain, initial=0.0)), 1e-9)
         colours = np.where(np.isfinite(share)[:, None], colormaps["inferno"](0.1 + 0.85 * share)[:, :3], 0.35)
         sites = add_discs(self._scene, f"{frame}/sites", np.asarray(recognizer.sites.T_w_t)[numbers], colours)
         sites.on_click(lambda click: self._page.send(Touch(int(numbers[click.instance_index]))))
-
-
-def bars(probabilities: Mapping[str, float], touched: str) -> str:
-    """Draw probabilities as bars.
-
-    Args:
-        probabilities: Probability of each candidate.
-        touched: Name of the touched object, which is marked.
-
-    Returns:
-        HTML.
-    """
-    import html
-
-    rows = [
-        f"<div style='margin:.2em 0'><small>{html.escape(name)}{' (touched)' * (name == touched)} {p:.0%}</small>"
-        f"<div style='background:#ddd'><div style='width:{100 * p:.1f}%;height:.6em;"
-        f"background:{'#0072B2' if name == touched else '#666666'}'></div></div></div>"
-        for name, p in probabilities.items()
-    ]
-    return f"<div style='padding:0 1em'>{''.join(rows)}</div>"

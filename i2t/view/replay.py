@@ -6,18 +6,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from i2t import viz
-from i2t.dataset import Record
 from i2t.errors import DataError
 from i2t.objects.solids import Mesh
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading
 from i2t.types import ReturnCode
-from i2t.view.contents import Contents, mesh_of, readings_of
+from i2t.view.contents import Contents, mesh_of
 from i2t.view.drawing import SkinNode, add_discs, add_mesh, place
-from i2t.view.server import Page
+from i2t.view.page import plot_time_course
+from i2t.view.server import Page, Scene
 from i2t.viz.scene import touch_colours
 from i2t.viz.skins import common_scale
-from i2t.viz.style import Picture, titled
+from i2t.viz.style import titled
 
 EVERY = "all"  # choice of a filter that leaves nothing out
 FILTERS = ("object", "session", "code")  # columns of the touches by which they are filtered
@@ -136,24 +136,18 @@ def _worded(state: Replay) -> Replay:
     return state._replace(message=f"**{title}**\n\n{session}, ended by {code}; {', '.join(known)}")
 
 
-class ReplayScene:
-    """Nodes and widgets of the scene.
+class ReplayScene(Scene):
+    """Nodes and widgets of the scene."""
 
-    Args:
-        state: State that shows a touch.
-    """
-
-    def __init__(self, state: Replay) -> None:
-        self.state = state
-        self.update = update
-        self._mesh: Mesh | None = None
+    update = staticmethod(update)
+    _mesh: Mesh | None = None  # of the shown object
 
     def build(self, page: Page) -> None:
         """Add the skin and the widgets."""
         state, gui, self._page, self._scene = self.state, page.server.gui, page, page.server.scene
         gui.add_markdown(state.message if not state.contents.path else f"`{state.contents.path}`")
-        self._time: Any = gui.add_slider("touch", 0, max(1, len(state.rows) - 1), 1, 0)
-        page.on(self._time.on_update, lambda: Shown(int(self._time.value)))
+        self._time: Any = gui.add_slider("touch", 1, max(2, len(state.rows)), 1, 1)
+        page.on(self._time.on_update, lambda: Shown(int(self._time.value) - 1))
         steps = gui.add_button_group("go to", ("previous", "next"))
         page.on(steps.on_click, lambda: Shown(self.state.at + (1 if steps.value == "next" else -1)))
         filters = [
@@ -177,7 +171,7 @@ class ReplayScene:
         """Show the touch on its object, its reading, its patch and its time course."""
         dataset, row = state.contents.dataset, state.row
         touches = dataset.touches
-        self._time.max, self._time.value = max(1, len(state.rows) - 1), state.at
+        self._time.max, self._time.value = max(2, len(state.rows)), state.at + 1
         mesh, T_o_t = mesh_of(state.contents, row), np.linalg.inv(touches.T_w_o) @ touches.T_w_t
         if mesh is not None and mesh is not self._mesh:
             self._page.look_at(mesh.vertices)
@@ -193,39 +187,14 @@ class ReplayScene:
         if np.isfinite(state.predicted.mean[row]).all():
             sets["predicted"] = Reading(state.predicted.mean[row], state.predicted.std[row])
         self._skin.draw(dataset.board, sets, common_scale(np.nan_to_num(reading.mean)))
-        self._picture.image = viz.pixels(
-            viz.plot_predicted_touches(
-                touches.patch[[row]], {name: np.nan_to_num(part.mean)[None] for name, part in sets.items()}, [""],
-                dataset.board, "", state.contents.simulated, window=dataset.window, reach=dataset.reach,
-                std={name: part.std[None] for name, part in sets.items() if part.std.any()},
-            )
+        figure = viz.plot_predicted_touches(
+            touches.patch[[row]], {name: np.nan_to_num(part.mean)[None] for name, part in sets.items()}, [""],
+            dataset.board, state.labels[0, row], state.contents.simulated,
+            std={name: part.std[None] for name, part in sets.items() if part.std.any()},
+            window=dataset.window, reach=dataset.reach,
         )  # fmt: skip
+        self._picture.image = viz.pixels(figure)
         record = state.contents.record(row)
         self._series.visible = "tactile" in record.series
         if self._series.visible:
-            self._series.image = viz.pixels(plot_time_course(record, row))
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
-def plot_time_course(record: Record, row: int) -> Any:
-    """Plot readings and forces of a touch over time.
-
-    Args:
-        record: Record of the touch, with the series of its samples.
-        row: Index of the touch.
-
-    Returns:
-        The figure.
-    """
-    (time, readings), wrench = readings_of(row, record), record.series.get("wrench")
-    figure = Picture(figsize=(3.6, 3.6), layout="constrained")
-    above, below = figure.subplots(2, 1, sharex=True)
-    above.plot(time - time[0], readings, lw=0.7)
-    above.set_ylabel("change of field (µT)")
-    if wrench is not None and len(wrench.time):
-        below.plot(wrench.time - time[0], wrench.values[:, :3], lw=1, label=list("xyz"))
-        below.legend(fontsize=8)
-    below.set(xlabel="time (s)", ylabel="force (N)")
-    return figure
+            self._series.image = viz.pixels(plot_time_course(record, state.contents.simulated, row))

@@ -12,15 +12,19 @@ The time line `touch` numbers the touches. Rerun (rerun.io) shows such a file wi
 is needed to write it.
 """
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from i2t.dataset import Record
+from i2t.dataset.sets import AXIS_NAMES
 from i2t.errors import require_extra
 from i2t.patches.dimensions import PAD_WINDOW
-from i2t.view.contents import Contents, DepthImage, Events, Field, Item, Numbers, Poses, camera_of, items, span
+from i2t.types import Board
+from i2t.view.contents import Contents, camera_of, readings_of, span
 
 require_rerun = partial(require_extra, "rerun", "a Rerun recording")  # raises MissingExtraError
 
@@ -46,9 +50,7 @@ def write_recording(contents: Contents, path: Path) -> Path:
     _log_statics(rr, partial(rr.log, static=True, recording=stream), contents)
     for number, record in enumerate(contents.records()):
         stream.set_time("touch", sequence=number)
-        stream.set_time("time", timestamp=span(number, record)[0])
-        for item in items(contents, number, record):
-            _log(rr, stream, contents, item)
+        _log_touch(rr, stream, contents.dataset.board, number, record)
     stream.flush()
     stream.disconnect()
     return path
@@ -71,31 +73,56 @@ def _log_statics(rr: Any, log: Any, contents: Contents) -> None:
         log("world/camera/image", rr.Pinhole(focal_length=focal, principal_point=centre, resolution=size))
 
 
-def _log(rr: Any, stream: Any, contents: Contents, item: Item) -> None:
-    """Log one item of a touch."""
+def _log_touch(rr: Any, stream: Any, board: Board, number: int, record: Record) -> None:
+    """Log what was recorded of a touch."""
+    touches, series = record.touch.touches, record.series
+    start, end = span(number, record)
 
     def put(time: float, place: str, what: Any) -> None:
         stream.set_time("time", timestamp=float(time))
         rr.log(place, what, recording=stream)
 
-    match item:
-        case Poses(frame, times, poses):
-            for time, T in zip(times, poses, strict=True):
-                if np.isfinite(T).all():
-                    put(time, f"world/{frame}", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
-        case Numbers(place, names, times, values):
-            for name, column in zip(names, np.asarray(values, np.float64).T, strict=True):
-                finite = np.isfinite(column)
-                if finite.any():
-                    line, scalars = rr.TimeColumn("time", timestamp=times[finite]), column[finite]
-                    columns = rr.Scalars.columns(scalars=scalars)
-                    rr.send_columns(f"{place}/{name}", [line], columns, recording=stream)
-        case Field(times, vectors):
-            chips = np.asarray(contents.dataset.board.chips)
-            for time, field in zip(times, 1e-4 * vectors, strict=True):  # a field of 50 uT is drawn 5 mm long
-                put(time, "world/tool/chips/field", rr.Arrows3D(origins=chips, vectors=field, radii=2e-4))
-        case DepthImage(place, _, time, metres):
-            put(time, "world/camera/image" if place == "depth" else place, rr.DepthImage(metres, meter=1.0))
-        case Events(times, texts):
-            for time, text in zip(times, texts, strict=True):
-                put(time, "events", rr.TextLog(text))
+    def put_pose(frame: str, time: float, T: np.ndarray) -> None:
+        if np.isfinite(T).all():
+            put(time, f"world/{frame}", rr.Transform3D(translation=T[:3, 3], mat3x3=T[:3, :3]))
+
+    def put_numbers(place: str, names: Sequence[str], time: np.ndarray, values: np.ndarray) -> None:
+        for name, column in zip(names, np.asarray(values, np.float64).T, strict=True):
+            finite = np.isfinite(column)
+            if finite.any():
+                line = rr.TimeColumn("time", timestamp=time[finite])
+                rr.send_columns(f"{place}/{name}", [line], rr.Scalars.columns(scalars=column[finite]), recording=stream)
+
+    put_pose("object", start, np.asarray(touches.T_w_o[0], float))
+    if "pose" in series:
+        for row in _thinned(series["pose"].time):
+            put_pose("tool", series["pose"].time[row], series["pose"].values[row].reshape(4, 4))
+    put_pose("tool", end, np.asarray(touches.T_w_t[0], float))
+    put(start, "patch", rr.DepthImage(np.asarray(touches.patch[0], np.float32), meter=1.0))
+    if "camera" in series and len(series["camera"].values):
+        put_pose("camera", start, series["camera"].values[0].reshape(4, 4))
+    if "depth" in record.images:
+        image = record.images["depth"]
+        put(start, "world/camera/image", rr.DepthImage((image.values * image.scale).astype(np.float32), meter=1.0))
+    time, readings = readings_of(number, record)
+    chips = [f"chip{chip}" for chip in range(board.num_chips)]
+    put_numbers("readings", [f"{chip}/{axis}" for chip in chips for axis in AXIS_NAMES], time, readings)
+    shown = [(time[row], readings[row]) for row in _thinned(time)] + [(end, np.asarray(touches.reading[0], float))]
+    for when, reading in shown:  # a field of 50 uT is drawn 5 mm long
+        field = 1e-4 * np.nan_to_num(board.to_tool(reading))
+        put(when, "world/tool/chips/field", rr.Arrows3D(origins=np.asarray(board.chips), vectors=field, radii=2e-4))
+    if "temperature" in series:
+        put_numbers("temperature", chips, series["temperature"].time, series["temperature"].values)
+    if "wrench" in series:
+        put_numbers("force", AXIS_NAMES, series["wrench"].time, series["wrench"].values[:, :3])
+        put_numbers("torque", AXIS_NAMES, series["wrench"].time, series["wrench"].values[:, 3:])
+    else:
+        put_numbers("force", ("normal",), np.array([start]), np.asarray(touches.force[:1, None], float))
+    for when, text in record.events:
+        put(when, "events", rr.TextLog(text))
+
+
+def _thinned(time: np.ndarray, rate: float = 30.0) -> np.ndarray:
+    """Choose the rows of a series at about `rate` (Hz), fast enough for animated poses and field vectors."""
+    slots = np.floor((time - time[:1]) * rate).astype(np.int64)
+    return np.unique(slots, return_index=True)[1]

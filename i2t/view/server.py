@@ -14,8 +14,9 @@ import sys
 import threading
 import warnings
 import webbrowser
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -26,21 +27,27 @@ LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")  # addresses that only this mach
 log = logging.getLogger(__name__)
 
 
-class Scene(Protocol):
-    """A scene of the page."""
+class Scene(ABC):
+    """A scene of the page.
 
-    state: Any  # named tuple with a field `message`, a sentence for the user
+    Args:
+        state: The first state, a named tuple with a field `message`, a sentence for the user.
+    """
 
-    def update(self, state: Any, event: Any) -> Any:
-        """Return the state after an event; raise ValueError to refuse the event."""
+    update: Callable[[Any, Any], Any]  # returns the state after an event; raises ValueError to refuse the event
 
+    def __init__(self, state: Any) -> None:
+        self.state = state
+
+    @abstractmethod
     def build(self, page: "Page") -> None:
         """Add the scene's nodes and widgets, which send events to the page."""
 
+    @abstractmethod
     def draw(self, state: Any) -> None:
         """Show a state."""
 
-    def close(self) -> None:
+    def close(self) -> None:  # noqa: B027  # most scenes hold nothing
         """Release what the scene holds, such as a device."""
 
 
@@ -111,12 +118,11 @@ class Page:
             points: Points (m), such as the vertices of an object.
         """
         low, high = np.min(points, axis=0), np.max(points, axis=0)
-        middle, size = (low + high) / 2, max(float(np.linalg.norm(high - low)), 0.05)
-        eye = middle + size * np.array([-0.6, -1.2, 1.0])
+        middle, size = (low + high) / 2, float(np.linalg.norm(high - low)) + 0.03
         clients: list[Any] = [client.camera for client in self.server.get_clients().values()]
         for camera in [self.server.initial_camera, *clients]:
             camera.near = 1e-3
-            camera.position, camera.look_at = eye, middle
+            camera.position, camera.look_at = middle + size * np.array([-0.2, -0.6, 0.5]), middle
 
     def run(self, first: str, *, browser: bool) -> None:
         """Show a scene, print the page's address, and serve until Ctrl-C.
@@ -130,18 +136,19 @@ class Page:
         print(f"i2t view: {self.address} (Ctrl-C ends it)", flush=True)
         if self._host not in LOCAL_HOSTS:
             print("this page has no password: whoever reaches this address can use it", file=sys.stderr)
-        has_display = sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
-        if browser and has_display:
+        if browser and (sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))):
             webbrowser.open(self.address)
         self._thread.join()
 
     def close(self) -> None:
         """Close the shown scene and stop listening."""
         self.send(None)
-        self._thread.join(timeout=10)
+        if self._thread.is_alive():
+            self._thread.join(timeout=10)
         if self._scene is not None:
             self._scene.close()
-        self.server.stop()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
 
     def _work(self) -> None:
         while True:
@@ -163,23 +170,20 @@ class Page:
             self._show(event.name)
         elif (scene := self._scene) is not None:
             with warnings.catch_warnings(record=True) as doubts:
-                warnings.simplefilter("always")
-                state = scene.update(scene.state, event)
-            doubt = [f"*{doubt.message}*" for doubt in doubts if issubclass(doubt.category, UserWarning)]
-            scene.state = state
-            self.say("\n\n".join([state.message, *doubt]))
-            scene.draw(state)
+                warnings.simplefilter("always", UserWarning)
+                scene.state = scene.update(scene.state, event)
+            self.say("\n\n".join([scene.state.message, *(f"*{doubt.message}*" for doubt in doubts)]))
+            scene.draw(scene.state)
 
     def _show(self, name: str) -> None:
         """Close the shown scene, and build another one."""
         if self._scene is not None:
             self._scene.close()
-        self._scene = None
+        self._scene, gui = None, self.server.gui
         self.server.scene.reset()
         self.server.scene.set_up_direction("+z")
-        gui = self.server.gui
         gui.reset()
-        gui.set_panel_label("i2t")
+        gui.set_panel_label(f"i2t: {name}")
         gui.configure_theme(show_logo=False, show_share_button=False)  # a share would make the page public
         choice = gui.add_button_group("scene", tuple(self._scenes))
         self.on(choice.on_click, lambda: ShowScene(choice.value))

@@ -61,7 +61,7 @@ def plot_predicted_touches(
     margin = max(margin_mm(board, readings, scale, std=std.get(name)) for name, readings in sets.items())
     edge = 1.27 if columns > 3 else 1.6  # inches, of a patch
     scene = 0.0 if mesh is None else 1.75 * edge
-    width, row_height = scene + 0.55 + columns * (edge + 0.1) + 0.7, 2 * edge + 0.65
+    width, row_height = max(scene + 0.55 + columns * (edge + 0.1) + 0.9, 3.6), 2 * edge + 0.65  # of the key at least
     per_row, bottom = key_layout(width, tuple(sets), std=bool(std))
     height = bottom + rows * row_height + 0.35
     figure = Picture(figsize=(width, height))
@@ -95,7 +95,7 @@ def plot_predicted_touches(
             below.set_ylabel("reading" if len(sets) > 1 else f"{name}\nreading", fontsize=10)
             below.set_xlabel(f"skin, {PAD_WINDOW * MM_PER_M:g} mm", fontsize=10, labelpad=1)
             draw_length(above)
-            bar = figure.colorbar(image, cax=place(width - 0.65, y + edge + 0.35, 0.12, edge))
+            bar = figure.colorbar(image, cax=place(width - 0.85, y + edge + 0.35, 0.12, edge))
             bar.set_label("depth behind\nnearest (mm)", fontsize=10)
     draw_key(place(0, 0, width, bottom), below, board, scale, sets=tuple(sets), std=bool(std), columns=per_row)
     return figure
