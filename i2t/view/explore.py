@@ -6,6 +6,7 @@ one's choice simulates it without errors of arm and sensor.
 
 import textwrap
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -181,7 +182,7 @@ class ExploreScene(Scene):
             slider = gui.add_slider(
                 f"{load} ({unit[:2].strip()})", 0.1, 4.0, 0.1, round(min(factor * state.load, 4), 1)
             )
-            page.on(slider.on_update, lambda slider=slider, factor=factor: Loaded(slider.value / factor))
+            page.on(slider.on_update, partial(_loaded, slider, factor))
             self._loads[load] = slider
         predictors = gui.add_dropdown("predictor", tuple(state.predictors), initial_value=state.predictor)
         pads = gui.add_dropdown("simulated pad", (NO_PAD, *state.pads), initial_value=state.pad)
@@ -220,6 +221,10 @@ class ExploreScene(Scene):
             views=state.seen.view, window=predictor.window, reach=predictor.reach,
         )  # fmt: skip
         self._picture.image = viz.pixels(figure)
+
+
+def _loaded(slider: Any, factor: float) -> Loaded:
+    return Loaded(slider.value / factor)
 
 
 def pose_of(node: Any) -> Array:

@@ -220,9 +220,8 @@ class RecognizeScene(Scene):
         p = state.probability
         self._slider.max = max(1, len(state.steps))
         self._slider.value = state.shown
-        rows = [
-            f"{share:4.0%} {name:12.12} {'█' * round(14 * share)}" for name, share in zip(state.meshes, p, strict=True)
-        ]
+        shares = zip(state.meshes, p, strict=True)
+        rows = [f"{share:4.0%} {name:13.13} {'█' * round(14 * share)}" for name, share in shares]
         self._bars.content = "\n".join(["```", *rows, "```"])
         gain = None if state.recognizer is None else state.recognizer.expected_information(state.states[state.shown])
         for column, (name, frame) in enumerate(self._frames.items()):

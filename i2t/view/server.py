@@ -122,7 +122,7 @@ class Page:
         clients: list[Any] = [client.camera for client in self.server.get_clients().values()]
         for camera in [self.server.initial_camera, *clients]:
             camera.near = 1e-3
-            camera.position, camera.look_at = middle + size * np.array([-0.2, -0.6, 0.5]), middle
+            camera.position, camera.look_at = middle + size * np.array([-0.1, -0.6, 0.45]), middle
 
     def run(self, first: str, *, browser: bool) -> None:
         """Show a scene, print the page's address, and serve until Ctrl-C.
