@@ -63,7 +63,7 @@ def contact_pose(
     return np.asarray(contact_frame(at, outward / np.linalg.norm(outward), roll))
 
 
-def point_on_ray(mesh: Mesh, origin: Float[Array, "3"], direction: Float[Array, "3"]) -> Float[np.ndarray, "3"] | None:
+def point_on_ray(mesh: Mesh, origin: Array, direction: Array) -> Float[np.ndarray, "3"] | None:
     """Find the point where a ray first meets a mesh (Moeller and Trumbore, "Fast, minimum storage ray/triangle
     intersection", 1997), such as the point under a mouse.
 
@@ -88,7 +88,7 @@ def point_on_ray(mesh: Mesh, origin: Float[Array, "3"], direction: Float[Array, 
         side = np.cross(start - a, edge)
         v = (side @ along) / determinant
         distance = (other * side).sum(1) / determinant
-    met = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+        met = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
     return start + distance[met].min() * along if met.any() else None
 
 

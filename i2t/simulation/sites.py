@@ -93,7 +93,7 @@ def face_normals(surface: Surface) -> Float[Array, "faces 3"]:
     return cross / jnp.where(norm > 0, norm, 1)
 
 
-def is_upward(T_w_t: Float[Array, "4 4"], limits: SiteLimits) -> Bool[Array, ""]:
+def is_upward(T_w_t: Float[Any, "4 4"], limits: SiteLimits) -> Bool[Any, ""]:
     """Check that the surface's normal (minus tool z) is close enough to up.
 
     Args:

@@ -154,7 +154,7 @@ class Calibration:
     def locate(self, reading: ArrayLike) -> "PressEstimate":
         """Estimate the position of a press from its reading, by Bayes' rule on a grid.
 
-        Before the press, all positions between those of the fit are equally probable, with loads of the fit.
+        Before the press, all positions and loads between the smallest and the largest of the fit are equally probable.
 
         Args:
             reading: `(c,)` reading (uT), ambient subtracted.
@@ -179,16 +179,20 @@ class Calibration:
 
     @cached_property
     def _press_grid(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Positions (m) and loads of the presses that `locate` compares, with their readings and deviations (uT)."""
-        presses, steps = self.gp.presses, (25, 8)  # steps along each axis, and of the load
-        low, high = presses.position.min(0), presses.position.max(0)
-        at = np.stack(np.meshgrid(*np.linspace(low, high, steps[0]).T), -1).reshape(-1, 2)
-        ranks = np.linspace(0, len(presses.loads) - 1, steps[1] if presses.loads.size else 1).astype(int)
-        kinds = presses.loads.shape[1]
-        levels = presses.loads[np.argsort(presses.loads[:, 0])][ranks] if kinds else np.zeros((1, 0))
-        positions, loads = np.repeat(at, len(levels), axis=0), np.tile(levels, (len(at), 1))
-        given = None if not kinds else loads[:, 0] if kinds == 1 else loads
-        return positions, loads, *self.predict(positions, given)
+        """Positions (m) and loads of the presses that `locate` compares, with their readings and deviations (uT).
+
+        The deviations include how much the reading changes within a cell of the grid.
+        """
+        presses, kinds = self.gp.presses, len(LOAD_COLUMNS[self.load_kind])
+        axes = np.linspace(presses.position.min(0), presses.position.max(0), 41).T
+        levels = np.linspace(presses.loads.min(0), presses.loads.max(0), 16) if kinds else np.zeros((1, 0))
+        at = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
+        shape = (*at.shape[:2], len(levels))
+        positions, loads = np.repeat(at.reshape(-1, 2), len(levels), axis=0), np.tile(levels, (at[..., 0].size, 1))
+        mean, std = self.predict(positions, None if not kinds else loads[:, 0] if kinds == 1 else loads)
+        steps = np.gradient(mean.reshape(*shape, -1), axis=(0, 1, 2) if kinds else (0, 1))
+        within = sum(step**2 for step in steps).reshape(mean.shape) / 12  # of a uniform distribution in the cell
+        return positions, loads, mean, np.sqrt(std**2 + within)
 
     def _predict_table(self, table: PressTable) -> tuple[np.ndarray, np.ndarray]:
         """Predict means and standard deviations (uT), without `interval_scaling`."""

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from i2t import geometry
-from i2t.objects import Mesh, contact_pose, make_object
+from i2t.objects import Mesh, contact_pose, make_object, point_on_ray
 from i2t.rendering.render import prepare_surface, render_patch
 
 HEXAGON, DOME = make_object("hexagon").mesh, make_object("dome").mesh
@@ -97,3 +97,25 @@ def test_points_inside_several_bodies_are_refused(overlap):
     inside_out = trimesh.Trimesh(cup.vertices, cup.faces[:, ::-1], process=False)
     for open_surface in (cup, inside_out):  # of an open surface, either side may be touched
         contact_pose(as_mesh(open_surface), (10e-3, 1e-3, 2e-3))
+
+
+def test_a_ray_meets_the_mesh_where_trimesh_says():
+    """Rays towards random points near the hexagon and the dome, of which some miss."""
+    rng = np.random.default_rng(0)
+    for mesh in (HEXAGON, DOME):
+        whole = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+        origins = rng.normal(size=(200, 3)) * 0.1 + (0, 0, 0.3)
+        directions = rng.uniform(-0.05, 0.05, (200, 3)) - origins
+        hits, rays, _ = whole.ray.intersects_location(origins, directions, multiple_hits=False)
+        met = dict(zip(rays.tolist(), hits, strict=True))
+        assert 20 < len(met) < 200
+        for i in range(200):
+            point = point_on_ray(mesh, origins[i], directions[i])
+            assert (point is None) == (i not in met)
+            if point is not None:
+                np.testing.assert_allclose(point, met[i], atol=1e-6)
+
+
+def test_a_ray_from_inside_leaves_and_one_away_misses():
+    np.testing.assert_allclose(point_on_ray(HEXAGON, (0, 0, 0.01), (0, 0, 2)), (0, 0, 30e-3), atol=1e-12)
+    assert point_on_ray(HEXAGON, (0, 0, 0.1), (0, 0, 1)) is None

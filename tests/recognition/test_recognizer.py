@@ -13,7 +13,7 @@ from helpers import predicted_touches as given
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from i2t.geometry import contact_frame
+from i2t.geometry import contact_frame, from_twist
 from i2t.objects import catalogue
 from i2t.objects.solids import transform_mesh
 from i2t.recognition import policy
@@ -297,3 +297,27 @@ def test_impossible_options_are_refused(pad_model):
         RecognizerConfig(prior_unknown=0.1, num_surrogates=0)
     with pytest.raises(ValueError, match="at least two objects"):
         ObjectRecognizer(jax.random.key(0), pad_model, {"square": catalogue.make_object("square").mesh})
+
+
+def test_the_site_that_is_chosen_is_expected_to_tell_most(recognizer):
+    """With three sites all are candidates; only the random outcomes differ from those of the choice."""
+    state = recognizer.init()
+    gain = recognizer.expected_information(state)
+    assert gain.shape == (len(recognizer.sites.owner),)
+    allowed = np.isfinite(gain)
+    assert (gain[allowed] >= 0).all()
+    number = recognizer.choose_touch(state).number
+    assert allowed[number]
+    assert np.isnan(recognizer.expected_information(recognizer.exclude(state, number))[number])
+
+
+def test_the_most_probable_poses_of_an_object_come_first(recognizer):
+    state = recognizer.init()
+    poses, weights = recognizer.particle_poses(state, NAMES[0], 3)
+    assert poses.shape == (3, 4, 4)
+    np.testing.assert_allclose(weights, 1 / CONFIG.num_particles)
+    likely = state.belief._replace(log_weight=state.belief.log_weight.at[0, 1].add(5.0))
+    poses, weights = recognizer.particle_poses(state._replace(belief=likely), NAMES[0], 3)
+    assert weights[0] > 0.9
+    twist = np.asarray(recognizer.particles.twist[1])
+    np.testing.assert_allclose(poses[0][:3, 3], (TILTED @ np.append(from_twist(twist)[:3, 3], 1))[:3], atol=1e-6)

@@ -165,3 +165,17 @@ def test_touch_sites_of_a_mesh_are_safe_contacts_on_its_surface():
     again = touch_sites.sample_touch_sites(prepare_surface(solid), 12, seed=4)
     np.testing.assert_array_equal(again.T_o_t, sites.T_o_t)
     assert np.abs(touch_sites.sample_touch_sites(solid, 12, seed=5).points - sites.points).max() > 1e-3
+
+
+def test_the_reasons_of_an_unsafe_site_are_those_that_is_safe_checks():
+    limits, surface, passes = SiteLimits(), prepare_surface(make_object("hammer").mesh), jax.jit(touch_sites.is_safe)
+    points, normals = points_of(jax.random.key(0), surface, 60)
+    safe = 0
+    for point, normal in zip(np.asarray(points), np.asarray(normals), strict=True):
+        T = frame(point, normal)
+        why = touch_sites.explain_unsafe(surface, T, limits)
+        assert (why == "") == bool(passes(surface, T, limits))
+        assert ("degrees from up" in why) == (not touch_sites.is_upward(T, limits))
+        assert ("table" in why) == (not touch_sites.is_above_table(T, limits))
+        safe += why == ""
+    assert 5 < safe < 55

@@ -141,3 +141,26 @@ def test_few_presses_are_fitted_with_one_blas_thread_which_is_undone_afterwards(
         by_travel(POSITIONS[:5], TRAVEL[:5], READINGS[:5])
         assert blas_threads() == before
     assert set(seen) == {1}
+
+
+def test_a_press_is_located_by_its_reading():
+    """Presses between those of the fit, with the noise that the calibration expects, lie within the stated errors."""
+    eflesh, draw = load_calibration("eflesh"), np.random.default_rng(1)
+    at = draw.uniform(-10e-3, 10e-3, (60, 2))
+    mean, std = eflesh.predict(at, np.full(60, 2.5e-3))
+    located = [eflesh.locate(row) for row in mean + std * draw.normal(size=std.shape)]
+    errors = np.array([press.position for press in located]) - at
+    stds = np.array([press.position_std for press in located])
+    inside = np.abs(errors) < 2 * stds
+    assert inside.mean() > 0.9
+    assert np.sqrt(np.mean(errors**2)) < 2e-3
+    assert 0.3 < np.median([press.misfit for press in located]) < 2
+    assert eflesh.locate(np.full(15, 2000.0)).misfit > 10
+    with pytest.raises(ValueError, match="give the 15 values"):
+        eflesh.locate(np.zeros(12))
+
+
+def test_a_press_is_located_without_any_load(unknown):
+    press = unknown.locate(READINGS[0])
+    assert press.load.shape == (0,)
+    assert np.isfinite(press.position).all()
