@@ -51,8 +51,6 @@ class Browser:
         """Open a page in a window of a width and height (pixels)."""
         self.resize(size)
         self.driver.get(address)
-        for note in self.driver.find_elements("css selector", ".mantine-Notification-closeButton"):
-            note.click()  # that WebGL runs in software
 
     def resize(self, size: tuple[int, int]) -> None:
         """Give the page another width and height (pixels)."""
@@ -81,7 +79,10 @@ class Browser:
         ActionChains(self.driver).move_to_element_with_offset(canvas, x, y).pause(0.1).click().perform()
 
     def save(self, path: Path) -> None:
-        """Save a picture of the page."""
+        """Save a picture of the page, without the note that WebGL runs in software."""
+        for button in self.driver.find_elements("css selector", ".mantine-Notification-root button"):
+            button.click()
+            time.sleep(0.5)  # until it has faded
         path.parent.mkdir(parents=True, exist_ok=True)
         self.driver.save_screenshot(str(path))
 

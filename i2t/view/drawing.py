@@ -135,8 +135,14 @@ class SkinNode:
         axes[:, :, 0] *= np.linalg.det(axes)[:, None]
         normal = np.maximum(abs(vectors[:, 2]) / 2, 1e-6)
         shades = np.where(vectors[:, 2:] > 0, rgb, 128 + rgb // 2)
+        head = min(8e-4, 0.4 * float(np.linalg.norm(vectors, axis=1).max(initial=1e-6)))  # m, its length
         self._scene.add_arrows(
-            f"{name}/arrows", np.stack([chips, tips], 1), rgb, shaft_radius=2.5e-4, head_radius=6e-4, head_length=8e-4
+            f"{name}/arrows",
+            np.stack([chips, tips], 1),
+            rgb,
+            shaft_radius=head / 3,
+            head_radius=0.75 * head,
+            head_length=head,
         )
         discs = {"batched_scales": np.stack([normal, normal, np.full_like(normal, 2e-3)], 1), "batched_colors": shades}
         balls = {"batched_scales": np.sqrt(np.maximum(squares, 1e-14)), "batched_colors": rgb}

@@ -1,0 +1,116 @@
+"""Film of the page of `i2t view`: its four scenes as one animation, for the README and docs/view.md.
+
+python -m tools.film --out docs/figures/view.webp
+
+All readings are simulated or emulated. It takes about two minutes and needs a browser (`tools.browser`).
+"""
+
+import re
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from PIL import Image
+
+from i2t.cli.exit_codes import command
+from i2t.cli.options import docstring_of
+from tools.browser import Browser, explain_no_browser, open_browser, serve_page
+
+ROOT = Path(__file__).parents[1]
+SIZE, SHOWN = (1120, 700), (800, 500)  # pixels, of the page and of the film
+FIRST_S = 180.0  # s, limit of what compiles
+STILL_MS, MOVING_MS = 1600, 120  # how long a picture is shown
+
+
+@dataclass(frozen=True)
+class FilmArgs:
+    """Film the page of `i2t view`."""
+
+    out: Path = ROOT / "docs/figures/view.webp"  # animation to write, a .webp or .gif
+
+
+def _film(args: FilmArgs) -> None:
+    if why := explain_no_browser():
+        raise ValueError(why)
+    frames: list[tuple[Image.Image, int]] = []
+    with open_browser() as browser, TemporaryDirectory() as folder:
+
+        def keep(milliseconds: int = STILL_MS) -> None:
+            browser.save(Path(folder) / "page.png")
+            with Image.open(Path(folder) / "page.png") as picture:
+                frames.append((picture.convert("RGB").resize(SHOWN, Image.Resampling.LANCZOS), milliseconds))
+
+        for words, play in (
+            ((str(ROOT / "examples/data/mug.stl"), "--unit", "mm"), _explore),
+            (("--scene", "recognise", "--objects", "star", "cylinder", "square", "hexagon"), _recognise),
+            (("nominal",), _replay),
+            (("live", "--skin", "emulated"), _live),
+        ):
+            with serve_page(words) as address:
+                browser.open(address, SIZE)
+                play(browser, keep)
+    first, *rest = (frame for frame, _ in frames)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    first.save(
+        args.out,
+        save_all=True,
+        append_images=rest,
+        duration=[shown for _, shown in frames],
+        loop=0,
+        quality=70,
+        method=6,
+    )
+    print(f"wrote {args.out}: {len(frames)} pictures, {args.out.stat().st_size / 1e6:.2f} MB")
+
+
+def _explore(browser: Browser, keep: Callable[..., None]) -> None:
+    """Press a mug at three places."""
+    browser.until(lambda: "predicted" in browser.text, FIRST_S)
+    time.sleep(2)
+    for across, down in ((0.3, 0.55), (0.42, 0.6), (0.3, 0.28)):
+        browser.click(across, down)
+        time.sleep(3)
+        keep()
+
+
+def _recognise(browser: Browser, keep: Callable[..., None]) -> None:
+    """Touch where the belief asks, until it is certain."""
+    browser.until(lambda: "not touched yet" in browser.text, FIRST_S)
+    time.sleep(2)
+    keep()
+    for touches in (1, 2, 3):
+        if "no more touch is needed" in browser.text:
+            return
+        browser.press("touch where it asks")
+        browser.until(lambda touches=touches: f"{touches} of {touches} touches" in browser.text, FIRST_S)
+        time.sleep(1)
+        keep()
+
+
+def _replay(browser: Browser, keep: Callable[..., None]) -> None:
+    """Show three touches of a data set."""
+    browser.until(lambda: "touch 1 of" in browser.text, FIRST_S)
+    for number in (2, 3, 4):
+        browser.press("next")
+        browser.until(lambda number=number: f"touch {number} of" in browser.text)
+        time.sleep(2)
+        keep()
+
+
+def _live(browser: Browser, keep: Callable[..., None]) -> None:
+    """Show one press of an emulated skin."""
+    browser.until(lambda: "healthy at rest" in browser.text, FIRST_S)
+    change = re.compile(r"change of all chips: (\S+) µT")
+    for low in (True, False):  # wait for the end of a press, and for the next one
+        browser.until(lambda low=low: (float(change.search(browser.text)[1]) < 12) == low)  # type: ignore[index]
+    for _ in range(16):
+        keep(MOVING_MS)
+
+
+main = command(FilmArgs, _film, program="python -m tools.film", description=docstring_of("tools.film"))
+
+if __name__ == "__main__":
+    sys.exit(main())
