@@ -66,6 +66,10 @@ class Browser:
             time.sleep(0.02)
         return value
 
+    def wait_for(self, text: str, limit: float = 30.0) -> None:
+        """Wait until the page has a text."""
+        self.until(lambda: text in self.text, limit)
+
     def press(self, label: str) -> None:
         """Press a button."""
         next(button for button in self.driver.find_elements("tag name", "button") if button.text == label).click()
@@ -99,7 +103,14 @@ def open_browser() -> Iterator[Browser]:
 
 @contextmanager
 def serve_page(words: Sequence[str], port: int = 18100) -> Iterator[str]:
-    """Run `i2t view` with some words while the block runs, and yield the address of its page.
+    """Run `i2t view` while the block runs.
+
+    Args:
+        words: Words of its command line.
+        port: Port of the page; the next free one if it is taken.
+
+    Yields:
+        Address of the page.
 
     Raises:
         RuntimeError: The command ended without a page.

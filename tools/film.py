@@ -68,9 +68,9 @@ def _film(args: FilmArgs) -> None:
 
 def _explore(browser: Browser, keep: Callable[..., None]) -> None:
     """Press a mug at three places."""
-    browser.until(lambda: "predicted" in browser.text, FIRST_S)
+    browser.wait_for("predicted", FIRST_S)
     time.sleep(2)
-    for across, down in ((0.3, 0.55), (0.42, 0.6), (0.3, 0.28)):
+    for across, down in ((0.3, 0.55), (0.4, 0.6), (0.42, 0.42)):
         browser.click(across, down)
         time.sleep(3)
         keep()
@@ -78,34 +78,39 @@ def _explore(browser: Browser, keep: Callable[..., None]) -> None:
 
 def _recognise(browser: Browser, keep: Callable[..., None]) -> None:
     """Touch where the belief asks, until it is certain."""
-    browser.until(lambda: "not touched yet" in browser.text, FIRST_S)
+    browser.wait_for("not touched yet", FIRST_S)
     time.sleep(2)
     keep()
     for touches in (1, 2, 3):
         if "no more touch is needed" in browser.text:
             return
         browser.press("touch where it asks")
-        browser.until(lambda touches=touches: f"{touches} of {touches} touches" in browser.text, FIRST_S)
+        browser.wait_for(f"{touches} of {touches} touches", FIRST_S)
         time.sleep(1)
         keep()
 
 
 def _replay(browser: Browser, keep: Callable[..., None]) -> None:
     """Show three touches of a data set."""
-    browser.until(lambda: "touch 1 of" in browser.text, FIRST_S)
+    browser.wait_for("touch 1 of", FIRST_S)
     for number in (2, 3, 4):
         browser.press("next")
-        browser.until(lambda number=number: f"touch {number} of" in browser.text)
+        browser.wait_for(f"touch {number} of")
         time.sleep(2)
         keep()
 
 
 def _live(browser: Browser, keep: Callable[..., None]) -> None:
     """Show one press of an emulated skin."""
-    browser.until(lambda: "healthy at rest" in browser.text, FIRST_S)
+    browser.wait_for("healthy at rest", FIRST_S)
     change = re.compile(r"change of all chips: (\S+) µT")
-    for low in (True, False):  # wait for the end of a press, and for the next one
-        browser.until(lambda low=low: (float(change.search(browser.text)[1]) < 12) == low)  # type: ignore[index]
+
+    def is_pressed() -> bool:
+        shown = change.search(browser.text)
+        return shown is not None and float(shown[1]) > 12
+
+    browser.until(lambda: not is_pressed())  # the film begins with a press
+    browser.until(is_pressed)
     for _ in range(16):
         keep(MOVING_MS)
 

@@ -37,7 +37,7 @@ COMMANDS = {
     "convert": SubCommand("i2t.convert.commands", "convert recordings to data sets, and back"),
     "fit": SubCommand("i2t.commands.fit", "fit a predictor and a pad model to a data set"),
     "recognize": SubCommand("i2t.commands.recognize", "recognise the objects of recorded sessions"),
-    "view": SubCommand("i2t.view.command", "show recordings as a page and in Rerun"),
+    "view": SubCommand("i2t.view.command", "look at objects, touches and skins in the browser"),
     "place": SubCommand("i2t.place", "find the pose of an object with a camera"),
     "skin": SubCommand("i2t.hardware.reskin.monitor", "show and record the readings of a skin"),
     "rig": SubCommand("i2t.hardware.rig.__main__", "write and check the calibration file of a lab"),

@@ -1,4 +1,5 @@
-"""Viewer of recordings: `i2t view DIR` writes a session or data set as a Rerun recording and an HTML page.
+"""The page of `i2t view` in the browser, and recordings as files for others.
 
-`i2t.view.contents` reads the folder and lists its contents, which `rerun_file` and `page` each write.
+`server` serves the page, whose scenes are `explore`, `recognize`, `replay` and `live`. `contents` reads recorded
+touches, which `replay` shows, and which `page` (HTML) and `rerun_file` (Rerun) write.
 """

@@ -6,9 +6,7 @@
     i2t view live --skin reskin                the readings of a skin that is plugged in
     i2t view DATA --html                       a page in a file, for others
 
-The page has four scenes. In "explore", a click presses the skin on the object, and the page shows the predicted reading
-and a simulated one. In "recognise", simulated touches tell candidates apart, or those of a recorded session do.
-"Replay" shows the touches of a data set, measured against predicted, and "live" a running skin.
+The page has the scenes "explore", "recognise", "replay" and "live" (docs/view.md).
 """
 
 from contextlib import ExitStack

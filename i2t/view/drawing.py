@@ -59,7 +59,7 @@ def add_mesh(scene: Any, name: str, mesh: Any, **options: Any) -> Any:
         options: Further arguments of viser's `add_mesh_simple`.
 
     Returns:
-        The node.
+        Node of the object, which takes a callback for clicks.
     """
     options = {"color": OBJECT_COLOUR, "flat_shading": True, "side": "double", **options}
     return scene.add_mesh_simple(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), **options)

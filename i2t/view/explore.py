@@ -169,7 +169,11 @@ class ExploreScene(Scene):
     update = staticmethod(update)
 
     def build(self, page: Page) -> None:
-        """Add the object, the skin with its handles, and the widgets; touch a first place."""
+        """Add the object, the skin with its handles, and the widgets; touch a first place.
+
+        Args:
+            page: The page.
+        """
         state, gui, self._scene = self.state, page.server.gui, page.server.scene
         page.look_at(state.object.mesh.vertices)
         mesh = add_mesh(self._scene, "/object", state.object.mesh)
@@ -196,7 +200,11 @@ class ExploreScene(Scene):
             page.say(f"{state.message}\n\n{error}")
 
     def draw(self, state: Explorer) -> None:
-        """Show the touch: first skin and numbers, then the picture, which takes longer."""
+        """Show the touch: first skin and numbers, then the picture, which takes longer.
+
+        Args:
+            state: The state to show.
+        """
         for load, slider in self._loads.items():
             slider.visible = load == state.predictors[state.predictor].load
         self._scene.remove_by_name("/refusal")

@@ -143,7 +143,11 @@ class LiveScene(Scene):
         self._drawn: deque[float] = deque(maxlen=30)  # s, times of the newest pictures
 
     def build(self, page: Page) -> None:
-        """Add the skin and the widgets, and begin to read."""
+        """Add the skin and the widgets, and begin to read.
+
+        Args:
+            page: The page.
+        """
         self._page, gui, scene = page, page.server.gui, page.server.scene
         half = PAD_WINDOW / 2
         page.look_at(np.array([[-half, -half, 0], [half, half, 0]]))
@@ -157,7 +161,11 @@ class LiveScene(Scene):
         self._thread.start()
 
     def draw(self, state: Live) -> None:
-        """Show the newest samples."""
+        """Show the newest samples.
+
+        Args:
+            state: The state to show.
+        """
         self._drawn.append(time.monotonic())
         if state.change is not None:
             reading = Reading(state.change, np.zeros_like(state.change))

@@ -79,7 +79,7 @@ def plot_time_course(record: Record, simulated: bool, row: int) -> Picture:
         row: Index of the touch.
 
     Returns:
-        The figure.
+        Picture with the readings on the left and the forces on the right.
     """
     (time, readings), wrench = readings_of(row, record), record.series.get("wrench")
     figure = Picture(figsize=(9, 3.4), layout="constrained")

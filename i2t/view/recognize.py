@@ -186,7 +186,11 @@ class RecognizeScene(Scene):
     update = staticmethod(update)
 
     def build(self, page: Page) -> None:
-        """Add the candidates in a row, and the widgets."""
+        """Add the candidates in a row, and the widgets.
+
+        Args:
+            page: The page.
+        """
         state, self._page, self._scene = self.state, page, page.server.scene
         widths = [float(np.ptp(mesh.vertices, axis=0)[0]) + GAP_M for mesh in state.meshes.values()]
         self._columns = np.cumsum(widths) - np.array(widths) / 2  # m, x of the middle of each candidate
@@ -216,7 +220,11 @@ class RecognizeScene(Scene):
         self._bars = gui.add_markdown("")
 
     def draw(self, state: Recognition) -> None:
-        """Show the belief after the shown touches, and the sites of the next one."""
+        """Show the belief after the shown touches, and the sites of the next one.
+
+        Args:
+            state: The state to show.
+        """
         p = state.probability
         self._slider.max = max(1, len(state.steps))
         self._slider.value = state.shown

@@ -31,7 +31,8 @@ class Replay(NamedTuple):
     error: Float[np.ndarray, " n"]  # uT, root mean square difference of predicted and measured reading
     labels: Float[np.ndarray, "3 n"] | Any  # object, session and code of each touch
     rows: Int[np.ndarray, " m"]  # touches that pass the filters, in their order
-    message: str
+    note: str  # how well the touches are predicted, or why they are not
+    message: str = ""
     at: int = 0  # position of the shown touch among them
     chosen: tuple[str, str, str] = (EVERY, EVERY, EVERY)  # values of the filters
     worst_first: bool = False
@@ -133,7 +134,7 @@ def _worded(state: Replay) -> Replay:
     numbers = [(touches.force[row], "N"), (1e3 * touches.travel[row], "mm of travel"), (state.error[row], "µT off")]
     known = [f"{value:.2f} {unit}" for value, unit in numbers if np.isfinite(value)]
     title = titled(f"touch {row + 1} of {len(contents.dataset)}: {thing}", contents.simulated)
-    return state._replace(message=f"**{title}**\n\n{session}, ended by {code}; {', '.join(known)}")
+    return state._replace(message=f"**{title}**\n\n{session}, ended by {code}; {', '.join(known)}\n\n{state.note}")
 
 
 class ReplayScene(Scene):
@@ -143,9 +144,12 @@ class ReplayScene(Scene):
     _mesh: Mesh | None = None  # of the shown object
 
     def build(self, page: Page) -> None:
-        """Add the skin and the widgets."""
+        """Add the skin and the widgets.
+
+        Args:
+            page: The page.
+        """
         state, gui, self._page, self._scene = self.state, page.server.gui, page, page.server.scene
-        gui.add_markdown(state.message if not state.contents.path else f"`{state.contents.path}`")
         self._time: Any = gui.add_slider("touch", 1, max(2, len(state.rows)), 1, 1)
         page.on(self._time.on_update, lambda: Shown(int(self._time.value) - 1))
         steps = gui.add_button_group("go to", ("previous", "next"))
@@ -168,7 +172,11 @@ class ReplayScene(Scene):
         self._skin = SkinNode(self._scene, "/tool")
 
     def draw(self, state: Replay) -> None:
-        """Show the touch on its object, its reading, its patch and its time course."""
+        """Show the touch on its object, its reading, its patch and its time course.
+
+        Args:
+            state: The state to show.
+        """
         dataset, row = state.contents.dataset, state.row
         touches = dataset.touches
         self._time.max, self._time.value = max(2, len(state.rows)), state.at + 1

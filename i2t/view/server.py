@@ -41,11 +41,19 @@ class Scene(ABC):
 
     @abstractmethod
     def build(self, page: "Page") -> None:
-        """Add the scene's nodes and widgets, which send events to the page."""
+        """Add the scene's nodes and widgets, which send events to the page.
+
+        Args:
+            page: The page.
+        """
 
     @abstractmethod
     def draw(self, state: Any) -> None:
-        """Show a state."""
+        """Show a state.
+
+        Args:
+            state: The state to show.
+        """
 
     def close(self) -> None:  # noqa: B027  # most scenes hold nothing
         """Release what the scene holds, such as a device."""
@@ -122,7 +130,9 @@ class Page:
         clients: list[Any] = [client.camera for client in self.server.get_clients().values()]
         for camera in [self.server.initial_camera, *clients]:
             camera.near = 1e-3
-            camera.position, camera.look_at = middle + size * np.array([-0.1, -0.6, 0.45]), middle
+            # left of the middle, of which the panel hides the right
+            camera.position = middle + size * np.array([0.02, -0.6, 0.45])
+            camera.look_at = middle + size * np.array([0.12, 0.0, 0.0])
 
     def run(self, first: str, *, browser: bool) -> None:
         """Show a scene, print the page's address, and serve until Ctrl-C.
