@@ -9,6 +9,9 @@
 The page has the scenes "explore", "recognise", "replay" and "live" (docs/view.md).
 """
 
+import os
+import sys
+import webbrowser
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from i2t.view.contents import Contents
     from i2t.view.server import Scene
 
+LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")  # addresses that only this machine reaches
 LIVE = "live"  # what is shown, in place of an object or a data set
 EPISODE_OBJECTS = ("hammer", "screwdriver", "star", "cylinder", "square")  # candidates of an episode by default
 
@@ -101,9 +105,15 @@ def _view(args: ViewArgs) -> None:
     }
     first = args.scene or ("live" if args.what == LIVE else "explore" if dataset is None else "replay")
     page = Page(scenes, host=args.host, port=args.port)
+    print(f"i2t view: {page.address} (Ctrl-C ends it)", flush=True)
+    if args.host not in LOCAL_HOSTS:
+        print("this page has no password: whoever reaches this address can use it", file=sys.stderr)
+    has_display = sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+    if has_display and not args.no_browser:
+        webbrowser.open(page.address)
     try:
         with ended_by_ctrl_c():
-            page.run(first, browser=not args.no_browser)
+            page.run(first)
     finally:
         page.close()
     print("ended")
@@ -132,6 +142,10 @@ def _check(args: ViewArgs, dataset: Path | None) -> None:
         make_board(args.board)
     if (args.html or args.rerun) and dataset is None:
         raise ValueError(f"--html and --rerun write recorded touches, and {args.what} is none; name their folder")
+    if dataset is not None and args.what != LIVE:
+        require_with(
+            "--unit", args.unit is not None, "--mesh or --objects", args.mesh is not None or bool(args.objects)
+        )
     require_with("--overwrite", args.overwrite, "--html or --rerun", args.html or args.rerun)
 
 

@@ -36,7 +36,7 @@ UNITS = {"force": ("N", 1.0), "travel": ("mm of travel", 1e3)}  # of the load th
 BLANK = np.full((8, 8, 3), 255, np.uint8)  # picture before the first touch
 
 
-class Explorer(NamedTuple):
+class Exploration(NamedTuple):
     """State of the scene: object, predictors and pads by name and the chosen ones, load, and the touch."""
 
     object: Object
@@ -53,7 +53,7 @@ class Explorer(NamedTuple):
     board: Board | None = None  # board of the readings
 
 
-class Clicked(NamedTuple):
+class ObjectClicked(NamedTuple):
     """Event: a click on the object, as a ray from the camera."""
 
     origin: Array  # (3,) m
@@ -79,7 +79,7 @@ class Chosen(NamedTuple):
     pad: str
 
 
-def begin(thing: Object, predictors: Mapping[str, Predictor], pads: Mapping[str, Pad]) -> Explorer:
+def begin(thing: Object, predictors: Mapping[str, Predictor], pads: Mapping[str, Pad]) -> Exploration:
     """Make the state before the first touch.
 
     Args:
@@ -93,10 +93,10 @@ def begin(thing: Object, predictors: Mapping[str, Predictor], pads: Mapping[str,
     first = next(iter(predictors))
     message = "\n\n".join(filter(None, ["Click the object to press the skin there.", describe_placement(thing)]))
     surface, load = prepare_surface(thing.mesh), _usual_load(predictors[first])
-    return Explorer(thing, surface, predictors, pads, first, next(iter(pads), NO_PAD), load, message)
+    return Exploration(thing, surface, predictors, pads, first, next(iter(pads), NO_PAD), load, message)
 
 
-def update(state: Explorer, event: Any) -> Explorer:
+def update(state: Exploration, event: Any) -> Exploration:
     """Press the skin where an event asks for it.
 
     Args:
@@ -107,7 +107,7 @@ def update(state: Explorer, event: Any) -> Explorer:
         The state after it. A touch that is refused has no readings, and the message gives the reason.
     """
     match event:
-        case Clicked(origin, direction):
+        case ObjectClicked(origin, direction):
             point = point_on_ray(state.object.mesh, origin, direction)
             if point is None:
                 return state
@@ -126,7 +126,7 @@ def update(state: Explorer, event: Any) -> Explorer:
     return state if state.T_o_t is None else _touched(state, state.T_o_t)
 
 
-def _touched(state: Explorer, T_o_t: Array) -> Explorer:
+def _touched(state: Exploration, T_o_t: Array) -> Exploration:
     """Predict the touch at a pose, and simulate it."""
     predictor, pad = state.predictors[state.predictor], state.pads.get(state.pad)
     load: dict[str, Any] = {predictor.load: state.load}
@@ -159,7 +159,7 @@ def _usual_load(predictor: Predictor) -> float:
     return predictor.default_force if predictor.load == "force" else predictor.default_travel
 
 
-def _refused(state: Explorer, error: ValueError) -> Explorer:
+def _refused(state: Exploration, error: ValueError) -> Exploration:
     return state._replace(seen=None, readings={}, message=REFUSED + str(error).removeprefix("point: "))
 
 
@@ -177,7 +177,7 @@ class ExploreScene(Scene):
         state, gui, self._scene = self.state, page.server.gui, page.server.scene
         page.look_at(state.object.mesh.vertices)
         mesh = add_mesh(self._scene, "/object", state.object.mesh)
-        mesh.on_click(lambda click: page.send(Clicked(click.ray_origin, click.ray_direction)))
+        mesh.on_click(lambda click: page.send(ObjectClicked(click.ray_origin, click.ray_direction)))
         self._handles = self._scene.add_transform_controls("/tool", scale=0.02, line_width=1.5, visible=False)
         page.on(self._handles.on_update, lambda: Moved(pose_of(self._handles)))
         self._skin = SkinNode(self._scene, "/tool")
@@ -199,7 +199,7 @@ class ExploreScene(Scene):
         except ValueError as error:  # no safe site
             page.say(f"{state.message}\n\n{error}")
 
-    def draw(self, state: Explorer) -> None:
+    def draw(self, state: Exploration) -> None:
         """Show the touch: first skin and numbers, then the picture, which takes longer.
 
         Args:
@@ -248,7 +248,7 @@ def pose_of(node: Any) -> Array:
     return viser.transforms.SE3.from_rotation_and_translation(rotation, np.asarray(node.position, float)).as_matrix()
 
 
-def describe(state: Explorer) -> str:
+def describe(state: Exploration) -> str:
     """Write pose and readings of a touch as text that can be copied.
 
     Args:

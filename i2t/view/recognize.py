@@ -29,7 +29,7 @@ CONFIG = RecognizerConfig(num_sites=12, num_particles=32)  # half of the default
 GAP_M = 0.03  # m, between candidates
 
 
-class Step(NamedTuple):
+class EpisodeTouch(NamedTuple):
     """A touch of the episode, and the probabilities of the candidates after it."""
 
     T_o_t: Float[Array, "4 4"]  # end of the press, in the object's believed frame
@@ -38,7 +38,7 @@ class Step(NamedTuple):
     probability: Float[Array, " candidates"]
 
 
-class Recognition(NamedTuple):
+class RecognitionState(NamedTuple):
     """State of the scene: the candidates, what makes or recorded the touches, and the touches so far."""
 
     meshes: Mapping[str, Mesh]
@@ -46,7 +46,7 @@ class Recognition(NamedTuple):
     message: str
     touched: str  # name of the touched object
     session: str  # name of the recorded session; empty if touches are simulated
-    steps: tuple[Step, ...] = ()
+    steps: tuple[EpisodeTouch, ...] = ()
     shown: int = 0  # number of touches after which the belief is shown
     recognizer: ObjectRecognizer | None = None
     pad: Pad | None = None  # pad of the simulated touches
@@ -66,7 +66,7 @@ class Touch(NamedTuple):
     site: int | None = None
 
 
-class Shown(NamedTuple):
+class TouchesShown(NamedTuple):
     """Event: show the belief after a number of touches."""
 
     touches: int
@@ -78,7 +78,7 @@ class Begun(NamedTuple):
     name: str
 
 
-def begin(meshes: Mapping[str, Mesh], pad_model: KnownPad, pad: Pad, touched: str) -> Recognition:
+def begin(meshes: Mapping[str, Mesh], pad_model: KnownPad, pad: Pad, touched: str) -> RecognitionState:
     """Prepare episodes of simulated touches.
 
     Args:
@@ -91,11 +91,11 @@ def begin(meshes: Mapping[str, Mesh], pad_model: KnownPad, pad: Pad, touched: st
         The state before the first touch.
     """
     recognizer = ObjectRecognizer(jax.random.key(0), pad_model.model, meshes, config=CONFIG)
-    state = Recognition(meshes, pad_model.board, "", touched, "", recognizer=recognizer, pad=pad)
+    state = RecognitionState(meshes, pad_model.board, "", touched, "", recognizer=recognizer, pad=pad)
     return update(state, Begun(touched))
 
 
-def begin_recorded(meshes: Mapping[str, Mesh], dataset: Dataset, pad_model: KnownPad) -> Recognition:
+def begin_recorded(meshes: Mapping[str, Mesh], dataset: Dataset, pad_model: KnownPad) -> RecognitionState:
     """Compute the beliefs of recorded sessions.
 
     Args:
@@ -110,11 +110,11 @@ def begin_recorded(meshes: Mapping[str, Mesh], dataset: Dataset, pad_model: Know
         DataError: The touches are of another skin, or no session has enough of them.
     """
     recorded = recognize(meshes, dataset, pad_model)
-    state = Recognition(meshes, dataset.board, "", "", "", recorded=recorded)
+    state = RecognitionState(meshes, dataset.board, "", "", "", recorded=recorded)
     return update(state, Begun(recorded.sessions[0]))
 
 
-def update(state: Recognition, event: Any) -> Recognition:
+def update(state: RecognitionState, event: Any) -> RecognitionState:
     """Make a touch, begin an episode, or go through its touches.
 
     Args:
@@ -127,7 +127,7 @@ def update(state: Recognition, event: Any) -> Recognition:
     match event:
         case Touch(site) if state.recognizer is not None:
             state = _touched(state._replace(shown=len(state.steps)), state.recognizer, site)
-        case Shown(touches):
+        case TouchesShown(touches):
             state = state._replace(shown=max(0, min(touches, len(state.steps))))
         case Begun(name) if state.recorded is not None:
             steps = _recorded_steps(state.recorded, name)
@@ -140,7 +140,7 @@ def update(state: Recognition, event: Any) -> Recognition:
     return state._replace(message=_message(state))
 
 
-def _touched(state: Recognition, recognizer: ObjectRecognizer, number: int | None) -> Recognition:
+def _touched(state: RecognitionState, recognizer: ObjectRecognizer, number: int | None) -> RecognitionState:
     """Touch a site, or the one that the belief chooses; the state stays if no more touch is needed."""
     assert state.touch is not None
     before = state.states[-1]
@@ -156,19 +156,19 @@ def _touched(state: Recognition, recognizer: ObjectRecognizer, number: int | Non
     contact = int(touch.code) != ReturnCode.AIR
     observation = recognizer.observe(site, touch.reading, force=float(touch.force), T_w_t=touch.T_w_t, contact=contact)
     after, info = recognizer.update(before, observation)
-    steps = (*state.steps, Step(touch.T_w_t, touch.reading, contact, info.probability))
+    steps = (*state.steps, EpisodeTouch(touch.T_w_t, touch.reading, contact, info.probability))
     return state._replace(steps=steps, shown=len(steps), states=(*state.states, after))
 
 
-def _recorded_steps(recorded: RecognizedSessions, session: str) -> tuple[Step, ...]:
+def _recorded_steps(recorded: RecognizedSessions, session: str) -> tuple[EpisodeTouch, ...]:
     """List the touches of a recorded session with the beliefs after them."""
     row = recorded.sessions.index(session)
     touches, T_o_t, beliefs = recorded.episodes.observations, recorded.episodes.T_w_t[row], recorded.probability[row]
     columns = (np.asarray(touches.reading[row]), np.asarray(touches.contact[row]))
-    return tuple(map(Step, T_o_t, columns[0], map(bool, columns[1]), beliefs))
+    return tuple(map(EpisodeTouch, T_o_t, columns[0], map(bool, columns[1]), beliefs))
 
 
-def _message(state: Recognition) -> str:
+def _message(state: RecognitionState) -> str:
     p, names = state.probability, list(state.meshes)
     source = "simulated" if state.recorded is None else source_phrase(state.recorded.source)
     head = f"**{state.shown} of {len(state.steps)} touches of the {state.touched}** ({source})"
@@ -216,10 +216,10 @@ class RecognizeScene(Scene):
             again = gui.add_button("begin again")
             page.on(again.on_click, lambda: Begun(choice.value))
         self._slider: Any = gui.add_slider("touches", 0, 1, 1, 0)
-        page.on(self._slider.on_update, lambda: Shown(int(self._slider.value)))
+        page.on(self._slider.on_update, lambda: TouchesShown(int(self._slider.value)))
         self._bars = gui.add_markdown("")
 
-    def draw(self, state: Recognition) -> None:
+    def draw(self, state: RecognitionState) -> None:
         """Show the belief after the shown touches, and the sites of the next one.
 
         Args:
@@ -239,7 +239,7 @@ class RecognizeScene(Scene):
                 self._draw_ghosts(state, state.recognizer, frame, name)
                 self._draw_sites(state.recognizer, gain, frame, column)
 
-    def _draw_touches(self, state: Recognition, frame: str, name: str, leads: bool) -> None:
+    def _draw_touches(self, state: RecognitionState, frame: str, name: str, leads: bool) -> None:
         """Draw the last shown touch on the most probable candidate, with its reading."""
         self._scene.remove_by_name(f"{frame}/tool")
         if leads:
@@ -248,7 +248,7 @@ class RecognizeScene(Scene):
             reading = Reading(step.reading, np.zeros_like(step.reading))
             SkinNode(self._scene, f"{frame}/tool").draw(state.board, {name: reading}, common_scale(step.reading))
 
-    def _draw_ghosts(self, state: Recognition, recognizer: ObjectRecognizer, frame: str, name: str) -> None:
+    def _draw_ghosts(self, state: RecognitionState, recognizer: ObjectRecognizer, frame: str, name: str) -> None:
         """Draw the most probable poses of a candidate."""
         poses, weights = recognizer.particle_poses(state.states[state.shown], name)
         mesh = state.meshes[name]
@@ -261,6 +261,6 @@ class RecognizeScene(Scene):
         """Draw the sites of a candidate, coloured by the information that is expected there."""
         numbers = np.flatnonzero(np.asarray(recognizer.sites.owner) == column)
         share = gain[numbers] / max(float(np.nanmax(gain, initial=0.0)), 1e-9)
-        colours = np.where(np.isfinite(share)[:, None], colormaps["inferno"](0.1 + 0.85 * share)[:, :3], 0.35)
+        colours = np.where(np.isfinite(share)[:, None], colormaps["cividis"](0.1 + 0.85 * share)[:, :3], 0.35)
         sites = add_discs(self._scene, f"{frame}/sites", np.asarray(recognizer.sites.T_w_t)[numbers], colours)
         sites.on_click(lambda click: self._page.send(Touch(int(numbers[click.instance_index]))))

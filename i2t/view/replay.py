@@ -43,13 +43,13 @@ class Replay(NamedTuple):
         return int(self.rows[self.at])
 
 
-class Shown(NamedTuple):
+class TouchShown(NamedTuple):
     """Event: show a touch by its position among those that pass the filters."""
 
     at: int
 
 
-class Clicked(NamedTuple):
+class TouchClicked(NamedTuple):
     """Event: show a touch by its index in the data set."""
 
     row: int
@@ -111,9 +111,9 @@ def update(state: Replay, event: Any) -> Replay:
         ValueError: No touch passes the filters.
     """
     match event:
-        case Shown(at):
+        case TouchShown(at):
             state = state._replace(at=max(0, min(at, len(state.rows) - 1)))
-        case Clicked(row) if row in state.rows:
+        case TouchClicked(row) if row in state.rows:
             state = state._replace(at=int(np.flatnonzero(state.rows == row)[0]))
         case Filtered(chosen, worst_first):
             pairs = zip(state.labels, chosen, strict=True)
@@ -151,9 +151,9 @@ class ReplayScene(Scene):
         """
         state, gui, self._page, self._scene = self.state, page.server.gui, page, page.server.scene
         self._time: Any = gui.add_slider("touch", 1, max(2, len(state.rows)), 1, 1)
-        page.on(self._time.on_update, lambda: Shown(int(self._time.value) - 1))
+        page.on(self._time.on_update, lambda: TouchShown(int(self._time.value) - 1))
         steps = gui.add_button_group("go to", ("previous", "next"))
-        page.on(steps.on_click, lambda: Shown(self.state.at + (1 if steps.value == "next" else -1)))
+        page.on(steps.on_click, lambda: TouchShown(self.state.at + (1 if steps.value == "next" else -1)))
         filters = [
             gui.add_dropdown(name, (EVERY, *np.unique(column).tolist()))
             for name, column in zip(FILTERS, state.labels, strict=True)
@@ -189,7 +189,7 @@ class ReplayScene(Scene):
         same = state.rows[touches.object[state.rows] == touches.object[row]]
         order = np.argsort(np.argsort(np.nan_to_num(state.error[same])))
         discs = add_discs(self._scene, "/touches", T_o_t[same], touch_colours(len(same))[order])
-        discs.on_click(lambda click: self._page.send(Clicked(int(same[click.instance_index]))))
+        discs.on_click(lambda click: self._page.send(TouchClicked(int(same[click.instance_index]))))
         reading = Reading(touches.reading[row], np.zeros_like(touches.reading[row]))
         sets = {"measured": reading}
         if np.isfinite(state.predicted.mean[row]).all():

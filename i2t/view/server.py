@@ -9,11 +9,8 @@ that moves faster than readings are predicted does not lag behind. All windows o
 import contextlib
 import io
 import logging
-import os
-import sys
 import threading
 import warnings
-import webbrowser
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
@@ -23,7 +20,6 @@ from jaxtyping import Float
 
 from i2t.errors import I2TError, require_extra
 
-LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")  # addresses that only this machine reaches
 log = logging.getLogger(__name__)
 
 
@@ -85,7 +81,7 @@ class Page:
         with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
             self.server = viser.ViserServer(host=host, port=port, label="i2t", verbose=False)
         self.address = f"http://{'localhost' if host == '0.0.0.0' else host}:{self.server.get_port()}"
-        self._scenes, self._host = scenes, host
+        self._scenes = scenes
         self._scene: Scene | None = None
         self._events: dict[type, Any] = {}  # by their kind, in order of time
         self._changed = threading.Condition()
@@ -134,20 +130,14 @@ class Page:
             camera.position = middle + size * np.array([0.02, -0.6, 0.45])
             camera.look_at = middle + size * np.array([0.12, 0.0, 0.0])
 
-    def run(self, first: str, *, browser: bool) -> None:
-        """Show a scene, print the page's address, and serve until Ctrl-C.
+    def run(self, first: str) -> None:
+        """Show a scene, and serve until the thread that calls is interrupted.
 
         Args:
             first: Name of the first scene.
-            browser: Whether a browser is opened, if there is a display.
         """
         self._thread.start()
         self.send(ShowScene(first))
-        print(f"i2t view: {self.address} (Ctrl-C ends it)", flush=True)
-        if self._host not in LOCAL_HOSTS:
-            print("this page has no password: whoever reaches this address can use it", file=sys.stderr)
-        if browser and (sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))):
-            webbrowser.open(self.address)
         self._thread.join()
 
     def close(self) -> None:

@@ -5,13 +5,14 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Shaped
 from matplotlib.axes import Axes
+from matplotlib.colors import Colormap, ListedColormap
 from matplotlib.image import AxesImage
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW, REACH
 from i2t.types import Array
-from i2t.viz.style import MM_PER_M, Picture, titled
+from i2t.viz.style import MM_PER_M, Colour, Picture, titled
 
 STANDS_OUT_M = 1e-5  # m, least distance in front of a patch that is drawn as standing out
 
@@ -21,7 +22,7 @@ def draw_map(
     values: Shaped[Array, "rows columns"],
     window: float,
     *,
-    cmap: str = "cividis",
+    cmap: str | Colormap = "cividis",
     low: float | int | None = None,
     high: float | int | None = None,
 ) -> AxesImage:
@@ -31,7 +32,7 @@ def draw_map(
         axes: Axes to draw into.
         values: Values of the pixels, with rows along y and columns along x.
         window: Edge (m) of the square.
-        cmap: Name of a colour map.
+        cmap: Colour map, or its name.
         low: Value at the lower end of the colour map; the minimum by default.
         high: Value at the upper end of the colour map; the maximum by default.
 
@@ -78,7 +79,7 @@ def draw_view(
         The drawn image, from which a colour bar can be made.
     """
     image = draw_patch(axes, np.clip(view, 0, reach), window, reach)
-    draw_map(axes, np.where(np.asarray(view) < -STANDS_OUT_M, 1.0, np.nan), window, cmap="autumn", low=1, high=2)
+    draw_map(axes, np.where(np.asarray(view) < -STANDS_OUT_M, 1.0, np.nan), window, cmap=ListedColormap([Colour.RED]))
     for edge, colour, style in ((patch, "white", "-"), (PAD_WINDOW, "black", ":")):
         half = edge * MM_PER_M / 2
         axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=colour, lw=1.2, ls=style))

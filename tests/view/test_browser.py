@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import i2t
-from tools.browser import PHONE, WIDE, explain_no_browser, open_browser, serve_page
+from tools.film.browser import PHONE, WIDE, explain_no_browser, open_browser, serve_page
 
 pytestmark = [pytest.mark.full, pytest.mark.skipif(bool(explain_no_browser()), reason=explain_no_browser())]
 FIRST_S = 120  # s, limit of what compiles

@@ -32,7 +32,7 @@ def star(predictor):
 
 @pytest.fixture(scope="module")
 def pressed(star):
-    return explore.update(star, explore.Clicked((2e-3, 1e-3, 0.3), -UP))
+    return explore.update(star, explore.ObjectClicked((2e-3, 1e-3, 0.3), -UP))
 
 
 def test_a_click_gives_the_reading_of_the_pose_that_contact_pose_gives(predictor, star, pressed):
@@ -58,7 +58,7 @@ def test_a_harder_press_reads_more(pressed):
 
 
 def test_a_click_beside_the_object_changes_nothing(pressed):
-    assert explore.update(pressed, explore.Clicked((0.5, 0.5, 0.3), -UP)) is pressed
+    assert explore.update(pressed, explore.ObjectClicked((0.5, 0.5, 0.3), -UP)) is pressed
 
 
 def test_a_pose_away_from_the_object_is_refused_with_the_reason(pressed):
@@ -78,7 +78,7 @@ def test_a_pose_away_from_the_object_is_refused_with_the_reason(pressed):
 
 def test_a_place_that_an_arm_would_not_touch_is_named(star):
     with pytest.warns(UserWarning, match="stands out"):
-        side = explore.update(star, explore.Clicked((0.0, -0.3, 0.02), (0.0, 1.0, 0.0)))
+        side = explore.update(star, explore.ObjectClicked((0.0, -0.3, 0.02), (0.0, 1.0, 0.0)))
     assert "An arm would not touch here: its normal is" in side.message
     assert "would meet the table" in side.message
 
@@ -109,7 +109,7 @@ def test_touches_where_the_belief_asks_recognise_the_object(episode):
     assert list(state.meshes)[state.probability.argmax()] == "star"
     assert "no more touch is needed" in state.message
     assert recognize.update(state, recognize.Touch()).steps == state.steps
-    begun = recognize.update(state, recognize.Shown(0))
+    begun = recognize.update(state, recognize.TouchesShown(0))
     assert begun.probability.tolist() == [0.5, 0.5]
     assert len(begun.steps) == len(state.steps)
     assert recognize.update(state, recognize.Begun("cylinder")).steps == ()
@@ -146,9 +146,9 @@ def test_filters_and_order_choose_the_touches():
     state = state._replace(error=np.where(np.arange(40) % 3 == 0, np.nan, np.arange(40.0)))
     worst = replay.update(state, replay.Filtered((replay.EVERY,) * 3, True))
     assert worst.rows[:3].tolist() == [38, 37, 35]
-    assert replay.update(worst, replay.Shown(1)).row == 37
-    assert replay.update(worst, replay.Shown(99)).at == 39
-    assert replay.update(worst, replay.Clicked(35)).at == 2
+    assert replay.update(worst, replay.TouchShown(1)).row == 37
+    assert replay.update(worst, replay.TouchShown(99)).at == 39
+    assert replay.update(worst, replay.TouchClicked(35)).at == 2
 
 
 def test_readings_are_compared_with_the_prediction(predictor):

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from i2t.collect.recorder import POSE_CHANNELS, WRENCH_CHANNELS
 from i2t.dataset import Image, Record, Series, save_dataset, write_touch
 from i2t.hardware.protocols import channel_names
-from i2t.view import command, rerun_file
+from i2t.view import command
 from i2t.view.contents import read_contents
 
 LENS = {"width": 32, "height": 24, "fx": 30.0, "fy": 30.0, "cx": 15.5, "cy": 11.5}
@@ -68,7 +68,7 @@ def column(chunks, entity, component):
 def test_a_session_reads_back_from_its_recording(session, tmp_path):
     pytest.importorskip("rerun", reason="rerun-sdk is not installed")
     chunk = pytest.importorskip("rerun.chunk", reason="rerun-sdk is not installed")
-    assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
+    assert command.main([str(session), "--rerun", "--out", str(tmp_path / "out")]) == 0
     chunks = list(chunk.RrdReader(tmp_path / "out" / "session.rrd").stream())
     scalars = column(chunks, "/readings/chip0/x", "Scalars:scalars")
     contents = read_contents(session)
@@ -108,20 +108,19 @@ def test_a_data_set_without_series_is_shown_too(tmp_path):
     assert "<td>3</td>" not in page
 
 
-@pytest.mark.full
-def test_a_missing_rerun_is_reported_with_what_to_install(session, tmp_path, capsys, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    assert command.main([str(session), "--out", str(tmp_path / "out")]) == 0
-    said = capsys.readouterr().err.strip()
-    assert said == rerun_file.explain_no_recording()
-    assert 'pip install -e ".[view]"' in said
-    assert (tmp_path / "out" / "session.html").exists()
+def test_a_missing_package_is_reported_with_what_to_install(session, tmp_path, capsys, monkeypatch):
+    for module, words in (("rerun", ["--rerun", "--out", str(tmp_path / "out")]), ("viser", [])):
+        monkeypatch.setitem(sys.modules, module, None)
+        assert command.main([str(session), *words]) == 2
+        assert 'pip install -e ".[view]"' in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_invalid_mesh_options_are_refused(session, tmp_path, capsys):
     for options, why in (
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
-        ([str(session), "--unit", "cm"], "no effect without --mesh"),
+        (["star"], "write recorded touches"),
+        ([str(session), "--unit", "cm"], "no effect"),
     ):
-        assert command.main([*options, "--out", str(tmp_path / "out")]) == 2
+        assert command.main([*options, "--html", "--out", str(tmp_path / "out")]) == 2
         assert why in capsys.readouterr().err

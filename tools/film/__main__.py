@@ -2,7 +2,7 @@
 
 python -m tools.film --out docs/figures/view.webp
 
-All readings are simulated or emulated. It takes about two minutes and needs a browser (`tools.browser`).
+All readings are simulated or emulated. It takes about two minutes and needs a browser (`tools.film.browser`).
 """
 
 import re
@@ -17,9 +17,9 @@ from PIL import Image
 
 from i2t.cli.exit_codes import command
 from i2t.cli.options import docstring_of
-from tools.browser import Browser, explain_no_browser, open_browser, serve_page
+from tools.film.browser import Browser, explain_no_browser, open_browser, serve_page
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SIZE, SHOWN = (1120, 700), (800, 500)  # pixels, of the page and of the film
 FIRST_S = 180.0  # s, limit of what compiles
 STILL_MS, MOVING_MS = 1600, 120  # how long a picture is shown
@@ -115,7 +115,7 @@ def _live(browser: Browser, keep: Callable[..., None]) -> None:
         keep(MOVING_MS)
 
 
-main = command(FilmArgs, _film, program="python -m tools.film", description=docstring_of("tools.film"))
+main = command(FilmArgs, _film, program="python -m tools.film", description=docstring_of("tools.film.__main__"))
 
 if __name__ == "__main__":
     sys.exit(main())

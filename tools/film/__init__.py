@@ -1,0 +1,1 @@
+"""Film of the page of `i2t view`, and the browser that looks at it (`tools.film.browser`)."""
