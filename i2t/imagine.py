@@ -22,8 +22,8 @@ import tyro
 
 from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Limits, Seed, docstring_of, require_writable
-from i2t.files.checkpoints import is_checkpoint
-from i2t.models import READY_MODELS, explain_no_predictor, ready_path
+from i2t.models import READY_MODELS
+from i2t.models.checks import require_predictor
 from i2t.objects.named import describe_placement, read_object
 from i2t.patches.dimensions import MAX_SKIN_FORCE_N
 
@@ -105,9 +105,7 @@ def _check(args: ImagineArgs) -> None:
         raise ValueError(f"--out {args.out}: is not the name of a picture; use the ending {' or '.join(endings)}")
     if args.at is not None and args.sites is not None:
         raise ValueError("--at names the only touch; leave --sites out")
-    folder = ready_path(args.model, "predictor")
-    if not any(is_checkpoint(folder / part) for part in ("", "checkpoint/predictor")):
-        raise ValueError(f"--model {args.model}: {explain_no_predictor(args.model)}")
+    require_predictor("--model", args.model)
     if args.board is not None:
         from i2t.skin.boards import make_board
 

@@ -233,6 +233,9 @@ def read_touch(path: str | Path) -> Record:
     return record
 
 
+MAX_NAMED_FILES = 5  # number of unusable files that one message names
+
+
 def load_dataset(
     path: str | Path, *, skip_bad: bool = False, missing_chips: bool = False, skin: str | None = None
 ) -> Dataset:
@@ -253,9 +256,9 @@ def load_dataset(
         One data set of all touches.
 
     Raises:
-        DataError: Files are unusable and `skip_bad` is not set (one sentence names them all), no touch is left, chips
-            are missing and neither switch is set, the files' boards, windows or reaches differ, or there are several
-            skins and none is named.
+        DataError: Files are unusable and `skip_bad` is not set (one sentence names the first ones), no touch is left,
+            chips are missing and neither switch is set, the files' boards, windows or reaches differ, or there are
+            several skins and none is named.
 
     Example:
         touches = i2t.load_dataset("data/mug").touches
@@ -278,10 +281,12 @@ def load_dataset(
         remedy = (
             "no file is left to read"
             if skip_bad
-            else "repair these files, or leave them out with skip_bad (--skip-bad)"
+            else "repair these files, or leave them out (skip_bad=True, or --skip-bad where a command has it)"
         )
+        more = [f"and {len(bad) - MAX_NAMED_FILES} more"] if len(bad) > MAX_NAMED_FILES else []
         raise DataError(
-            f"{len(bad)} of {len(files)} files of {path} cannot be used: {' | '.join(bad)} | {remedy}"
+            f"{len(bad)} of {len(files)} files of {path} cannot be used: "
+            f"{' | '.join([*bad[:MAX_NAMED_FILES], *more, remedy])}"
             if path.is_dir()
             else explain_no_dataset(path) or bad[0]
         )

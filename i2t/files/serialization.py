@@ -196,7 +196,7 @@ def _read(path: Path | str, what: str, missing: str = "") -> tuple[dict[str, np.
     """Read the arrays of a file and its header."""
     path = as_path("path", path)
     if not path.is_file():
-        raise SerializationError(f"{path}: there is no such file; name a {what} that i2t wrote{missing}")
+        raise SerializationError(f"{path}: there is no such file; name an {what} that i2t wrote{missing}")
     try:
         data = read_bytes(path)
         check_archive(path, data)

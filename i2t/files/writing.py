@@ -100,6 +100,24 @@ def write_json(path: Path, values: dict[str, Any]) -> None:
         temporary.write_text(json.dumps(clean(values), indent=1, default=str) + "\n")
 
 
+def end_with_whole_line(path: Path, max_bytes: int = 2**16) -> None:
+    """Remove the last line of a text file if it was written in part, as when the disk is full.
+
+    Args:
+        path: Path of the file.
+        max_bytes: Largest number of bytes of a line.
+
+    Raises:
+        OSError: The file cannot be read or shortened.
+    """
+    with path.open("rb+") as file:
+        size = file.seek(0, os.SEEK_END)
+        start = file.seek(max(0, size - max_bytes))
+        end = file.read().rfind(b"\n") + 1
+        if end or not start:
+            file.truncate(start + end)
+
+
 def file_in(folder: Path, name: str, listed_in: str | Path, *, below: bool = False) -> Path:
     """Find a file by a name that another file gives for it, within one folder.
 

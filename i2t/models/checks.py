@@ -1,10 +1,11 @@
-"""Check of options that name a data set, before slow imports."""
+"""Checks of options that name a data set or a predictor, before slow imports."""
 
 from pathlib import Path
 
+from i2t.files.checkpoints import is_checkpoint
 from i2t.files.kinds import MESH_SUFFIXES
 from i2t.files.reading import explain_no_dataset
-from i2t.models import ready_hint, ready_path
+from i2t.models import explain_no_predictor, ready_hint, ready_path
 
 
 def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> None:
@@ -32,3 +33,18 @@ def require_dataset(flag: str, path: Path | None, *, tables: bool = False) -> No
         and (why := explain_no_dataset(path))
     ):
         raise ValueError(f"{flag} {why}")
+
+
+def require_predictor(flag: str, name: str) -> None:
+    """Refuse a folder that holds no predictor.
+
+    Args:
+        flag: The option that names the predictor.
+        name: Name of a ready predictor, or a folder in which one was trained.
+
+    Raises:
+        ValueError: There is no predictor.
+    """
+    folder = ready_path(name, "predictor")
+    if not any(is_checkpoint(folder / part) for part in ("", "checkpoint/predictor")):
+        raise ValueError(f"{flag} {name}: {explain_no_predictor(name)}")

@@ -24,10 +24,12 @@ from i2t.cli.options import Count, Limits, docstring_of, require_with, require_w
 from i2t.cli.signals import ended_by_ctrl_c
 from i2t.files.kinds import MESH_SUFFIXES
 from i2t.models import ready_path
-from i2t.models.checks import require_dataset
+from i2t.models.checks import require_dataset, require_predictor
+from i2t.models.finished import require_pad_model
 from i2t.objects.named import object_name, require_object, require_objects, split_unit
 
 if TYPE_CHECKING:
+    from i2t.types import Pad
     from i2t.view.contents import Contents
     from i2t.view.server import Scene
 
@@ -135,6 +137,15 @@ def _check(args: ViewArgs, dataset: Path | None) -> None:
         require_object(args.what, args.unit)
     if args.mesh is not None:
         require_object(args.mesh, args.unit, flag="--mesh")
+    for flag, names in (("--models", args.models), ("--pads", args.pads)):
+        if not names:
+            raise ValueError(f"{flag}: name at least one, such as nominal")
+    for name in args.models:
+        require_predictor("--models", name)
+    for name in args.pads:
+        if Path(name).suffix and not Path(name).is_file():
+            raise ValueError(f"--pads {name}: there is no such file; check the name")
+    require_pad_model(args.pad_model)
     require_objects(args.objects, args.unit if args.objects else None)
     if args.board is not None:
         from i2t.skin.boards import make_board
@@ -182,23 +193,28 @@ def _contents(args: ViewArgs, dataset: Path) -> "Contents":
 
 
 def _explore(args: ViewArgs, dataset: Path | None) -> "Scene":
-    from i2t.emulators.world import read_pad
     from i2t.objects.named import read_object
     from i2t.prediction.predictor import load_predictor
     from i2t.view import explore
 
     what = args.mesh or ("hammer" if args.what == LIVE or dataset not in (None, args.dataset) else args.what)
+    predictors = {name: load_predictor(name) for name in args.models}
+    return explore.ExploreScene(explore.begin(read_object(what, args.unit), predictors, _pads(args)))
+
+
+def _pads(args: ViewArgs) -> "dict[str, Pad]":
+    """Read the pads to simulate with, or draw those that are boards."""
+    from i2t.emulators.world import read_pad
+
     pads = {}
     for name in args.pads:
         file, board = (Path(name), None) if Path(name).is_file() else (None, None if name == "nominal" else name)
         pads[object_name(name)] = read_pad(file, board)
-    predictors = {name: load_predictor(name) for name in args.models}
-    return explore.ExploreScene(explore.begin(read_object(what, args.unit), predictors, pads))
+    return pads
 
 
 def _recognize(args: ViewArgs) -> "Scene":
     from i2t.dataset import load_dataset
-    from i2t.emulators.world import read_pad
     from i2t.models.finished import find_pad_model
     from i2t.objects.named import meshes_of_dataset, read_meshes
     from i2t.skin_models.pad_model import load_pad_model
@@ -207,7 +223,13 @@ def _recognize(args: ViewArgs) -> "Scene":
     pad_model = load_pad_model(find_pad_model(args.pad_model)[0])
     if args.dataset is None:
         meshes = read_meshes(args.objects or EPISODE_OBJECTS, args.unit)
-        state = recognize.begin(meshes, pad_model, read_pad(None), next(iter(meshes)))
+        name, pad = next(iter(_pads(args).items()))
+        note = (
+            ""
+            if str(args.pad_model) == name
+            else f"touched with the pad {name}, predicted for that of {args.pad_model}"
+        )
+        state = recognize.begin(meshes, pad_model, pad, next(iter(meshes)), note)
     else:
         recorded = load_dataset(args.dataset, skin=args.skin_name)
         meshes = read_meshes(args.objects, args.unit) or meshes_of_dataset(recorded.objects, str(args.dataset))
@@ -238,6 +260,11 @@ def _live(args: ViewArgs) -> "Scene":
             address, _ = stack.enter_context(run_board("--press", "1", "--board", args.board or DEFAULT_BOARD))
         skin = load_device("skin", args.skin, DeviceSetup(Rig(), address, board=args.board, stack=stack))
         board = getattr(skin, "board", None) or make_board(args.board or DEFAULT_BOARD)
+        if calibration is not None and len(calibration.interval_scaling) != board.num_readings:
+            raise ValueError(
+                f"--calibration {args.calibration}: has {len(calibration.interval_scaling)} values, and the skin has "
+                f"{board.num_readings}; give the calibration of this skin"
+            )
         return LiveScene(skin, board, calibration, args.record, stack.pop_all())
 
 

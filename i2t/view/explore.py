@@ -27,7 +27,7 @@ from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin.boards import same_board
 from i2t.types import Array, Board, Pad, ReturnCode, Surface
 from i2t.view.drawing import SkinNode, add_mesh, place
-from i2t.view.server import Page, Scene
+from i2t.view.server import Page, Scene, plain
 from i2t.viz.skins import common_scale
 
 NO_PAD = "none"  # choice of no simulated pad
@@ -46,6 +46,7 @@ class Exploration(NamedTuple):
     predictor: str  # name of the chosen predictor
     pad: str  # name of the chosen pad
     load: float  # N, or m of travel, as the predictor takes it
+    note: str  # what each message ends with: how the mesh was placed
     message: str
     T_o_t: Array | None = None  # (4, 4) tool pose of the touch
     seen: TouchBatch | None = None  # patch and view there; None if the touch is refused
@@ -90,10 +91,10 @@ def begin(thing: Object, predictors: Mapping[str, Predictor], pads: Mapping[str,
     Returns:
         The state, with the first predictor and the first pad.
     """
-    first = next(iter(predictors))
-    message = "\n\n".join(filter(None, ["Click the object to press the skin there.", describe_placement(thing)]))
+    first, note = next(iter(predictors)), plain(describe_placement(thing))
     surface, load = prepare_surface(thing.mesh), _usual_load(predictors[first])
-    return Exploration(thing, surface, predictors, pads, first, next(iter(pads), NO_PAD), load, message)
+    message = f"Click the object to press the skin there.\n\n{note}"
+    return Exploration(thing, surface, predictors, pads, first, next(iter(pads), NO_PAD), load, note, message)
 
 
 def update(state: Exploration, event: Any) -> Exploration:
@@ -112,7 +113,12 @@ def update(state: Exploration, event: Any) -> Exploration:
             if point is None:
                 return state
             try:
-                state = state._replace(T_o_t=contact_pose(state.object.mesh, point))
+                T_o_t = contact_pose(state.object.mesh, point)
+                touched = _touched(state._replace(T_o_t=T_o_t), T_o_t)
+                if T_o_t[:3, 2] @ direction < 0:
+                    back = "You clicked the back of an open surface; the skin lies on its front."
+                    touched = touched._replace(message=f"{touched.message}\n\n{back}")
+                return touched
             except ValueError as error:
                 return _refused(state._replace(T_o_t=np.r_[np.c_[np.eye(3), point], [[0, 0, 0, 1]]]), error)
         case Moved(T_o_t):
@@ -137,7 +143,7 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
         return _refused(state, error)
     unit, factor = UNITS[predictor.load]
     readings, board = {"predicted": Reading(mean[0], std[0])}, predictor.board
-    lines = [f"**{state.object.name}, {factor * state.load:.2f} {unit}**"]
+    lines = [f"**{plain(state.object.name)}, {factor * state.load:.2f} {unit}**"]
     if pad is not None and predictor.load != "force":
         lines.append("The pad is pressed by force and this predictor by travel, so the touch is not simulated.")
     elif pad is not None:
@@ -152,7 +158,8 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
         readings["simulated"] = Reading(touch.reading, np.zeros_like(touch.reading))
     if unsafe := explain_unsafe(state.surface, T_o_t):
         lines.append(f"An arm would not touch here: {unsafe}.")
-    return state._replace(seen=seen, readings=readings, board=board, message="\n\n".join(lines))
+    message = "\n\n".join(filter(None, [*lines, state.note]))
+    return state._replace(seen=seen, readings=readings, board=board, message=message)
 
 
 def _usual_load(predictor: Predictor) -> float:
@@ -160,7 +167,9 @@ def _usual_load(predictor: Predictor) -> float:
 
 
 def _refused(state: Exploration, error: ValueError) -> Exploration:
-    return state._replace(seen=None, readings={}, message=REFUSED + str(error).removeprefix("point: "))
+    reason = str(error).removeprefix("point: ").partition(";")[0]  # whose remedy is for programs
+    remedy = "Click another place, or drag the skin onto the surface."
+    return state._replace(seen=None, readings={}, message=f"{REFUSED}{plain(reason)}. {remedy}")
 
 
 class ExploreScene(Scene):
@@ -197,7 +206,7 @@ class ExploreScene(Scene):
         try:
             page.send(Moved(sample_touch_sites(state.object.mesh, 1, seed=0).T_o_t[0]))
         except ValueError as error:  # no safe site
-            page.say(f"{state.message}\n\n{error}")
+            self.state = state._replace(message=f"{state.message}\n\n{plain(str(error))}")
 
     def draw(self, state: Exploration) -> None:
         """Show the touch: first skin and numbers, then the picture, which takes longer.

@@ -4,6 +4,7 @@ The samples are read, and recorded, in a thread of their own, so that a slow bro
 """
 
 import itertools
+import logging
 import threading
 import time
 from collections import deque
@@ -15,19 +16,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from i2t.errors import DeviceError
+from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.protocols import Samples, Skin, SkinCounters
-from i2t.hardware.reskin.monitor import REST_SAMPLES, SHOWN_SAMPLES, judge_rest, sample_recorder
+from i2t.hardware.reskin.monitor import REST_SAMPLES, SHOWN_SAMPLES, judge_rest, record_samples
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.prediction.touch_model import Reading
 from i2t.skin.boards import mean_finite
 from i2t.skin_models.calibration import Calibration, PressEstimate
 from i2t.types import Board
 from i2t.view.drawing import SkinNode
-from i2t.view.server import Page, Scene
+from i2t.view.server import Page, Scene, plain
 
+log = logging.getLogger(__name__)
 FRAME_S = 1 / 30  # s, time from one picture to the next
-TOUCHED_UT, MAX_MISFIT = 20.0, 5.0  # uT and standard deviations, between which a contact has a place
+TOUCHED_UT, MAX_MISFIT = 20.0, 3.0  # uT and standard deviations, between which a contact has a place
 
 
 class Live(NamedTuple):
@@ -42,7 +44,7 @@ class Live(NamedTuple):
     health: str = "the first samples define zero"
     place: PressEstimate | None = None
     fps: float = 0.0  # pictures a second
-    recording: str = ""  # path of the table that is written
+    recording: str = ""  # sentence about the table that is written, or was last
 
 
 class Ticked(NamedTuple):
@@ -62,7 +64,7 @@ class Zeroed(NamedTuple):
 class Recorded(NamedTuple):
     """Event: recording began or ended."""
 
-    path: str  # empty if it ended
+    sentence: str
 
 
 class Lost(NamedTuple):
@@ -83,38 +85,39 @@ def update(state: Live, event: Any) -> Live:
     """
     match event:
         case Ticked(samples, counters, fps):
-            mean = mean_finite(samples.reading, axis=0)
-            change = None if state.rest is None else mean - state.rest
+            change = None if state.rest is None else mean_finite(samples.reading, axis=0) - state.rest
             lines = [
-                f"**{state.name}** {counters.rate:.0f} Hz, {counters.samples} samples, lost {counters.lost} "
+                f"**{plain(state.name)}** {counters.rate:.0f} Hz, {counters.samples} samples, lost {counters.lost} "
                 f"({100 * counters.loss:.2f} %), {fps:.0f} pictures a second",
-                state.health,
+                plain(state.health),
             ]
             where = None
-            if change is not None and np.isfinite(change).all():
-                size = float(np.linalg.norm(change))
+            if change is not None:
+                size = float(np.linalg.norm(change[np.isfinite(change)]))
                 lines.append(f"change of all chips: {size:.1f} µT")
                 if state.calibration is not None and size > TOUCHED_UT:
-                    where = state.calibration.locate(change)
-                    lines.append(_worded(where, state.calibration.load_kind))
-            if state.recording:
-                lines.append(f"recording to {state.recording}")
-            return state._replace(change=change, place=where, fps=fps, message="\n\n".join(lines))
+                    where = state.calibration.locate(change) if np.isfinite(change).all() else None
+                    lines.append(_worded(where))
+            message = "\n\n".join(filter(None, [*lines, plain(state.recording)]))
+            return state._replace(change=change, place=where, fps=fps, message=message)
         case Zeroed(samples):
             rest, health = judge_rest(samples)
             return state._replace(rest=rest, health=health)
-        case Recorded(path):
-            return state._replace(recording=path)
+        case Recorded(sentence):
+            return state._replace(recording=sentence, message=f"{state.message}\n\n{plain(sentence)}")
         case Lost(reason):
-            return state._replace(change=None, place=None, recording="", message=f"**{state.name}:** {reason}")
+            lines = [f"**{plain(state.name)}:** {plain(reason)}", plain(state.recording)]
+            return state._replace(change=None, place=None, message="\n\n".join(filter(None, lines)))
     return state
 
 
-def _worded(where: PressEstimate, load_kind: str) -> str:
+def _worded(where: PressEstimate | None) -> str:
+    if where is None:
+        return "no place, because a chip does not answer"
     if not where.misfit <= MAX_MISFIT:
-        return f"unlike the calibration's presses ({where.misfit:.0f} standard deviations), so without a place"
+        return f"no place: unlike the presses of the calibration, by {where.misfit:.0f} standard deviations"
     (x, y), (dx, dy) = 1e3 * where.position, 1e3 * where.position_std
-    return f"contact at x {x:.1f} ± {dx:.1f} mm, y {y:.1f} ± {dy:.1f} mm (loads: {load_kind})"
+    return f"contact at x {x:.1f} ± {dx:.1f} mm, y {y:.1f} ± {dy:.1f} mm, by the calibration"
 
 
 class LiveScene(Scene):
@@ -136,10 +139,10 @@ class LiveScene(Scene):
         super().__init__(Live(f"{skin.features.name} ({skin.features.source})", board, calibration))
         self._skin, self._path, self._stack = skin, table, stack
         self._stop, self._thread = threading.Event(), threading.Thread(target=self._read, name="live", daemon=True)
-        self._zeroes, self._records = True, False  # whether zero and a recording are wanted
+        self._connected, self._zeroes, self._records = False, True, False  # the last two: whether they are wanted
         self._zero_from: int | None = None  # number of the sample from which zero is measured
         self._write: Callable[[], None] | None = None  # writes the samples since its last call
-        self._reported = ""  # reason of the loss that was reported last
+        self._table, self._table_path = ExitStack(), table  # the table that is written, or was last
         self._drawn: deque[float] = deque(maxlen=30)  # s, times of the newest pictures
 
     def build(self, page: Page) -> None:
@@ -167,7 +170,9 @@ class LiveScene(Scene):
             state: The state to show.
         """
         self._drawn.append(time.monotonic())
-        if state.change is not None:
+        if state.change is None:
+            self._node.clear()
+        else:
             reading = Reading(state.change, np.zeros_like(state.change))
             self._node.draw(state.board, {"measured": reading}, float(self._scale.value))
         seen = state.place is not None and state.place.misfit <= MAX_MISFIT
@@ -186,39 +191,33 @@ class LiveScene(Scene):
     def _connect(self) -> None:
         try:
             self._skin.connect()
-            self._zeroes = True
+            self._connected = self._zeroes = True
         except DeviceError as error:
             self._page.send(Lost(str(error)))
 
     def _read(self) -> None:
         """Record and show samples until the scene is closed; a skin that is gone may be connected again."""
-        with ExitStack() as table:
-            while not self._stop.wait(FRAME_S):
-                try:
-                    self._read_once(table)
-                except (DeviceError, OSError) as error:
-                    self._records, self._write = False, None
-                    with suppress(OSError):  # the disk may be full
-                        table.close()  # after the last samples
-                    if str(error) != self._reported:
-                        self._page.send(Lost(str(error)))
-                    self._reported = str(error)
+        while not self._stop.wait(FRAME_S):
+            try:
+                if self._records != (self._write is not None):
+                    (self._begin_table if self._records else self._end_table)()
+                if self._write is not None:
+                    self._write()
+            except (DeviceError, OSError) as error:
+                self._end_table(f"not recorded: {error}" if self._write is None else f"recording ended: {error}")
+            try:
+                if self._connected:
+                    self._show_newest()
+            except DeviceError as error:
+                if not isinstance(error, DeviceTimeoutError):  # a silent skin may send again
+                    self._connected = False
+                    self._end_table(f"recording ended: {error}" if self._write is not None else "")
+                self._page.send(Lost(str(error)))
+        self._end_table()
 
-    def _read_once(self, table: ExitStack) -> None:
-        """Send the newest samples to the page, and write those since the last call if a recording is wanted."""
-        newest, self._reported = int(self._skin.latest().number[-1]), ""
-        if self._records and self._write is None:
-            path = _unused(self._path)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._write = sample_recorder(self._skin, table.enter_context(path.open("x", newline="", buffering=1)))
-            table.callback(self._write)
-            self._page.send(Recorded(str(path)))
-        elif self._write is not None and not self._records:
-            self._write = None
-            table.close()
-            self._page.send(Recorded(""))
-        if self._write is not None:
-            self._write()
+    def _show_newest(self) -> None:
+        """Send the newest samples to the page, and zero once there are enough."""
+        newest = int(self._skin.latest().number[-1])
         if self._zeroes:
             self._zeroes, self._zero_from = False, newest
         if self._zero_from is not None and newest - self._zero_from >= REST_SAMPLES:
@@ -226,6 +225,27 @@ class LiveScene(Scene):
             self._zero_from = None
         fps = (len(self._drawn) - 1) / max(self._drawn[-1] - self._drawn[0], 1e-3) if self._drawn else 0.0
         self._page.send(Ticked(self._skin.since(newest - SHOWN_SAMPLES), self._skin.counters, fps))
+
+    def _begin_table(self) -> None:
+        path = _unused(self._path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._write, self._table_path = self._table.enter_context(record_samples(self._skin, path)), path
+        self._tell(f"recording to {path}")
+
+    def _end_table(self, why: str = "") -> None:
+        """Write the last samples, close the table, and tell how many it holds and why it ended."""
+        recorded, self._write, self._records = self._write is not None, None, False
+        with suppress(OSError):  # the disk may be full
+            self._table.close()
+        if recorded:
+            with self._table_path.open() as table:
+                why = "; ".join(filter(None, [why, f"{self._table_path} holds {sum(1 for _ in table) - 1} samples"]))
+        if why:
+            self._tell(why)
+
+    def _tell(self, sentence: str) -> None:
+        log.info(sentence)
+        self._page.send(Recorded(sentence))
 
 
 def _unused(path: Path) -> Path:

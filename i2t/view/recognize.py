@@ -19,10 +19,11 @@ from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerC
 from i2t.recognition.sessions import RecognizedSessions, recognize
 from i2t.rendering.render import prepare_surface
 from i2t.simulation.touches import SimulationErrors, touch_simulator
+from i2t.skin.boards import same_board
 from i2t.skin_models.pad_model import KnownPad
 from i2t.types import Array, Board, Pad, ReturnCode
 from i2t.view.drawing import SkinNode, add_discs, add_mesh, place, quaternions
-from i2t.view.server import Page, Scene
+from i2t.view.server import Page, Scene, plain
 from i2t.viz.skins import common_scale
 
 CONFIG = RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, so that an episode begins sooner
@@ -46,6 +47,7 @@ class RecognitionState(NamedTuple):
     message: str
     touched: str  # name of the touched object
     session: str  # name of the recorded session; empty if touches are simulated
+    note: str = ""  # what each message ends with
     steps: tuple[EpisodeTouch, ...] = ()
     shown: int = 0  # number of touches after which the belief is shown
     recognizer: ObjectRecognizer | None = None
@@ -78,7 +80,7 @@ class Begun(NamedTuple):
     name: str
 
 
-def begin(meshes: Mapping[str, Mesh], pad_model: KnownPad, pad: Pad, touched: str) -> RecognitionState:
+def begin(meshes: Mapping[str, Mesh], pad_model: KnownPad, pad: Pad, touched: str, note: str = "") -> RecognitionState:
     """Prepare episodes of simulated touches.
 
     Args:
@@ -86,12 +88,21 @@ def begin(meshes: Mapping[str, Mesh], pad_model: KnownPad, pad: Pad, touched: st
         pad_model: Pad model that predicts the readings.
         pad: Pad that touches.
         touched: Name of the touched candidate.
+        note: Sentence that each message ends with.
 
     Returns:
         The state before the first touch.
+
+    Raises:
+        ValueError: Pad and pad model are of different boards.
     """
+    if not same_board(pad.board, pad_model.board):
+        raise ValueError(
+            f"the pad has {pad.board.num_chips} chips and the pad model {pad_model.board.num_chips}, or others; give "
+            "--pads one on the board of --pad-model"
+        )
     recognizer = ObjectRecognizer(jax.random.key(0), pad_model.model, meshes, config=CONFIG)
-    state = RecognitionState(meshes, pad_model.board, "", touched, "", recognizer=recognizer, pad=pad)
+    state = RecognitionState(meshes, pad_model.board, "", touched, "", note, recognizer=recognizer, pad=pad)
     return update(state, Begun(touched))
 
 
@@ -171,13 +182,16 @@ def _recorded_steps(recorded: RecognizedSessions, session: str) -> tuple[Episode
 def _message(state: RecognitionState) -> str:
     p, names = state.probability, list(state.meshes)
     source = "simulated" if state.recorded is None else source_phrase(state.recorded.source)
-    head = f"**{state.shown} of {len(state.steps)} touches of the {state.touched}** ({source})"
-    lines = [head, f"most probable: {names[int(p.argmax())]}, {p.max():.0%}" if state.shown else "not touched yet"]
+    head = f"**{state.shown} of {len(state.steps)} touches of the {plain(state.touched)}** ({source})"
+    lines = [
+        head,
+        f"most probable: {plain(names[int(p.argmax())])}, {p.max():.0%}" if state.shown else "not touched yet",
+    ]
     if state.shown and not state.steps[state.shown - 1].contact:
         lines.append("this touch met nothing")
     if state.recognizer is not None and (reason := state.recognizer.stop_reason(state.states[state.shown])):
         lines.append(f"no more touch is needed: {reason}")
-    return "\n\n".join(lines)
+    return "\n\n".join(filter(None, [*lines, plain(state.note)]))
 
 
 class RecognizeScene(Scene):

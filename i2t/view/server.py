@@ -9,6 +9,8 @@ that moves faster than readings are predicted does not lag behind. All windows o
 import contextlib
 import io
 import logging
+import re
+import socket
 import threading
 import warnings
 from abc import ABC, abstractmethod
@@ -20,6 +22,8 @@ from jaxtyping import Float
 
 from i2t.errors import I2TError, require_extra
 
+ANY_HOST = ("0.0.0.0", "::")  # stand for all addresses of this machine
+BUSY_S = 0.3  # s, after which the page says that it computes
 log = logging.getLogger(__name__)
 
 
@@ -71,21 +75,25 @@ class Page:
 
     Raises:
         MissingExtraError: viser is not installed.
-        OSError: The address is not one of this machine.
+        ValueError: The address is not one of this machine.
     """
 
     def __init__(self, scenes: Mapping[str, Callable[[], Scene]], *, host: str, port: int) -> None:
         require_extra("viser", "the page in the browser")
         import viser
 
+        _require_address(host)
         with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
             self.server = viser.ViserServer(host=host, port=port, label="i2t", verbose=False)
-        self.address = f"http://{'localhost' if host == '0.0.0.0' else host}:{self.server.get_port()}"
+        name = "localhost" if host in ANY_HOST else f"[{host}]" if ":" in host else host
+        self.address = f"http://{name}:{self.server.get_port()}"
         self._scenes = scenes
         self._scene: Scene | None = None
         self._events: dict[type, Any] = {}  # by their kind, in order of time
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="page", daemon=True)
+        self._ended = threading.Event()  # set by the thread, as an interrupted join forgets a thread that still runs
+        self._said = ""
 
     def send(self, event: Any) -> None:
         """Put an event into the queue. It replaces one of the same kind that still waits.
@@ -113,7 +121,7 @@ class Page:
         Args:
             message: The sentence, in Markdown.
         """
-        self._message.content = message
+        self._said = self._message.content = message
 
     def look_at(self, points: Float[np.ndarray, "n 3"]) -> None:
         """Point the camera of each window at some points, from their front and above.
@@ -138,32 +146,44 @@ class Page:
         """
         self._thread.start()
         self.send(ShowScene(first))
-        self._thread.join()
+        self._ended.wait()
 
     def close(self) -> None:
-        """Close the shown scene and stop listening."""
+        """Close the shown scene and stop listening, once a computation that runs has ended."""
         self.send(None)
-        if self._thread.is_alive():
-            self._thread.join(timeout=10)
+        if not self._ended.wait(1.0):
+            log.warning("the page ends after the present computation")
+            self._ended.wait()
         if self._scene is not None:
             self._scene.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
 
     def _work(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._events)
-                event = self._events.pop(next(iter(self._events)))
-            if event is None:
-                return
+        while (event := self._next()) is not None:
+            busy = threading.Timer(
+                BUSY_S, lambda: setattr(self._message, "content", f"{self._said}\n\n*computing ...*")
+            )
+            busy.start()
             try:
                 self._handle(event)
             except (I2TError, ValueError, OSError) as error:
-                self.say(str(error))
+                busy.cancel()
+                self.say(plain(str(error)))
+                if isinstance(event, ShowScene):  # a wrong option of the command line
+                    log.error("%s: %s", event.name, error)
             except Exception as error:
                 log.exception("the page could not handle %s", type(event).__name__)
-                self.say(f"that failed ({type(error).__name__}: {error}); the terminal has the details")
+                self.say(f"that failed ({type(error).__name__}: {plain(str(error))}); the terminal has the details")
+            finally:
+                busy.cancel()
+        self._ended.set()
+
+    def _next(self) -> Any:
+        """Wait for an event, and take it from the queue."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._events)
+            return self._events.pop(next(iter(self._events)))
 
     def _handle(self, event: Any) -> None:
         if isinstance(event, ShowScene):
@@ -172,7 +192,8 @@ class Page:
             with warnings.catch_warnings(record=True) as doubts:
                 warnings.simplefilter("always", UserWarning)
                 scene.state = scene.update(scene.state, event)
-            self.say("\n\n".join([scene.state.message, *(f"*{doubt.message}*" for doubt in doubts)]))
+            texts = [f"*{plain(str(doubt.message))}*" for doubt in doubts if issubclass(doubt.category, UserWarning)]
+            self.say("\n\n".join([scene.state.message, *texts]))
             scene.draw(scene.state)
 
     def _show(self, name: str) -> None:
@@ -193,3 +214,27 @@ class Page:
         self._scene = scene
         self.say(scene.state.message)
         scene.draw(scene.state)
+
+
+def plain(text: str) -> str:
+    """Escape a text that is not Markdown, such as the name of a file.
+
+    Args:
+        text: The text.
+
+    Returns:
+        Markdown that is shown as the text.
+    """
+    return re.sub(r"([\\`*_{}\[\]<>#|~$])", r"\\\1", text)
+
+
+def _require_address(host: str) -> None:
+    """Refuse an address that is not one of this machine, at which viser would wait forever (ValueError)."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as test:
+            test.bind(address)
+    except OSError as error:
+        raise ValueError(
+            f"--host {host}: is no address of this machine ({error}); give 127.0.0.1 or 0.0.0.0"
+        ) from error

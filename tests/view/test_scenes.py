@@ -181,9 +181,22 @@ def test_a_running_skin_shows_its_change_its_rate_and_its_losses():
     assert "healthy at rest" in state.message
     assert "400 Hz, 900 samples, lost 100 (10.00 %), 30 pictures a second" in state.message
     assert f"{8 * np.sqrt(15):.1f} µT" in state.message
-    gone = live.update(live.update(state, live.Recorded("a.csv")), live.Lost("is gone"))
-    assert (gone.change, gone.recording) == (None, "")
+    gone = live.update(live.update(state, live.Recorded("a.csv holds 9 samples")), live.Lost("is gone"))
+    assert gone.change is None
     assert "is gone" in gone.message
+    assert "a.csv holds 9 samples" in gone.message
+
+
+def test_a_chip_that_does_not_answer_is_named():
+    reading = np.arange(15.0)
+    reading[6:9] = np.nan
+    noise = 3 * np.random.default_rng(0).normal(size=(120, 15))
+    state = live.Live("the skin", BOARD, i2t.load_calibration("eflesh"))
+    state = live.update(state, live.Zeroed(samples(reading, 120)._replace(reading=reading + noise)))
+    state = live.update(state, live.Ticked(samples(reading + 40), SkinCounters(), 30.0))
+    assert "no answer from chip 2" in state.message
+    assert "change of all chips: 1" in state.message  # of four chips
+    assert "no place, because a chip does not answer" in state.message
 
 
 def test_a_contact_has_the_place_that_the_calibration_gives():
@@ -195,4 +208,4 @@ def test_a_contact_has_the_place_that_the_calibration_gives():
         np.testing.assert_allclose(state.place.position, place, atol=1.5e-3)
         assert f"contact at x {1e3 * state.place.position[0]:.1f} ±" in state.message
     state = live.update(state, live.Ticked(samples(np.tile([900.0, -900, 900], 5)), SkinCounters(), 30.0))
-    assert "without a place" in state.message
+    assert "no place: unlike the presses of the calibration" in state.message

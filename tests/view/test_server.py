@@ -1,6 +1,10 @@
 """The page without a browser: its queue, its refusals, and a running skin whose samples are all recorded."""
 
 import csv
+import resource
+import signal
+import subprocess
+import sys
 import threading
 import time
 from contextlib import ExitStack
@@ -13,7 +17,7 @@ from i2t.emulators.reskin_board import run_board
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.skin.boards import make_board
 from i2t.view import live
-from i2t.view.server import Page, Scene, ShowScene
+from i2t.view.server import Page, Scene, ShowScene, plain
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
@@ -107,6 +111,64 @@ def test_two_pages_have_two_addresses(shown):
     assert other.address != page.address
 
 
+def test_an_address_of_another_machine_is_refused():
+    for host in ("192.0.2.1", "nonsense.invalid"):
+        with pytest.raises(ValueError, match="is no address of this machine"):
+            Page({}, host=host, port=18080)
+
+
+def test_names_are_shown_as_they_are():
+    assert plain("a_b*c {d} <e>") == r"a\_b\*c \{d\} \<e\>"
+
+
+def test_a_page_says_that_it_computes(shown):
+    page, scene = shown
+    page.send(Add(1))
+    until(lambda: "*computing ...*" in page._message.content)
+    scene.open.set()
+    until(lambda: page._message.content == "1")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("words", [["live", "--skin", "emulated"], ["--scene", "recognise"], ["star"]])
+def test_ctrl_c_ends_the_command_quietly_also_while_it_computes(words):
+    for wait in (0.5, 4.0):
+        command = [sys.executable, "-m", "i2t.view", *words, "--no-browser", "--port", "18095"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+            assert "http://" in process.stdout.readline()
+            time.sleep(wait)
+            process.send_signal(signal.SIGINT)
+            output, errors = process.communicate(timeout=120)
+        assert process.returncode == 0
+        assert output.splitlines()[-1] == "ended"
+        assert "Traceback" not in errors
+        assert "terminate" not in errors
+
+
+@pytest.mark.full
+def test_a_table_on_a_full_disk_ends_with_a_whole_line_and_says_so(tmp_path):
+    with run_board() as (port, _):
+        scene = live.LiveScene(ReSkin(port), make_board("reskin"), None, tmp_path / "a.csv", ExitStack())
+        page = Page({"live": lambda: scene}, host="127.0.0.1", port=18090)
+        page._thread.start()
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        try:
+            page.send(ShowScene("live"))
+            until(lambda: scene.state.change is not None)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, before[1]))
+            scene._records = True
+            until(lambda: "recording ended" in scene.state.recording)
+            time.sleep(0.5)
+            assert "recording ended" in page._message.content  # for as long as nothing else is recorded
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+            page.close()
+    text = (tmp_path / "a.csv").read_text()
+    assert 30_000 < len(text) <= 40_000
+    assert text.endswith("\n")
+    assert {line.count(",") for line in text.splitlines()} == {20}
+
+
 @pytest.mark.full
 def test_every_sample_of_a_running_skin_is_recorded_until_it_is_gone(tmp_path):
     with run_board("--press", "1", "--unplug-after", "6") as (port, _), ExitStack() as stack:
@@ -122,11 +184,12 @@ def test_every_sample_of_a_running_skin_is_recorded_until_it_is_gone(tmp_path):
             until(lambda: np.linalg.norm(scene.state.change) > 30)
             until(lambda: "is gone" in page._message.content)
             received = skin.counters.samples
-            until(lambda: not scene._records)
+            until(lambda: "samples" in scene.state.recording)
         finally:
             page.close()
     rows = list(csv.DictReader((tmp_path / "a.csv").read_text().splitlines()))
     steps = np.diff([float(row["time_s"]) for row in rows])
+    assert f"a.csv holds {len(rows)} samples" in scene.state.recording
     assert received - 1000 < len(rows) <= received
     assert steps.max() < 0.1
     assert all(row["b4z_uT"] for row in rows)

@@ -11,10 +11,9 @@ import contextlib
 import csv
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 from jaxtyping import Float
@@ -23,6 +22,7 @@ from i2t.cli.exit_codes import command
 from i2t.cli.options import Count, Positive
 from i2t.cli.signals import ended_by_ctrl_c
 from i2t.errors import DeviceError
+from i2t.files.writing import end_with_whole_line
 from i2t.hardware.protocols import Samples, Skin, SkinCounters
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.hardware.skin_health import check_skin
@@ -93,8 +93,7 @@ def _run(args: Options) -> None:
         print(f"{info.port}  {skin.features.source}  {info.form}  {info.baud} baud  {info.description}".rstrip())
         record = None
         if args.record is not None:
-            file = stack.enter_context(args.record.open("x", newline="", buffering=1))
-            record = stack.callback(sample_recorder(skin, file))  # also the last samples of a board that is gone
+            record = stack.enter_context(record_samples(skin, args.record))
         _show(skin, args.seconds, record)
 
 
@@ -127,37 +126,58 @@ def judge_rest(samples: Samples) -> tuple[Float[np.ndarray, " c"], str]:
     Returns:
         `(c,)` reading at rest (uT), NaN for a missing chip, and a phrase about the skin's health.
     """
-    defects = check_skin(samples).defects
-    health = "; ".join(f"UNHEALTHY: {defect.sentence}" for defect in defects) or "healthy at rest"
-    return mean_finite(samples.reading, axis=0), health
+    health = check_skin(samples)
+    sentences = [f"UNHEALTHY: {defect.sentence}" for defect in health.defects] or ["healthy at rest"]
+    if health.missing:
+        sentences.append(f"no answer from chip {', '.join(map(str, health.missing))}")
+    return mean_finite(samples.reading, axis=0), "; ".join(sentences)
 
 
-def sample_recorder(skin: Skin, file: TextIO) -> Callable[[], None]:
-    """Begin a table of samples (`--record`) at the skin's newest one.
+@contextlib.contextmanager
+def record_samples(skin: Skin, path: Path) -> Iterator[Callable[[], None]]:
+    """Write every sample of a skin into a new table (`--record`) while the block runs, from the newest one on.
+
+    The last samples are written at the end of the block, also of a skin that is gone. If the disk is full, the table
+    ends with a whole line.
 
     Args:
         skin: A connected skin.
-        file: Open text file for the table.
+        path: Path of the table.
 
-    Returns:
-        A function that writes the samples since its last call. It must be called before the skin's queue overflows, at
-        least every five seconds. It writes the last samples of a skin that is gone.
+    Yields:
+        A function that writes the samples since its last call. It must be called at least every five seconds, before
+        the skin's queue overflows.
+
+    Raises:
+        OSError: The table exists, or cannot be written.
+        DeviceError: The skin sends nothing.
     """
-    writer = csv.writer(file)
     first = skin.latest()
     newest, chips = int(first.number[-1]) - 1, range(first.temperature.shape[1])
-    writer.writerow(["time_s", *(f"b{i}{axis}_uT" for i in chips for axis in "xyz"), *(f"t{i}_C" for i in chips)])
+    try:
+        with path.open("x", newline="", buffering=1) as file:
+            writer = csv.writer(file)
 
-    def record() -> None:
-        nonlocal newest
-        with contextlib.suppress(DeviceError):  # `latest` reports a board that is gone
-            new = skin.since(newest)
-            columns = np.column_stack([new.time - first.time[0], new.reading, new.temperature])
-            # Six decimals exceed the resolution of the converter.
-            writer.writerows([f"{x:.6f}" if np.isfinite(x) else "" for x in row] for row in columns)
-            newest = max([newest, *new.number.tolist()])
+            def record() -> None:
+                nonlocal newest
+                with contextlib.suppress(DeviceError):  # `latest` reports a board that is gone
+                    new = skin.since(newest)
+                    columns = np.column_stack([new.time - first.time[0], new.reading, new.temperature])
+                    # Six decimals exceed the resolution of the converter.
+                    writer.writerows([f"{x:.6f}" if np.isfinite(x) else "" for x in row] for row in columns)
+                    newest = max([newest, *new.number.tolist()])
 
-    return record
+            head = ["time_s", *(f"b{i}{axis}_uT" for i in chips for axis in "xyz"), *(f"t{i}_C" for i in chips)]
+            writer.writerow(head)
+            try:
+                yield record
+            finally:
+                record()
+    except FileExistsError:
+        raise
+    except OSError:
+        end_with_whole_line(path)
+        raise
 
 
 main = command(Options, _run, program="python -m i2t.hardware.reskin")
