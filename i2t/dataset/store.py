@@ -233,9 +233,6 @@ def read_touch(path: str | Path) -> Record:
     return record
 
 
-MAX_NAMED_FILES = 5  # number of unusable files that one message names
-
-
 def load_dataset(
     path: str | Path, *, skip_bad: bool = False, missing_chips: bool = False, skin: str | None = None
 ) -> Dataset:
@@ -283,10 +280,10 @@ def load_dataset(
             if skip_bad
             else "repair these files, or leave them out (skip_bad=True, or --skip-bad where a command has it)"
         )
-        more = [f"and {len(bad) - MAX_NAMED_FILES} more"] if len(bad) > MAX_NAMED_FILES else []
+        named = 5  # of the unusable files
+        more = [f"and {len(bad) - named} more"] if len(bad) > named else []
         raise DataError(
-            f"{len(bad)} of {len(files)} files of {path} cannot be used: "
-            f"{' | '.join([*bad[:MAX_NAMED_FILES], *more, remedy])}"
+            f"{len(bad)} of {len(files)} files of {path} cannot be used: {' | '.join([*bad[:named], *more, remedy])}"
             if path.is_dir()
             else explain_no_dataset(path) or bad[0]
         )

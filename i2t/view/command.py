@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from i2t.view.contents import Contents
     from i2t.view.server import Scene
 
-LOCAL_HOSTS = ("127.0.0.1", "localhost", "::1")  # addresses that only this machine reaches
 LIVE = "live"  # what is shown, in place of an object or a data set
 EPISODE_OBJECTS = ("hammer", "screwdriver", "star", "cylinder", "square")  # candidates of an episode by default
 
@@ -108,7 +107,7 @@ def _view(args: ViewArgs) -> None:
     first = args.scene or ("live" if args.what == LIVE else "explore" if dataset is None else "replay")
     page = Page(scenes, host=args.host, port=args.port)
     print(f"i2t view: {page.address} (Ctrl-C ends it)", flush=True)
-    if args.host not in LOCAL_HOSTS:
+    if args.host not in ("127.0.0.1", "localhost", "::1"):  # which only this machine reaches
         print("this page has no password: whoever reaches this address can use it", file=sys.stderr)
     has_display = sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
     if has_display and not args.no_browser:

@@ -20,9 +20,7 @@ from i2t.types import Board
 from i2t.viz.skins import arrow_mm, drawn_field
 from i2t.viz.style import CURVE_COLOURS, MM_PER_M
 
-OBJECT_COLOUR, SKIN_COLOUR, TOUCH_RADIUS_M = (190, 190, 190), (225, 150, 120), 2.5e-3
-LIFT_M = 30e-3  # m, distance behind the skin at which its field is drawn, where no object hides it
-MAX_SETS = 2  # number of readings that are drawn together, such as a predicted and a simulated one
+SKIN_COLOUR = (225, 150, 120)
 BALL = trimesh.creation.icosphere(subdivisions=2)  # of radius 1
 DISC = trimesh.creation.cylinder(radius=1.0, height=0.08)
 
@@ -61,11 +59,13 @@ def add_mesh(scene: Any, name: str, mesh: Any, **options: Any) -> Any:
     Returns:
         Node of the object, which takes a callback for clicks.
     """
-    options = {"color": OBJECT_COLOUR, "flat_shading": True, "side": "double", **options}
+    options = {"color": (190, 190, 190), "flat_shading": True, "side": "double", **options}
     return scene.add_mesh_simple(name, np.asarray(mesh.vertices), np.asarray(mesh.faces), **options)
 
 
-def add_discs(scene: Any, name: str, T: Float[np.ndarray, "n 4 4"], colours: Float[np.ndarray, "n 3"]) -> Any:
+def add_discs(
+    scene: Any, name: str, T: Float[np.ndarray, "n 4 4"], colours: Float[np.ndarray, "n 3"], radius: float = 2.5e-3
+) -> Any:
     """Add a disc for each touch or site.
 
     Args:
@@ -73,12 +73,13 @@ def add_discs(scene: Any, name: str, T: Float[np.ndarray, "n 4 4"], colours: Flo
         name: Name of the node.
         T: Tool poses (m).
         colours: RGB values from 0 to 1.
+        radius: Radius (m) of the discs.
 
     Returns:
         The node, whose clicks give the index of the disc.
     """
     return scene.add_batched_meshes_simple(
-        name, DISC.vertices * TOUCH_RADIUS_M, DISC.faces, quaternions(T[:, :3, :3]), T[:, :3, 3],
+        name, DISC.vertices * radius, DISC.faces, quaternions(T[:, :3, :3]), T[:, :3, 3],
         batched_colors=(255 * colours).astype(np.uint8), lod="off",
     )  # fmt: skip
 
@@ -89,10 +90,10 @@ class SkinNode:
     Args:
         scene: The scene.
         name: Name of the node in whose frame, that of the tool, the skin lies.
-        lift: Distance (m) of the drawn field behind the skin.
+        lift: Distance (m) of the drawn field behind the skin, where no object hides it.
     """
 
-    def __init__(self, scene: Any, name: str, lift: float = LIFT_M) -> None:
+    def __init__(self, scene: Any, name: str, lift: float = 30e-3) -> None:
         self._scene, self._name, self._sets = scene, name, 0
         size = (PAD_WINDOW, PAD_WINDOW)
         scene.add_box(f"{name}/skin", color=SKIN_COLOUR, dimensions=(*size, 2e-3), position=(0, 0, -1e-3), opacity=0.75)
@@ -124,7 +125,7 @@ class SkinNode:
 
     def clear(self) -> None:
         """Remove the drawn field."""
-        for number in range(MAX_SETS):
+        for number in range(self._sets):
             for part in ("arrows", "discs", "std"):
                 self._scene.remove_by_name(f"{self._name}/field/{number}/{part}")
 

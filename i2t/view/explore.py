@@ -33,7 +33,6 @@ from i2t.viz.skins import common_scale
 NO_PAD = "none"  # choice of no simulated pad
 REFUSED = "**No touch here:** "  # begins the message about a touch that is refused
 UNITS = {"force": ("N", 1.0), "travel": ("mm of travel", 1e3)}  # of the load that is shown, with its factor
-BLANK = np.full((8, 8, 3), 255, np.uint8)  # picture before the first touch
 
 
 class Exploration(NamedTuple):
@@ -201,7 +200,7 @@ class ExploreScene(Scene):
         pads = gui.add_dropdown("simulated pad", (NO_PAD, *state.pads), initial_value=state.pad)
         for choice in (predictors, pads):
             page.on(choice.on_update, lambda: Chosen(predictors.value, pads.value))
-        self._picture = gui.add_image(BLANK, format="png", visible=False)
+        self._picture = gui.add_image(np.full((8, 8, 3), 255, np.uint8), format="png", visible=False)
         self._numbers = gui.add_markdown("")
         try:
             page.send(Moved(sample_touch_sites(state.object.mesh, 1, seed=0).T_o_t[0]))

@@ -29,7 +29,7 @@ from i2t.view.server import Page, Scene, plain
 
 log = logging.getLogger(__name__)
 FRAME_S = 1 / 30  # s, time from one picture to the next
-TOUCHED_UT, MAX_MISFIT = 20.0, 3.0  # uT and standard deviations, between which a contact has a place
+MAX_MISFIT = 3.0  # standard deviations, beyond which a reading is unlike those of the calibration
 
 
 class Live(NamedTuple):
@@ -95,7 +95,7 @@ def update(state: Live, event: Any) -> Live:
             if change is not None:
                 size = float(np.linalg.norm(change[np.isfinite(change)]))
                 lines.append(f"change of all chips: {size:.1f} µT")
-                if state.calibration is not None and size > TOUCHED_UT:
+                if state.calibration is not None and size > 20:  # uT, well above the noise
                     where = state.calibration.locate(change) if np.isfinite(change).all() else None
                     lines.append(_worded(where))
             message = "\n\n".join(filter(None, [*lines, plain(state.recording)]))

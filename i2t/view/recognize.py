@@ -27,7 +27,6 @@ from i2t.view.server import Page, Scene, plain
 from i2t.viz.skins import common_scale
 
 CONFIG = RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, so that an episode begins sooner
-GAP_M = 0.03  # m, between candidates
 
 
 class EpisodeTouch(NamedTuple):
@@ -206,7 +205,7 @@ class RecognizeScene(Scene):
             page: The page.
         """
         state, self._page, self._scene = self.state, page, page.server.scene
-        widths = [float(np.ptp(mesh.vertices, axis=0)[0]) + GAP_M for mesh in state.meshes.values()]
+        widths = [float(np.ptp(mesh.vertices, axis=0)[0]) + 0.03 for mesh in state.meshes.values()]
         self._columns = np.cumsum(widths) - np.array(widths) / 2  # m, x of the middle of each candidate
         self._frames = {}
         for column, (name, mesh) in enumerate(state.meshes.items()):

@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from i2t import viz
 from i2t.errors import DataError
+from i2t.geometry import inverse
 from i2t.objects.solids import Mesh
 from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading
@@ -20,7 +21,6 @@ from i2t.viz.skins import common_scale
 from i2t.viz.style import titled
 
 EVERY = "all"  # choice of a filter that leaves nothing out
-FILTERS = ("object", "session", "code")  # columns of the touches by which they are filtered
 
 
 class Replay(NamedTuple):
@@ -158,7 +158,7 @@ class ReplayScene(Scene):
         page.on(steps.on_click, lambda: TouchShown(self.state.at + (1 if steps.value == "next" else -1)))
         filters = [
             gui.add_dropdown(name, (EVERY, *np.unique(column).tolist()))
-            for name, column in zip(FILTERS, state.labels, strict=True)
+            for name, column in zip(("object", "session", "code"), state.labels, strict=True)
         ]
         worst = gui.add_checkbox("worst first", False, disabled=not np.isfinite(state.error).any())
 
@@ -182,7 +182,8 @@ class ReplayScene(Scene):
         dataset, row = state.contents.dataset, state.row
         touches = dataset.touches
         self._time.max, self._time.value = max(2, len(state.rows)), state.at + 1
-        mesh, T_o_t = mesh_of(state.contents, row), np.linalg.inv(touches.T_w_o) @ touches.T_w_t
+        mesh, T_o_t = mesh_of(state.contents, row), inverse(touches.T_w_o) @ touches.T_w_t
+        T_o_t = np.where(np.isfinite(T_o_t).all((1, 2), keepdims=True), T_o_t, np.eye(4))  # unknown in some recordings
         if mesh is not None and mesh is not self._mesh:
             self._page.look_at(mesh.vertices)
             add_mesh(self._scene, "/object", mesh)

@@ -22,8 +22,6 @@ from jaxtyping import Float
 
 from i2t.errors import I2TError, require_extra
 
-ANY_HOST = ("0.0.0.0", "::")  # stand for all addresses of this machine
-BUSY_S = 0.3  # s, after which the page says that it computes
 log = logging.getLogger(__name__)
 
 
@@ -85,7 +83,7 @@ class Page:
         _require_address(host)
         with contextlib.redirect_stdout(io.StringIO()):  # viser's own greeting
             self.server = viser.ViserServer(host=host, port=port, label="i2t", verbose=False)
-        name = "localhost" if host in ANY_HOST else f"[{host}]" if ":" in host else host
+        name = "localhost" if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
         self.address = f"http://{name}:{self.server.get_port()}"
         self._scenes = scenes
         self._scene: Scene | None = None
@@ -161,9 +159,7 @@ class Page:
 
     def _work(self) -> None:
         while (event := self._next()) is not None:
-            busy = threading.Timer(
-                BUSY_S, lambda: setattr(self._message, "content", f"{self._said}\n\n*computing ...*")
-            )
+            busy = threading.Timer(0.3, self._say_busy)
             busy.start()
             try:
                 self._handle(event)
@@ -178,6 +174,9 @@ class Page:
             finally:
                 busy.cancel()
         self._ended.set()
+
+    def _say_busy(self) -> None:
+        self._message.content = f"{self._said}\n\n*computing ...*"
 
     def _next(self) -> Any:
         """Wait for an event, and take it from the queue."""

@@ -14,8 +14,6 @@ from i2t.patches.dimensions import CONTACT_TOLERANCE_M, PAD_WINDOW, PATCH_WINDOW
 from i2t.types import Array
 from i2t.viz.style import MM_PER_M, Colour, Picture, titled
 
-STANDS_OUT_M = 1e-5  # m, least distance in front of a patch that is drawn as standing out
-
 
 def draw_map(
     axes: Axes,
@@ -79,7 +77,7 @@ def draw_view(
         The drawn image, from which a colour bar can be made.
     """
     image = draw_patch(axes, np.clip(view, 0, reach), window, reach)
-    draw_map(axes, np.where(np.asarray(view) < -STANDS_OUT_M, 1.0, np.nan), window, cmap=ListedColormap([Colour.RED]))
+    draw_map(axes, np.where(np.asarray(view) < -1e-5, 1.0, np.nan), window, cmap=ListedColormap([Colour.RED]))
     for edge, colour, style in ((patch, "white", "-"), (PAD_WINDOW, "black", ":")):
         half = edge * MM_PER_M / 2
         axes.add_artist(Rectangle((-half, -half), 2 * half, 2 * half, fill=False, color=colour, lw=1.2, ls=style))
