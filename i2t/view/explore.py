@@ -27,11 +27,11 @@ from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin.boards import same_board
 from i2t.types import Array, Board, Pad, ReturnCode, Surface
 from i2t.view.drawing import SkinNode, add_mesh, place
-from i2t.view.server import Page, Scene, plain
+from i2t.view.server import TEXT, Page, Scene
 from i2t.viz.skins import common_scale
 
 NO_PAD = "none"  # choice of no simulated pad
-REFUSED = "**No touch here:** "  # begins the message about a touch that is refused
+REFUSED = "No touch here: "  # begins the message about a touch that is refused
 UNITS = {"force": ("N", 1.0), "travel": ("mm of travel", 1e3)}  # of the load that is shown, with its factor
 
 
@@ -90,9 +90,9 @@ def begin(thing: Object, predictors: Mapping[str, Predictor], pads: Mapping[str,
     Returns:
         The state, with the first predictor and the first pad.
     """
-    first, note = next(iter(predictors)), plain(describe_placement(thing))
+    first, note = next(iter(predictors)), describe_placement(thing)
     surface, load = prepare_surface(thing.mesh), _usual_load(predictors[first])
-    message = f"Click the object to press the skin there.\n\n{note}"
+    message = f"Click the object to press the skin there.\n{note}"
     return Exploration(thing, surface, predictors, pads, first, next(iter(pads), NO_PAD), load, note, message)
 
 
@@ -116,7 +116,7 @@ def update(state: Exploration, event: Any) -> Exploration:
                 touched = _touched(state._replace(T_o_t=T_o_t), T_o_t)
                 if T_o_t[:3, 2] @ direction < 0:
                     back = "You clicked the back of an open surface; the skin lies on its front."
-                    touched = touched._replace(message=f"{touched.message}\n\n{back}")
+                    touched = touched._replace(message=f"{touched.message}\n{back}")
                 return touched
             except ValueError as error:
                 return _refused(state._replace(T_o_t=np.r_[np.c_[np.eye(3), point], [[0, 0, 0, 1]]]), error)
@@ -142,7 +142,7 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
         return _refused(state, error)
     unit, factor = UNITS[predictor.load]
     readings, board = {"predicted": Reading(mean[0], std[0])}, predictor.board
-    lines = [f"**{plain(state.object.name)}, {factor * state.load:.2f} {unit}**"]
+    lines = [f"{state.object.name}, {factor * state.load:.2f} {unit}"]
     if pad is not None and predictor.load != "force":
         lines.append("The pad is pressed by force and this predictor by travel, so the touch is not simulated.")
     elif pad is not None:
@@ -157,7 +157,7 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
         readings["simulated"] = Reading(touch.reading, np.zeros_like(touch.reading))
     if unsafe := explain_unsafe(state.surface, T_o_t):
         lines.append(f"An arm would not touch here: {unsafe}.")
-    message = "\n\n".join(filter(None, [*lines, state.note]))
+    message = "\n".join(filter(None, [*lines, state.note]))
     return state._replace(seen=seen, readings=readings, board=board, message=message)
 
 
@@ -168,7 +168,7 @@ def _usual_load(predictor: Predictor) -> float:
 def _refused(state: Exploration, error: ValueError) -> Exploration:
     reason = str(error).removeprefix("point: ").partition(";")[0]  # whose remedy is for programs
     remedy = "Click another place, or drag the skin onto the surface."
-    return state._replace(seen=None, readings={}, message=f"{REFUSED}{plain(reason)}. {remedy}")
+    return state._replace(seen=None, readings={}, message=f"{REFUSED}{reason}. {remedy}")
 
 
 class ExploreScene(Scene):
@@ -201,11 +201,11 @@ class ExploreScene(Scene):
         for choice in (predictors, pads):
             page.on(choice.on_update, lambda: Chosen(predictors.value, pads.value))
         self._picture = gui.add_image(np.full((8, 8, 3), 255, np.uint8), format="png", visible=False)
-        self._numbers = gui.add_markdown("")
+        self._numbers = gui.add_html("")
         try:
             page.send(Moved(sample_touch_sites(state.object.mesh, 1, seed=0).T_o_t[0]))
         except ValueError as error:  # no safe site
-            self.state = state._replace(message=f"{state.message}\n\n{plain(str(error))}")
+            self.state = state._replace(message=f"{state.message}\n{error!s}")
 
     def draw(self, state: Exploration) -> None:
         """Show the touch: first skin and numbers, then the picture, which takes longer.
@@ -221,7 +221,7 @@ class ExploreScene(Scene):
         self._handles.visible = True
         place(self._handles, state.T_o_t)
         self._picture.visible = bool(state.readings)
-        self._numbers.content = describe(state) if state.readings else ""
+        self._numbers.content = f"<pre style='{TEXT}'>{describe(state)}</pre>" if state.readings else ""
         if state.seen is None or state.board is None:
             self._skin.clear()
             text = textwrap.shorten(state.message.removeprefix(REFUSED), 60, placeholder=" ...")
@@ -263,11 +263,11 @@ def describe(state: Exploration) -> str:
         state: State with a touch.
 
     Returns:
-        Markdown: the tool pose (m), and the readings (uT) with a row for each chip, as Python's nested lists.
+        The tool pose (m), and the readings (uT) with a row for each chip, as Python's nested lists.
     """
     shown = {"T_o_t (m)": np.asarray(state.T_o_t)}
     for name, (mean, std) in state.readings.items():
         shown |= {f"{name} (µT)": mean.reshape(-1, 3)} | ({"± std (µT)": std.reshape(-1, 3)} if std.any() else {})
     texts = {name: np.array2string(array, precision=7 - 6 * (array.shape[1] == 3), separator=", ",
                                    suppress_small=True) for name, array in shown.items()}  # fmt: skip
-    return "\n".join(f"{name}\n```\n{text}\n```" for name, text in texts.items())
+    return "\n".join(f"{name}\n{text}" for name, text in texts.items())

@@ -25,7 +25,7 @@ from i2t.skin.boards import mean_finite
 from i2t.skin_models.calibration import Calibration, PressEstimate
 from i2t.types import Board
 from i2t.view.drawing import SkinNode
-from i2t.view.server import Page, Scene, plain
+from i2t.view.server import Page, Scene
 
 log = logging.getLogger(__name__)
 FRAME_S = 1 / 30  # s, time from one picture to the next
@@ -87,9 +87,10 @@ def update(state: Live, event: Any) -> Live:
         case Ticked(samples, counters, fps):
             change = None if state.rest is None else mean_finite(samples.reading, axis=0) - state.rest
             lines = [
-                f"**{plain(state.name)}** {counters.rate:.0f} Hz, {counters.samples} samples, lost {counters.lost} "
+                state.name,
+                f"{counters.rate:.0f} Hz, {counters.samples} samples, lost {counters.lost} "
                 f"({100 * counters.loss:.2f} %), {fps:.0f} pictures a second",
-                plain(state.health),
+                state.health,
             ]
             where = None
             if change is not None:
@@ -98,16 +99,16 @@ def update(state: Live, event: Any) -> Live:
                 if state.calibration is not None and size > 20:  # uT, well above the noise
                     where = state.calibration.locate(change) if np.isfinite(change).all() else None
                     lines.append(_worded(where))
-            message = "\n\n".join(filter(None, [*lines, plain(state.recording)]))
+            message = "\n".join(filter(None, [*lines, state.recording]))
             return state._replace(change=change, place=where, fps=fps, message=message)
         case Zeroed(samples):
             rest, health = judge_rest(samples)
             return state._replace(rest=rest, health=health)
         case Recorded(sentence):
-            return state._replace(recording=sentence, message=f"{state.message}\n\n{plain(sentence)}")
+            return state._replace(recording=sentence, message=f"{state.message}\n{sentence}")
         case Lost(reason):
-            lines = [f"**{plain(state.name)}:** {plain(reason)}", plain(state.recording)]
-            return state._replace(change=None, place=None, message="\n\n".join(filter(None, lines)))
+            lines = [f"{state.name}: {reason}", state.recording]
+            return state._replace(change=None, place=None, message="\n".join(filter(None, lines)))
     return state
 
 

@@ -4,6 +4,7 @@ An episode either grows, by simulated touches of one of the candidates, or was r
 each in its own frame O.
 """
 
+import html
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -23,7 +24,7 @@ from i2t.skin.boards import same_board
 from i2t.skin_models.pad_model import KnownPad
 from i2t.types import Array, Board, Pad, ReturnCode
 from i2t.view.drawing import SkinNode, add_discs, add_mesh, place, quaternions
-from i2t.view.server import Page, Scene, plain
+from i2t.view.server import TEXT, Page, Scene
 from i2t.viz.skins import common_scale
 
 CONFIG = RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, so that an episode begins sooner
@@ -181,16 +182,16 @@ def _recorded_steps(recorded: RecognizedSessions, session: str) -> tuple[Episode
 def _message(state: RecognitionState) -> str:
     p, names = state.probability, list(state.meshes)
     source = "simulated" if state.recorded is None else source_phrase(state.recorded.source)
-    head = f"**{state.shown} of {len(state.steps)} touches of the {plain(state.touched)}** ({source})"
+    head = f"{state.shown} of {len(state.steps)} touches of the {state.touched} ({source})"
     lines = [
         head,
-        f"most probable: {plain(names[int(p.argmax())])}, {p.max():.0%}" if state.shown else "not touched yet",
+        f"most probable: {names[int(p.argmax())]}, {p.max():.0%}" if state.shown else "not touched yet",
     ]
     if state.shown and not state.steps[state.shown - 1].contact:
         lines.append("this touch met nothing")
     if state.recognizer is not None and (reason := state.recognizer.stop_reason(state.states[state.shown])):
         lines.append(f"no more touch is needed: {reason}")
-    return "\n\n".join(filter(None, [*lines, plain(state.note)]))
+    return "\n".join(filter(None, [*lines, state.note]))
 
 
 class RecognizeScene(Scene):
@@ -230,7 +231,7 @@ class RecognizeScene(Scene):
             page.on(again.on_click, lambda: Begun(choice.value))
         self._slider: Any = gui.add_slider("touches", 0, 1, 1, 0)
         page.on(self._slider.on_update, lambda: TouchesShown(int(self._slider.value)))
-        self._bars = gui.add_markdown("")
+        self._bars = gui.add_html("")
 
     def draw(self, state: RecognitionState) -> None:
         """Show the belief after the shown touches, and the sites of the next one.
@@ -243,7 +244,7 @@ class RecognizeScene(Scene):
         self._slider.value = state.shown
         shares = zip(state.meshes, p, strict=True)
         rows = [f"{share:4.0%} {name:13.13} {'█' * round(14 * share)}" for name, share in shares]
-        self._bars.content = "\n".join(["```", *rows, "```"])
+        self._bars.content = f"<pre style='{TEXT}'>{html.escape(chr(10).join(rows))}</pre>"
         gain = None if state.recognizer is None else state.recognizer.expected_information(state.states[state.shown])
         for column, (name, frame) in enumerate(self._frames.items()):
             last = int(column == p.argmax()) and state.shown

@@ -15,7 +15,7 @@ from i2t.types import ReturnCode
 from i2t.view.contents import Contents, mesh_of
 from i2t.view.drawing import SkinNode, add_discs, add_mesh, place
 from i2t.view.page import plot_time_course
-from i2t.view.server import Page, Scene, plain
+from i2t.view.server import Page, Scene
 from i2t.viz.scene import touch_colours
 from i2t.viz.skins import common_scale
 from i2t.viz.style import titled
@@ -134,9 +134,7 @@ def _worded(state: Replay) -> Replay:
     numbers = [(touches.force[row], "N"), (1e3 * touches.travel[row], "mm of travel"), (state.error[row], "µT off")]
     known = [f"{value:.2f} {unit}" for value, unit in numbers if np.isfinite(value)]
     title = titled(f"touch {row + 1} of {len(contents.dataset)}: {thing}", contents.simulated)
-    return state._replace(
-        message=f"**{plain(title)}**\n\n{plain(session)}, ended by {code}; {', '.join(known)}\n\n{plain(state.note)}"
-    )
+    return state._replace(message=f"{title}\n{session}, ended by {code}; {', '.join(known)}\n{state.note}")
 
 
 class ReplayScene(Scene):

@@ -7,9 +7,9 @@ that moves faster than readings are predicted does not lag behind. All windows o
 """
 
 import contextlib
+import html
 import io
 import logging
-import re
 import socket
 import threading
 import warnings
@@ -22,6 +22,7 @@ from jaxtyping import Float
 
 from i2t.errors import I2TError, require_extra
 
+TEXT = "margin:.3em .9em;font-size:.85em;line-height:1.4"  # CSS of texts
 log = logging.getLogger(__name__)
 
 
@@ -91,7 +92,7 @@ class Page:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="page", daemon=True)
         self._ended = threading.Event()  # set by the thread, as an interrupted join forgets a thread that still runs
-        self._said = ""
+        self.said = ""  # message that the page shows
 
     def send(self, event: Any) -> None:
         """Put an event into the queue. It replaces one of the same kind that still waits.
@@ -114,12 +115,14 @@ class Page:
         register(lambda change: self.send(event()) if change.client is not None else None)
 
     def say(self, message: str) -> None:
-        """Show a sentence at the top of the page.
+        """Show a message at the top of the page.
 
         Args:
-            message: The sentence, in Markdown.
+            message: Lines of text, of which the first is the title.
         """
-        self._said = self._message.content = message
+        self.said = message
+        title, *lines = (html.escape(line) for line in message.split("\n") if line)
+        self._message.content = f"<p style='{TEXT}'><b>{title}</b>{''.join(f'<br>{line}' for line in lines)}</p>"
 
     def look_at(self, points: Float[np.ndarray, "n 3"]) -> None:
         """Point the camera of each window at some points, from their front and above.
@@ -165,18 +168,20 @@ class Page:
                 self._handle(event)
             except (I2TError, ValueError, OSError) as error:
                 busy.cancel()
-                self.say(plain(str(error)))
+                self.say(str(error))
                 if isinstance(event, ShowScene):  # a wrong option of the command line
                     log.error("%s: %s", event.name, error)
             except Exception as error:
                 log.exception("the page could not handle %s", type(event).__name__)
-                self.say(f"that failed ({type(error).__name__}: {plain(str(error))}); the terminal has the details")
+                self.say(f"that failed ({type(error).__name__}: {error}); the terminal has the details")
             finally:
                 busy.cancel()
         self._ended.set()
 
     def _say_busy(self) -> None:
-        self._message.content = f"{self._said}\n\n*computing ...*"
+        message = self.said
+        self.say(f"{message}\ncomputing ...")
+        self.said = message
 
     def _next(self) -> Any:
         """Wait for an event, and take it from the queue."""
@@ -191,8 +196,8 @@ class Page:
             with warnings.catch_warnings(record=True) as doubts:
                 warnings.simplefilter("always", UserWarning)
                 scene.state = scene.update(scene.state, event)
-            texts = [f"*{plain(str(doubt.message))}*" for doubt in doubts if issubclass(doubt.category, UserWarning)]
-            self.say("\n\n".join([scene.state.message, *texts]))
+            texts = [str(doubt.message) for doubt in doubts if issubclass(doubt.category, UserWarning)]
+            self.say("\n".join([scene.state.message, *texts]))
             scene.draw(scene.state)
 
     def _show(self, name: str) -> None:
@@ -202,29 +207,19 @@ class Page:
         self._scene, gui = None, self.server.gui
         self.server.scene.reset()
         self.server.scene.set_up_direction("+z")
+        self.server.scene.configure_default_lights(cast_shadow=False)  # which takes long without a graphics card
         gui.reset()
         gui.set_panel_label(f"i2t: {name}")
         gui.configure_theme(show_logo=False, show_share_button=False)  # a share would make the page public
         choice = gui.add_button_group("scene", tuple(self._scenes))
         self.on(choice.on_click, lambda: ShowScene(choice.value))
-        self._message = gui.add_markdown(f"{name}: loading ...")
+        self._message = gui.add_html("")
+        self.say(f"{name}: loading ...")
         scene = self._scenes[name]()
         scene.build(self)
         self._scene = scene
         self.say(scene.state.message)
         scene.draw(scene.state)
-
-
-def plain(text: str) -> str:
-    """Escape a text that is not Markdown, such as the name of a file.
-
-    Args:
-        text: The text.
-
-    Returns:
-        Markdown that is shown as the text.
-    """
-    return re.sub(r"([\\`*_{}\[\]<>#|~$])", r"\\\1", text)
 
 
 def _require_address(host: str) -> None:

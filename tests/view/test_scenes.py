@@ -1,6 +1,7 @@
 """States of the page's scenes, without a browser: each event changes the state as the library says."""
 
 import ast
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -46,7 +47,7 @@ def test_a_click_gives_the_reading_of_the_pose_that_contact_pose_gives(predictor
     assert np.linalg.norm(simulated - mean) < np.linalg.norm(simulated)
     assert "star, 0.96 N" in pressed.message
     text = explore.describe(pressed)
-    shown = [ast.literal_eval(part) for part in text.split("```")[1::2]]
+    shown = [ast.literal_eval(part) for part in re.findall(r"\[\[.*?\]\]", text, re.DOTALL)]
     np.testing.assert_allclose(shown[0], pressed.T_o_t, atol=1e-7)
     np.testing.assert_allclose(np.ravel(shown[1]), mean, atol=0.051)
 

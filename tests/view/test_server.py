@@ -17,7 +17,7 @@ from i2t.emulators.reskin_board import run_board
 from i2t.hardware.reskin.driver import ReSkin
 from i2t.skin.boards import make_board
 from i2t.view import live
-from i2t.view.server import Page, Scene, ShowScene, plain
+from i2t.view.server import Page, Scene, ShowScene
 
 viser = pytest.importorskip("viser", reason="viser is not installed")
 
@@ -95,10 +95,10 @@ def test_refusals_and_errors_are_shown_and_the_page_goes_on(shown, caplog):
     scene.open.set()
     for number, message in ((-1, "a negative number; give another"), (0, "ZeroDivisionError"), (2, "2")):
         page.send(Add(number))
-        until(lambda message=message: message in page._message.content)
+        until(lambda message=message: message in page.said)
     assert "could not handle Add" in caplog.text
     page.send(ShowScene("none"))
-    until(lambda: "ZeroDivisionError" in page._message.content)
+    until(lambda: "ZeroDivisionError" in page.said)
     assert scene.closed
     page.send(ShowScene("counting"))
     until(lambda: scene.drawn[-1] == 2)
@@ -117,16 +117,18 @@ def test_an_address_of_another_machine_is_refused():
             Page({}, host=host, port=18080)
 
 
-def test_names_are_shown_as_they_are():
-    assert plain("a_b*c {d} <e>") == r"a\_b\*c \{d\} \<e\>"
+def test_names_are_shown_as_they_are(shown):
+    page, _ = shown
+    page.say("a <b>\n{c} & d")
+    assert "<b>a &lt;b&gt;</b><br>{c} &amp; d</p>" in page._message.content
 
 
 def test_a_page_says_that_it_computes(shown):
     page, scene = shown
     page.send(Add(1))
-    until(lambda: "*computing ...*" in page._message.content)
+    until(lambda: "computing ..." in page._message.content)
     scene.open.set()
-    until(lambda: page._message.content == "1")
+    until(lambda: page.said == "1")
 
 
 @pytest.mark.full
@@ -159,7 +161,7 @@ def test_a_table_on_a_full_disk_ends_with_a_whole_line_and_says_so(tmp_path):
             scene._records = True
             until(lambda: "recording ended" in scene.state.recording)
             time.sleep(0.5)
-            assert "recording ended" in page._message.content  # for as long as nothing else is recorded
+            assert "recording ended" in page.said  # for as long as nothing else is recorded
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
             page.close()
@@ -182,7 +184,7 @@ def test_every_sample_of_a_running_skin_is_recorded_until_it_is_gone(tmp_path):
             scene._records = True
             until(lambda: scene.state.recording)
             until(lambda: np.linalg.norm(scene.state.change) > 30)
-            until(lambda: "is gone" in page._message.content)
+            until(lambda: "is gone" in page.said)
             received = skin.counters.samples
             until(lambda: "samples" in scene.state.recording)
         finally:
