@@ -182,7 +182,7 @@ class ExploreScene(Scene):
         Args:
             page: The page.
         """
-        state, gui, self._scene = self.state, page.server.gui, page.server.scene
+        state, gui, self._page, self._scene = self.state, page.server.gui, page, page.server.scene
         page.look_at(state.object.mesh.vertices)
         mesh = add_mesh(self._scene, "/object", state.object.mesh)
         mesh.on_click(lambda click: page.send(ObjectClicked(click.ray_origin, click.ray_direction)))
@@ -228,6 +228,7 @@ class ExploreScene(Scene):
             self._scene.add_label("/refusal", text, position=state.T_o_t[:3, 3])
             return
         readings = {name: reading.mean[None] for name, reading in state.readings.items()}
+        self._page.server.flush()  # numbers first: the picture keeps this program busy
         self._skin.draw(state.board, state.readings, common_scale(np.stack(list(readings.values()))))
         predictor = state.predictors[state.predictor]
         simulated = "simulated" in readings or holds_simulated((predictor.metadata or {}).get("source", "simulated"))

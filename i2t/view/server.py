@@ -92,6 +92,7 @@ class Page:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="page", daemon=True)
         self._ended = threading.Event()  # set by the thread, as an interrupted join forgets a thread that still runs
+        self._busy = False  # whether the page says that it computes
         self.said = ""  # message that the page shows
 
     def send(self, event: Any) -> None:
@@ -167,7 +168,6 @@ class Page:
             try:
                 self._handle(event)
             except (I2TError, ValueError, OSError) as error:
-                busy.cancel()
                 self.say(str(error))
                 if isinstance(event, ShowScene):  # a wrong option of the command line
                     log.error("%s: %s", event.name, error)
@@ -176,10 +176,14 @@ class Page:
                 self.say(f"that failed ({type(error).__name__}: {error}); the terminal has the details")
             finally:
                 busy.cancel()
+                busy.join()
+                if self._busy:
+                    self._busy = False
+                    self.say(self.said)
         self._ended.set()
 
     def _say_busy(self) -> None:
-        message = self.said
+        message, self._busy = self.said, True
         self.say(f"{message}\ncomputing ...")
         self.said = message
 
