@@ -198,7 +198,9 @@ class LiveScene(Scene):
 
     def _read(self) -> None:
         """Record and show samples until the scene is closed; a skin that is gone may be connected again."""
-        while not self._stop.wait(FRAME_S):
+        due = time.monotonic()
+        while not self._stop.wait(max(0.0, due - time.monotonic())):
+            due = max(due + FRAME_S, time.monotonic())
             try:
                 if self._records != (self._write is not None):
                     (self._begin_table if self._records else self._end_table)()

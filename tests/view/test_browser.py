@@ -7,7 +7,6 @@ import ast
 import os
 import re
 import time
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -21,21 +20,19 @@ FIRST_S = 120  # s, limit of what compiles
 
 
 @pytest.fixture(scope="module")
-def browser():
-    with open_browser() as browser:
+def mug_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("mug") / "mug.stl"
+    mug().export(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(mug_file):
+    """A browser with the page of a mug, which has all scenes."""
+    words = (str(mug_file), "--unit", "m", "--objects", "star", "cylinder", "hammer", "--skin", "emulated")
+    with open_browser() as browser, serve_page(words) as address:
+        browser.open(address)
         yield browser
-
-
-@pytest.fixture
-def opened(browser):
-    """A function that starts `i2t view` and opens its page."""
-    with ExitStack() as stack:
-
-        def open_page(*words):
-            browser.open(stack.enter_context(serve_page(words)))
-            return browser
-
-        yield open_page
 
 
 def keep(browser, name):
@@ -61,80 +58,76 @@ def mug():
     return trimesh.boolean.union([wall, floor, handle], engine="manifold")
 
 
-def numbers(browser):
+def numbers(page):
     """Arrays of the page by their names; None while there are none."""
-    parts = re.findall(r"(T_o_t|predicted|± std|simulated) \(\S+\)\n(\[\[.*?\]\])", browser.text, re.DOTALL)
+    parts = re.findall(r"(T_o_t|predicted|± std|simulated) \(\S+\)\n(\[\[.*?\]\])", page.text, re.DOTALL)
     return {name: np.array(ast.literal_eval(array)) for name, array in parts}
 
 
-def pressed(browser, before=None):
+def pressed(page, before=None):
     """Wait for the numbers of another touch."""
 
     def other():
-        shown = numbers(browser)
+        shown = numbers(page)
         same = before is not None and all(np.array_equal(shown.get(name), before[name]) for name in before)
         return None if same or "predicted" not in shown else shown
 
-    return browser.until(other, FIRST_S)
+    return page.until(other, FIRST_S)
 
 
-def test_a_click_on_a_mug_shows_its_predicted_reading_and_the_force_changes_it(opened, tmp_path):
-    mug().export(tmp_path / "mug.stl")
-    browser = opened(str(tmp_path / "mug.stl"), "--unit", "m")
-    first = pressed(browser)
+def test_a_click_on_a_mug_shows_its_predicted_reading_and_the_force_changes_it(page, mug_file):
+    first = pressed(page)
     clicked = next(
         shown
         for across in (0.42, 0.46, 0.5, 0.54)
-        if (shown := (browser.click(across, 0.62), time.sleep(3), numbers(browser))[-1]).get("predicted") is not None
+        if (shown := (page.click(across, 0.62), time.sleep(3), numbers(page))[-1]).get("predicted") is not None
         and not np.array_equal(shown["T_o_t"], first["T_o_t"])
     )
-    mesh = i2t.load_mesh(tmp_path / "mug.stl", unit="m")
+    mesh = i2t.load_mesh(mug_file, unit="m")
     predictor = i2t.load_predictor("nominal")
-    force = float(re.search(r"mug, (\S+) N", browser.text)[1])
+    force = float(re.search(r"mug, (\S+) N", page.text)[1])
     mean, std = predictor.predict_touch(mesh, clicked["T_o_t"], force=force)
     np.testing.assert_allclose(np.ravel(clicked["predicted"]), mean, atol=0.3)  # shown with one decimal
     np.testing.assert_allclose(np.ravel(clicked["± std"]), std, atol=0.3)
-    keep(browser, "explore")
-    field = next(part for part in browser.driver.find_elements("tag name", "input") if part.is_displayed())
+    keep(page, "explore")
+    field = next(part for part in page.driver.find_elements("tag name", "input") if part.is_displayed())
     field.send_keys("\b" * 8 + "2\n")
-    browser.until(lambda: "mug, 2.00 N" in browser.text)
-    harder = pressed(browser, {"predicted": clicked["predicted"]})
+    page.until(lambda: "mug, 2.00 N" in page.text)
+    harder = pressed(page, {"predicted": clicked["predicted"]})
     np.testing.assert_array_equal(harder["T_o_t"], clicked["T_o_t"])
     mean, _ = predictor.predict_touch(mesh, clicked["T_o_t"], force=2.0)
     np.testing.assert_allclose(np.ravel(harder["predicted"]), mean, atol=0.3)
 
 
-def test_two_touches_of_an_episode_move_the_belief(opened):
-    browser = opened("--scene", "recognise", "--objects", "star", "cylinder", "hammer")
-    browser.until(lambda: "not touched yet" in browser.text, FIRST_S)
-    assert " 33% star" in browser.text
-    browser.press("touch where it asks")
-    browser.until(lambda: "1 of 1 touches of the star (simulated)" in browser.text, FIRST_S)
-    browser.press("touch where it asks")
-    browser.until(lambda: re.search(r"2 of 2 touches|no more touch is needed", browser.text))
-    assert int(re.search(r"(\d+)% star", browser.text)[1]) > 33
-    keep(browser, "recognise")
-    browser.press("begin again")
-    browser.until(lambda: "not touched yet" in browser.text)
+def test_two_touches_of_an_episode_move_the_belief(page):
+    page.press("recognise")
+    page.until(lambda: "not touched yet" in page.text, FIRST_S)
+    assert " 33% star" in page.text
+    page.press("touch where it asks")
+    page.until(lambda: "1 of 1 touches of the star (simulated)" in page.text, FIRST_S)
+    page.press("touch where it asks")
+    page.until(lambda: re.search(r"2 of 2 touches|no more touch is needed", page.text))
+    assert int(re.search(r"(\d+)% star", page.text)[1]) > 33
+    keep(page, "recognise")
+    page.press("begin again")
+    page.until(lambda: "not touched yet" in page.text)
 
 
-def test_touches_are_replayed_and_another_scene_is_chosen(opened):
-    browser = opened("nominal")
-    browser.until(lambda: "touch 1 of 180: hexagon (simulated)" in browser.text, FIRST_S)
-    browser.press("next")
-    browser.until(lambda: "touch 2 of 180" in browser.text)
-    assert re.search(r"\d\.\d\d N, \d\.\d\d mm of travel, \d+\.\d\d µT off", browser.text)
-    keep(browser, "replay")
-    browser.press("explore")
-    browser.until(lambda: "predicted" in numbers(browser), FIRST_S)
+def test_touches_are_replayed(page):
+    page.press("replay")
+    page.until(lambda: "touch 1 of 180: hexagon (simulated)" in page.text, FIRST_S)
+    page.press("next")
+    page.until(lambda: "touch 2 of 180" in page.text)
+    assert re.search(r"\d\.\d\d N, \d\.\d\d mm of travel, \d+\.\d\d µT off", page.text)
+    keep(page, "replay")
 
 
-def test_an_emulated_skin_is_seen_being_pressed(opened):
-    browser = opened("live", "--skin", "emulated")
-    browser.until(lambda: "healthy at rest" in browser.text, FIRST_S)
-    change = lambda: float(re.search(r"change of all chips: (\S+) µT", browser.text)[1])  # noqa: E731
-    browser.until(lambda: change() > 40)
-    keep(browser, "live")
-    browser.until(lambda: change() < 15)
-    assert "(emulated)" in browser.text
-    assert "lost 0 (0.00 %)" in browser.text
+def test_an_emulated_skin_is_seen_being_pressed(page):
+    page.press("live")
+    page.until(lambda: "healthy at rest" in page.text, FIRST_S)
+    change = lambda: float(re.search(r"change of all chips: (\S+) µT", page.text)[1])  # noqa: E731
+    page.until(lambda: change() > 40)
+    keep(page, "live")
+    page.until(lambda: change() < 15)
+    assert "(emulated)" in page.text
+    assert "lost 0 (0.00 %)" in page.text
