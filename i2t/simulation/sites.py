@@ -176,7 +176,7 @@ def explain_unsafe(surface: Surface, T_w_t: Float[Any, "4 4"], limits: SiteLimit
             _is_unoccluded(surface, jnp.asarray(T_w_t, jnp.float32), limits),
             f"the object rises more than {1e3 * limits.max_rise:g} mm above it next to the skin",
         ),
-        (is_above_table(T_w_t, limits), "mount or flange would meet the table"),
+        (is_above_table(T_w_t, limits), "the mount or the flange would meet the table"),
     )
     return "; ".join(reason for passed, reason in checks if not passed)
 

@@ -3,7 +3,7 @@
     import i2t
 
     calibration = i2t.calibrate(positions, travels, readings, load_kind="travel")  # (n, 2) m, (n,) m, (n, c) uT
-    mean, std = calibration.predict(other_positions, other_depths)  # (m, c) uT each
+    mean, std = calibration.predict(other_positions, other_travels)  # (m, c) uT each
     calibration.save("skin.npz")
     calibration = i2t.load_calibration("skin.npz")
 
@@ -163,7 +163,7 @@ class Calibration:
             Mean and standard deviation of the position, the mean of the loads, and how unlikely the reading is.
 
         Raises:
-            ValueError: The reading has another number of values.
+            ValueError: The reading has another number of values, or the calibration was fitted without positions.
         """
         positions, loads, mean, std = self._press_grid
         values = validation.numbers("reading", reading, f"{mean.shape[1]} values (uT)").astype(np.float64)
@@ -185,12 +185,15 @@ class Calibration:
         """
         presses, kinds = self.gp.presses, len(LOAD_COLUMNS[self.load_kind])
         axes = np.linspace(presses.position.min(0), presses.position.max(0), 41).T
-        levels = np.linspace(presses.loads.min(0), presses.loads.max(0), 16) if kinds else np.zeros((1, 0))
+        if not np.ptp(presses.position, axis=0).any():
+            raise ValueError("this calibration was fitted without positions, so that it cannot locate a press")
+        grids = [np.linspace(column.min(), column.max(), 16 if kinds == 1 else 6) for column in presses.loads.T[:kinds]]
+        levels = np.stack(np.meshgrid(*grids, indexing="ij"), -1).reshape(-1, kinds) if kinds else np.zeros((1, 0))
         at = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-        shape = (*at.shape[:2], len(levels))
+        shape = (*at.shape[:2], *map(len, grids))
         positions, loads = np.repeat(at.reshape(-1, 2), len(levels), axis=0), np.tile(levels, (at[..., 0].size, 1))
         mean, std = self.predict(positions, None if not kinds else loads[:, 0] if kinds == 1 else loads)
-        steps = np.gradient(mean.reshape(*shape, -1), axis=(0, 1, 2) if kinds else (0, 1))
+        steps = np.gradient(mean.reshape(*shape, -1), axis=tuple(range(2 + kinds)))
         within = sum(step**2 for step in steps).reshape(mean.shape) / 12  # of a uniform distribution in the cell
         return positions, loads, mean, np.sqrt(std**2 + within)
 

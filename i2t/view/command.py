@@ -26,7 +26,7 @@ from i2t.files.kinds import MESH_SUFFIXES
 from i2t.models import ready_path
 from i2t.models.checks import require_dataset, require_predictor
 from i2t.models.finished import require_pad_model
-from i2t.objects.named import object_name, require_object, require_objects, split_unit
+from i2t.objects.named import require_object, require_objects, split_unit
 
 if TYPE_CHECKING:
     from i2t.types import Pad
@@ -58,9 +58,9 @@ class ViewArgs:
     models: tuple[str, ...] = ("nominal",)
     # pads to simulate with: nominal, files of pads, or boards (anyskin, grid-5x5) with a random pad
     pads: tuple[str, ...] = ("nominal",)
-    # candidates of "recognise": names in the catalogue or mesh files
+    # candidates of "recognise": names in the catalogue or mesh files; by default five, or those of --dataset
     objects: tuple[Path, ...] = ()
-    # recorded sessions for "recognise" and "replay"
+    # recorded sessions for "recognise", which "replay" shows too unless WHAT names others
     dataset: Path | None = None
     # pad model for "recognise": folder of a fit, file, or nominal
     pad_model: Path = Path("nominal")
@@ -72,7 +72,7 @@ class ViewArgs:
     board: str | None = None
     # calibration of the skin, with which "live" shows the place of a contact
     calibration: str | None = None
-    # table of all samples that the button "record" of "live" writes
+    # table of all samples that the button "record" of "live" writes; if it exists, a number is added to its name
     record: Path = Path("runs/live.csv")
     # write the touches as an HTML page in a file, and open no page
     html: bool = False
@@ -145,13 +145,15 @@ def _check(args: ViewArgs, dataset: Path | None) -> None:
         if Path(name).suffix and not Path(name).is_file():
             raise ValueError(f"--pads {name}: there is no such file; check the name")
     require_pad_model(args.pad_model)
+    if args.calibration is not None and not ready_path(args.calibration, "calibration.npz").is_file():
+        raise ValueError(f"--calibration {args.calibration}: there is no such file; check the name")
     require_objects(args.objects, args.unit if args.objects else None)
     if args.board is not None:
         from i2t.skin.boards import make_board
 
         make_board(args.board)
     if (args.html or args.rerun) and dataset is None:
-        raise ValueError(f"--html and --rerun write recorded touches, and {args.what} is none; name their folder")
+        raise ValueError(f"--html and --rerun need recorded touches, and {args.what} is none; name their folder")
     if dataset is not None and args.what != LIVE:
         require_with(
             "--unit", args.unit is not None, "--mesh or --objects", args.mesh is not None or bool(args.objects)
@@ -208,7 +210,7 @@ def _pads(args: ViewArgs) -> "dict[str, Pad]":
     pads = {}
     for name in args.pads:
         file, board = (Path(name), None) if Path(name).is_file() else (None, None if name == "nominal" else name)
-        pads[object_name(name)] = read_pad(file, board)
+        pads[name] = read_pad(file, board)
     return pads
 
 
@@ -226,7 +228,7 @@ def _recognize(args: ViewArgs) -> "Scene":
         note = (
             ""
             if str(args.pad_model) == name
-            else f"touched with the pad {name}, predicted for that of {args.pad_model}"
+            else f"touched with the pad {name}, predicted with the pad model {args.pad_model}"
         )
         state = recognize.begin(meshes, pad_model, pad, next(iter(meshes)), note)
     else:
@@ -245,6 +247,8 @@ def _replay(args: ViewArgs, dataset: Path) -> "Scene":
 
 
 def _live(args: ViewArgs) -> "Scene":
+    import numpy as np
+
     from i2t.emulators.reskin_board import run_board
     from i2t.hardware.plugins import DeviceSetup, load_device
     from i2t.hardware.rig import Rig
@@ -259,6 +263,8 @@ def _live(args: ViewArgs) -> "Scene":
             address, _ = stack.enter_context(run_board("--press", "1", "--board", args.board or DEFAULT_BOARD))
         skin = load_device("skin", args.skin, DeviceSetup(Rig(), address, board=args.board, stack=stack))
         board = getattr(skin, "board", None) or make_board(args.board or DEFAULT_BOARD)
+        if calibration is not None:
+            calibration.locate(np.zeros(len(calibration.interval_scaling)))  # refuses one without positions
         if calibration is not None and len(calibration.interval_scaling) != board.num_readings:
             raise ValueError(
                 f"--calibration {args.calibration}: has {len(calibration.interval_scaling)} values, and the skin has "

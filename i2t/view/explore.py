@@ -47,7 +47,9 @@ class Exploration(NamedTuple):
     load: float  # N, or m of travel, as the predictor takes it
     note: str  # what each message ends with: how the mesh was placed
     message: str
-    T_o_t: Array | None = None  # (4, 4) tool pose of the touch
+    T_o_t: Array | None = None  # (4, 4) tool pose of the touch; None before the first and where none is possible
+    refused_at: Array | None = None  # (3,) m, point at which a touch is refused
+    dragged: bool = False  # whether the pose is that of the handles, which a person may still move
     seen: TouchBatch | None = None  # patch and view there; None if the touch is refused
     readings: Mapping[str, Reading] = {}  # predicted and simulated ones, of one board
     board: Board | None = None  # board of the readings
@@ -113,21 +115,21 @@ def update(state: Exploration, event: Any) -> Exploration:
                 return state
             try:
                 T_o_t = contact_pose(state.object.mesh, point)
-                touched = _touched(state._replace(T_o_t=T_o_t), T_o_t)
-                if T_o_t[:3, 2] @ direction < 0:
-                    back = "You clicked the back of an open surface; the skin lies on its front."
-                    touched = touched._replace(message=f"{touched.message}\n{back}")
-                return touched
             except ValueError as error:
-                return _refused(state._replace(T_o_t=np.r_[np.c_[np.eye(3), point], [[0, 0, 0, 1]]]), error)
+                return _refused(state._replace(T_o_t=None), error, point)
+            touched = _touched(state._replace(T_o_t=T_o_t, dragged=False), T_o_t)
+            if T_o_t[:3, 2] @ direction < 0:
+                back = "You clicked the back of an open surface; the skin lies on its front."
+                touched = touched._replace(message=f"{touched.message}\n{back}")
+            return touched
         case Moved(T_o_t):
-            state = state._replace(T_o_t=np.asarray(T_o_t, np.float64))
+            state = state._replace(T_o_t=np.asarray(T_o_t, np.float64), dragged=True)
         case Loaded(load):
-            state = state._replace(load=load)
+            state = state._replace(load=load, dragged=False)
         case Chosen(predictor, pad):
             same = state.predictors[predictor].load == state.predictors[state.predictor].load
             load = state.load if same else _usual_load(state.predictors[predictor])
-            state = state._replace(predictor=predictor, pad=pad, load=load)
+            state = state._replace(predictor=predictor, pad=pad, load=load, dragged=False)
     return state if state.T_o_t is None else _touched(state, state.T_o_t)
 
 
@@ -139,7 +141,7 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
         seen = predictor.render_touches(state.surface, T_o_t[None])
         mean, std = predictor.predict(seen, **load)
     except ValueError as error:
-        return _refused(state, error)
+        return _refused(state, error, T_o_t[:3, 3])
     unit, factor = UNITS[predictor.load]
     readings, board = {"predicted": Reading(mean[0], std[0])}, predictor.board
     lines = [f"{state.object.name}, {factor * state.load:.2f} {unit}"]
@@ -156,19 +158,20 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
             lines.append("Pad and predictor are of different boards, so only the simulated reading is drawn.")
         readings["simulated"] = Reading(touch.reading, np.zeros_like(touch.reading))
     if unsafe := explain_unsafe(state.surface, T_o_t):
-        lines.append(f"An arm would not touch here: {unsafe}.")
+        lines.append(f"An arm would not touch here, on a table at z = 0: {unsafe}.")
     message = "\n".join(filter(None, [*lines, state.note]))
-    return state._replace(seen=seen, readings=readings, board=board, message=message)
+    return state._replace(seen=seen, readings=readings, board=board, message=message, refused_at=None)
 
 
 def _usual_load(predictor: Predictor) -> float:
     return predictor.default_force if predictor.load == "force" else predictor.default_travel
 
 
-def _refused(state: Exploration, error: ValueError) -> Exploration:
+def _refused(state: Exploration, error: ValueError, point: Array) -> Exploration:
     reason = str(error).removeprefix("point: ").partition(";")[0]  # whose remedy is for programs
     remedy = "Click another place, or drag the skin onto the surface."
-    return state._replace(seen=None, readings={}, message=f"{REFUSED}{reason}. {remedy}")
+    message = f"{REFUSED}{reason}. {remedy}"
+    return state._replace(seen=None, readings={}, message=message, refused_at=point)
 
 
 class ExploreScene(Scene):
@@ -189,7 +192,7 @@ class ExploreScene(Scene):
         self._handles = self._scene.add_transform_controls("/tool", scale=0.02, line_width=1.5, visible=False)
         page.on(self._handles.on_update, lambda: Moved(pose_of(self._handles)))
         self._skin = SkinNode(self._scene, "/tool")
-        self._loads = {}
+        self._loads: dict[str, Any] = {}
         for load, (unit, factor) in UNITS.items():
             slider = gui.add_slider(
                 f"{load} ({unit[:2].strip()})", 0.1, 4.0, 0.1, round(min(factor * state.load, 4), 1)
@@ -203,7 +206,9 @@ class ExploreScene(Scene):
         self._picture = gui.add_image(np.full((8, 8, 3), 255, np.uint8), format="png", visible=False)
         self._numbers = gui.add_html("")
         try:
-            page.send(Moved(sample_touch_sites(state.object.mesh, 1, seed=0).T_o_t[0]))
+            first = np.asarray(sample_touch_sites(state.object.mesh, 1, seed=0).T_o_t[0], np.float64)
+            place(self._handles, first)
+            page.send(Moved(first))
         except ValueError as error:  # no safe site
             self.state = state._replace(message=f"{state.message}\n{error!s}")
 
@@ -215,17 +220,19 @@ class ExploreScene(Scene):
         """
         for load, slider in self._loads.items():
             slider.visible = load == state.predictors[state.predictor].load
+            if slider.visible:
+                slider.value = round(UNITS[load][1] * state.load, 2)
         self._scene.remove_by_name("/refusal")
-        if state.T_o_t is None:
-            return
-        self._handles.visible = True
-        place(self._handles, state.T_o_t)
+        self._handles.visible = state.T_o_t is not None
+        if state.T_o_t is not None and not state.dragged:
+            place(self._handles, state.T_o_t)
         self._picture.visible = bool(state.readings)
         self._numbers.content = f"<pre style='{TEXT}'>{describe(state)}</pre>" if state.readings else ""
+        if state.refused_at is not None:
+            text = textwrap.shorten(state.message.removeprefix(REFUSED), 60, placeholder=" ...")
+            self._scene.add_label("/refusal", text, position=state.refused_at)
         if state.seen is None or state.board is None:
             self._skin.clear()
-            text = textwrap.shorten(state.message.removeprefix(REFUSED), 60, placeholder=" ...")
-            self._scene.add_label("/refusal", text, position=state.T_o_t[:3, 3])
             return
         readings = {name: reading.mean[None] for name, reading in state.readings.items()}
         self._page.server.flush()  # numbers first: the picture keeps this program busy

@@ -38,13 +38,17 @@ class Live(NamedTuple):
     name: str  # name and source of the skin
     board: Board
     calibration: Calibration | None
-    message: str = "waiting for the skin ..."
+    status: str = "waiting for the skin ..."  # lines about the stream and the reading
     rest: Float[np.ndarray, " c"] | None = None  # uT, reading at rest
     change: Float[np.ndarray, " c"] | None = None  # uT, mean of the newest samples less the reading at rest
     health: str = "the first samples define zero"
     place: PressEstimate | None = None
-    fps: float = 0.0  # pictures a second
     recording: str = ""  # sentence about the table that is written, or was last
+
+    @property
+    def message(self) -> str:
+        """All that is known of the skin, in lines."""
+        return "\n".join(filter(None, [self.status, self.recording]))
 
 
 class Ticked(NamedTuple):
@@ -89,7 +93,7 @@ def update(state: Live, event: Any) -> Live:
             lines = [
                 state.name,
                 f"{counters.rate:.0f} Hz, {counters.samples} samples, lost {counters.lost} "
-                f"({100 * counters.loss:.2f} %), {fps:.0f} pictures a second",
+                f"({100 * counters.loss:.2f} %), {fps:.0f} updates a second",
                 state.health,
             ]
             where = None
@@ -99,24 +103,22 @@ def update(state: Live, event: Any) -> Live:
                 if state.calibration is not None and size > 20:  # uT, well above the noise
                     where = state.calibration.locate(change) if np.isfinite(change).all() else None
                     lines.append(_worded(where))
-            message = "\n".join(filter(None, [*lines, state.recording]))
-            return state._replace(change=change, place=where, fps=fps, message=message)
+            return state._replace(change=change, place=where, status="\n".join(lines))
         case Zeroed(samples):
             rest, health = judge_rest(samples)
             return state._replace(rest=rest, health=health)
         case Recorded(sentence):
-            return state._replace(recording=sentence, message=f"{state.message}\n{sentence}")
+            return state._replace(recording=sentence)
         case Lost(reason):
-            lines = [f"{state.name}: {reason}", state.recording]
-            return state._replace(change=None, place=None, message="\n".join(filter(None, lines)))
+            return state._replace(change=None, place=None, status=f"{state.name}\n{reason}")
     return state
 
 
 def _worded(where: PressEstimate | None) -> str:
     if where is None:
-        return "no place, because a chip does not answer"
+        return "no position, because a chip does not answer"
     if not where.misfit <= MAX_MISFIT:
-        return f"no place: unlike the presses of the calibration, by {where.misfit:.0f} standard deviations"
+        return f"no position: the reading differs from every calibrated press by {where.misfit:.0f} standard deviations"
     (x, y), (dx, dy) = 1e3 * where.position, 1e3 * where.position_std
     return f"contact at x {x:.1f} ± {dx:.1f} mm, y {y:.1f} ± {dy:.1f} mm, by the calibration"
 
@@ -133,6 +135,7 @@ class LiveScene(Scene):
     """
 
     update = staticmethod(update)
+    ticks = (Ticked,)
 
     def __init__(
         self, skin: Skin, board: Board, calibration: Calibration | None, table: Path, stack: ExitStack
@@ -140,9 +143,11 @@ class LiveScene(Scene):
         super().__init__(Live(f"{skin.features.name} ({skin.features.source})", board, calibration))
         self._skin, self._path, self._stack = skin, table, stack
         self._stop, self._thread = threading.Event(), threading.Thread(target=self._read, name="live", daemon=True)
-        self._connected, self._zeroes, self._records = False, True, False  # the last two: whether they are wanted
+        self._connects, self._zeroes, self._records = True, True, False  # whether these are wanted
+        self._connected = False
         self._zero_from: int | None = None  # number of the sample from which zero is measured
-        self._write: Callable[[], None] | None = None  # writes the samples since its last call
+        self._write: Callable[[], int] | None = None  # writes the samples since its last call, counts all
+        self._rows = 0  # number of samples in the table
         self._table, self._table_path = ExitStack(), table  # the table that is written, or was last
         self._drawn: deque[float] = deque(maxlen=30)  # s, times of the newest pictures
 
@@ -159,9 +164,8 @@ class LiveScene(Scene):
         self._dot = scene.add_icosphere("/tool/place", radius=1e-3, color=(0, 0, 0), visible=False)
         gui.add_button("zero").on_click(lambda _: setattr(self, "_zeroes", True))
         gui.add_button("record").on_click(lambda _: setattr(self, "_records", not self._records))
-        gui.add_button("connect again").on_click(lambda _: self._connect())
-        self._scale = gui.add_slider("5 mm are (µT)", 5, 500, 5, 50)
-        self._connect()
+        gui.add_button("connect again").on_click(lambda _: setattr(self, "_connects", True))
+        self._scale = gui.add_slider("scale (µT)", 5, 500, 5, 50)
         self._thread.start()
 
     def draw(self, state: Live) -> None:
@@ -189,34 +193,37 @@ class LiveScene(Scene):
         self._skin.close()
         self._stack.close()
 
-    def _connect(self) -> None:
-        try:
-            self._skin.connect()
-            self._connected = self._zeroes = True
-        except DeviceError as error:
-            self._page.send(Lost(str(error)))
-
     def _read(self) -> None:
         """Record and show samples until the scene is closed; a skin that is gone may be connected again."""
         due = time.monotonic()
         while not self._stop.wait(max(0.0, due - time.monotonic())):
             due = max(due + FRAME_S, time.monotonic())
             try:
-                if self._records != (self._write is not None):
-                    (self._begin_table if self._records else self._end_table)()
-                if self._write is not None:
-                    self._write()
-            except (DeviceError, OSError) as error:
-                self._end_table(f"not recorded: {error}" if self._write is None else f"recording ended: {error}")
-            try:
-                if self._connected:
-                    self._show_newest()
-            except DeviceError as error:
+                self._read_once()
+            except Exception as error:  # a plug-in may raise anything
+                if not isinstance(error, DeviceError):
+                    log.exception("the skin could not be read")
                 if not isinstance(error, DeviceTimeoutError):  # a silent skin may send again
                     self._connected = False
                     self._end_table(f"recording ended: {error}" if self._write is not None else "")
                 self._page.send(Lost(str(error)))
         self._end_table()
+
+    def _read_once(self) -> None:
+        """Connect the skin and begin or end recording as wanted, write the new samples, and show the newest."""
+        if self._connects:
+            self._connects = False
+            self._skin.connect()
+            self._connected = True
+        try:
+            if self._records != (self._write is not None):
+                (self._begin_table if self._records else self._end_table)()
+            if self._write is not None:
+                self._rows = self._write()
+        except (DeviceError, OSError) as error:
+            self._end_table(f"not recorded: {error}" if self._write is None else f"recording ended: {error}")
+        if self._connected:
+            self._show_newest()
 
     def _show_newest(self) -> None:
         """Send the newest samples to the page, and zero once there are enough."""
@@ -237,12 +244,13 @@ class LiveScene(Scene):
 
     def _end_table(self, why: str = "") -> None:
         """Write the last samples, close the table, and tell how many it holds and why it ended."""
-        recorded, self._write, self._records = self._write is not None, None, False
+        write, self._write, self._records = self._write, None, False
         with suppress(OSError):  # the disk may be full
+            self._rows = write() if write is not None else 0
+        with suppress(OSError):
             self._table.close()
-        if recorded:
-            with self._table_path.open() as table:
-                why = "; ".join(filter(None, [why, f"{self._table_path} holds {sum(1 for _ in table) - 1} samples"]))
+        if write is not None:
+            why = "; ".join(filter(None, [why, f"{self._table_path} holds {self._rows} samples"]))
         if why:
             self._tell(why)
 

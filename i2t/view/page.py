@@ -63,10 +63,11 @@ def write_page(contents: Contents, path: Path, *, max_pictured: int = 10, max_ro
 
 def _time_courses(contents: Contents, shown: np.ndarray) -> list[tuple[int, Figure]]:
     """Plot the time courses of the chosen touches whose series were recorded."""
+    records = [(row, contents.record(row)) for row in shown.tolist()]
     return [
         (row, plot_time_course(record, contents.simulated, row))
-        for row, record in enumerate(contents.records())
-        if row in shown and "tactile" in record.series
+        for row, record in records
+        if "tactile" in record.series
     ]
 
 

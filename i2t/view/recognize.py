@@ -12,6 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 from matplotlib import colormaps
+from matplotlib.colors import to_rgb
 
 from i2t.dataset import Dataset, source_phrase
 from i2t.objects.solids import Mesh
@@ -26,6 +27,7 @@ from i2t.types import Array, Board, Pad, ReturnCode
 from i2t.view.drawing import SkinNode, add_discs, add_mesh, place, quaternions
 from i2t.view.server import TEXT, Page, Scene
 from i2t.viz.skins import common_scale
+from i2t.viz.style import Colour
 
 CONFIG = RecognizerConfig(num_sites=12, num_particles=32)  # half of the default, so that an episode begins sooner
 
@@ -97,10 +99,7 @@ def begin(meshes: Mapping[str, Mesh], pad_model: KnownPad, pad: Pad, touched: st
         ValueError: Pad and pad model are of different boards.
     """
     if not same_board(pad.board, pad_model.board):
-        raise ValueError(
-            f"the pad has {pad.board.num_chips} chips and the pad model {pad_model.board.num_chips}, or others; give "
-            "--pads one on the board of --pad-model"
-        )
+        raise ValueError("pad and pad model are of different boards; give --pads a pad on the board of --pad-model")
     recognizer = ObjectRecognizer(jax.random.key(0), pad_model.model, meshes, config=CONFIG)
     state = RecognitionState(meshes, pad_model.board, "", touched, "", note, recognizer=recognizer, pad=pad)
     return update(state, Begun(touched))
@@ -137,7 +136,8 @@ def update(state: RecognitionState, event: Any) -> RecognitionState:
     """
     match event:
         case Touch(site) if state.recognizer is not None:
-            state = _touched(state._replace(shown=len(state.steps)), state.recognizer, site)
+            kept = state._replace(steps=state.steps[: state.shown], states=state.states[: state.shown + 1])
+            state = _touched(kept, state.recognizer, site)
         case TouchesShown(touches):
             state = state._replace(shown=max(0, min(touches, len(state.steps))))
         case Begun(name) if state.recorded is not None:
@@ -161,6 +161,8 @@ def _touched(state: RecognitionState, recognizer: ObjectRecognizer, number: int 
         site = ChosenSite(number, recognizer.site_pose(number))
     else:
         raise ValueError("this site was touched already, or a touch there may be unsafe; choose another one")
+    if site is None and recognizer.stop_reason(before) is None:
+        raise ValueError("no site is left where a touch is probably safe; begin again")
     if site is None:
         return state
     touch = state.touch(site.T_w_t)
@@ -190,7 +192,7 @@ def _message(state: RecognitionState) -> str:
     if state.shown and not state.steps[state.shown - 1].contact:
         lines.append("this touch met nothing")
     if state.recognizer is not None and (reason := state.recognizer.stop_reason(state.states[state.shown])):
-        lines.append(f"no more touch is needed: {reason}")
+        lines.append(f"no further touch: {reason}")
     return "\n".join(filter(None, [*lines, state.note]))
 
 
@@ -245,15 +247,17 @@ class RecognizeScene(Scene):
         shares = zip(state.meshes, p, strict=True)
         rows = [f"{share:4.0%} {name:13.13} {'█' * round(14 * share)}" for name, share in shares]
         self._bars.content = f"<pre style='{TEXT}'>{html.escape(chr(10).join(rows))}</pre>"
-        gain = None if state.recognizer is None else state.recognizer.expected_information(state.states[state.shown])
+        recognizer = state.recognizer
+        if recognizer is not None:
+            now = state.states[state.shown]
+            gain, asked = recognizer.expected_information(now), recognizer.choose_touch(now)
         for column, (name, frame) in enumerate(self._frames.items()):
-            last = int(column == p.argmax()) and state.shown
-            self._draw_touches(state, frame, name, bool(last))
-            if state.recognizer is not None and gain is not None:
-                self._draw_ghosts(state, state.recognizer, frame, name)
-                self._draw_sites(state.recognizer, gain, frame, column)
+            self._draw_touches(state, frame, name, leads=state.shown > 0 and column == p.argmax())
+            if recognizer is not None:
+                self._draw_ghosts(state, recognizer, frame, name)
+                self._draw_sites(recognizer, gain, asked, frame, column)
 
-    def _draw_touches(self, state: RecognitionState, frame: str, name: str, leads: bool) -> None:
+    def _draw_touches(self, state: RecognitionState, frame: str, name: str, *, leads: bool) -> None:
         """Draw the last shown touch on the most probable candidate, with its reading."""
         self._scene.remove_by_name(f"{frame}/tool")
         if leads:
@@ -271,10 +275,14 @@ class RecognizeScene(Scene):
             batched_opacities=weights / weights.max(), batched_colors=(86, 180, 233), lod="off", cast_shadow=False,
         )  # fmt: skip
 
-    def _draw_sites(self, recognizer: ObjectRecognizer, gain: np.ndarray, frame: str, column: int) -> None:
-        """Draw the sites of a candidate, coloured by the information that is expected there."""
+    def _draw_sites(
+        self, recognizer: ObjectRecognizer, gain: np.ndarray, asked: ChosenSite | None, frame: str, column: int
+    ) -> None:
+        """Draw the sites of a candidate, coloured by the information that is expected there; red is the asked one."""
         numbers = np.flatnonzero(np.asarray(recognizer.sites.owner) == column)
         share = gain[numbers] / max(float(np.nanmax(gain, initial=0.0)), 1e-9)
         colours = np.where(np.isfinite(share)[:, None], colormaps["cividis"](0.1 + 0.85 * share)[:, :3], 0.35)
+        if asked is not None:
+            colours[numbers == asked.number] = to_rgb(Colour.RED)
         sites = add_discs(self._scene, f"{frame}/sites", np.asarray(recognizer.sites.T_w_t)[numbers], colours)
         sites.on_click(lambda click: self._page.send(Touch(int(numbers[click.instance_index]))))

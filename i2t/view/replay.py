@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from i2t import viz
+from i2t.dataset import holds_simulated
 from i2t.errors import DataError
 from i2t.geometry import inverse
 from i2t.objects.solids import Mesh
@@ -29,7 +30,7 @@ class Replay(NamedTuple):
     contents: Contents
     predicted: Reading  # (n, c) uT; NaN where nothing was predicted
     error: Float[np.ndarray, " n"]  # uT, root mean square difference of predicted and measured reading
-    labels: Float[np.ndarray, "3 n"] | Any  # object, session and code of each touch
+    labels: np.ndarray  # (3, n) texts: object, session and code of each touch
     rows: Int[np.ndarray, " m"]  # touches that pass the filters, in their order
     note: str  # how well the touches are predicted, or why they are not
     message: str = ""
@@ -47,6 +48,12 @@ class TouchShown(NamedTuple):
     """Event: show a touch by its position among those that pass the filters."""
 
     at: int
+
+
+class TouchStepped(NamedTuple):
+    """Event: show the next touch (1) or the previous one (-1)."""
+
+    by: int
 
 
 class TouchClicked(NamedTuple):
@@ -81,7 +88,9 @@ def begin(contents: Contents, predictor: Predictor | None) -> Replay:
             score = predictor.score(dataset, usable)
             for column, values in zip(predicted, score.predicted, strict=True):
                 column[usable] = values
-            note = f"{len(usable)} touches predicted, R² {score.r2.mean:.2f}" + _used(score.used)
+            simulated = holds_simulated((predictor.metadata or {}).get("source", "simulated"))
+            by = " by a predictor of simulated touches" * simulated
+            note = f"{len(usable)} touches predicted{by}, R² {score.r2.mean:.2f}" + _used(score.used)
         except (DataError, ValueError) as reason:
             note = f"nothing is predicted: {reason}"
     error = np.sqrt(np.mean((predicted.mean - measured) ** 2, axis=1))
@@ -113,6 +122,8 @@ def update(state: Replay, event: Any) -> Replay:
     match event:
         case TouchShown(at):
             state = state._replace(at=max(0, min(at, len(state.rows) - 1)))
+        case TouchStepped(by):
+            state = state._replace(at=max(0, min(state.at + by, len(state.rows) - 1)))
         case TouchClicked(row) if row in state.rows:
             state = state._replace(at=int(np.flatnonzero(state.rows == row)[0]))
         case Filtered(chosen, worst_first):
@@ -131,7 +142,7 @@ def _worded(state: Replay) -> Replay:
     """Describe the shown touch."""
     touches, row, contents = state.contents.dataset.touches, state.row, state.contents
     thing, session, code = state.labels[:, row]
-    numbers = [(touches.force[row], "N"), (1e3 * touches.travel[row], "mm of travel"), (state.error[row], "µT off")]
+    numbers = [(touches.force[row], "N"), (1e3 * touches.travel[row], "mm of travel"), (state.error[row], "µT error")]
     known = [f"{value:.2f} {unit}" for value, unit in numbers if np.isfinite(value)]
     title = titled(f"touch {row + 1} of {len(contents.dataset)}: {thing}", contents.simulated)
     return state._replace(message=f"{title}\n{session}, ended by {code}; {', '.join(known)}\n{state.note}")
@@ -153,7 +164,7 @@ class ReplayScene(Scene):
         self._time: Any = gui.add_slider("touch", 1, max(2, len(state.rows)), 1, 1)
         page.on(self._time.on_update, lambda: TouchShown(int(self._time.value) - 1))
         steps = gui.add_button_group("go to", ("previous", "next"))
-        page.on(steps.on_click, lambda: TouchShown(self.state.at + (1 if steps.value == "next" else -1)))
+        page.on(steps.on_click, lambda: TouchStepped(1 if steps.value == "next" else -1))
         filters = [
             gui.add_dropdown(name, (EVERY, *np.unique(column).tolist()))
             for name, column in zip(("object", "session", "code"), state.labels, strict=True)
@@ -181,15 +192,19 @@ class ReplayScene(Scene):
         touches = dataset.touches
         self._time.max, self._time.value = max(2, len(state.rows)), state.at + 1
         mesh, T_o_t = mesh_of(state.contents, row), inverse(touches.T_w_o) @ touches.T_w_t
-        T_o_t = np.where(np.isfinite(T_o_t).all((1, 2), keepdims=True), T_o_t, np.eye(4))  # unknown in some recordings
-        if mesh is not None and mesh is not self._mesh:
-            self._page.look_at(mesh.vertices)
-            add_mesh(self._scene, "/object", mesh)
+        placed = np.isfinite(T_o_t).all((1, 2))  # poses are unknown in some recordings
+        if mesh is not self._mesh:
+            self._scene.remove_by_name("/object")
+            if mesh is not None:
+                self._page.look_at(mesh.vertices)
+                add_mesh(self._scene, "/object", mesh)
         self._mesh = mesh
-        place(self._tool, T_o_t[row])
-        same = state.rows[touches.object[state.rows] == touches.object[row]]
+        if placed[row]:  # otherwise the skin stays where it is drawn first
+            place(self._tool, T_o_t[row])
+        same = state.rows[(touches.object[state.rows] == touches.object[row]) & placed[state.rows]]
         order = np.argsort(np.argsort(np.nan_to_num(state.error[same])))
-        discs = add_discs(self._scene, "/touches", T_o_t[same], touch_colours(len(same))[order])
+        colours = np.where(np.isfinite(state.error[same])[:, None], touch_colours(len(same))[order], 0.5)
+        discs = add_discs(self._scene, "/touches", T_o_t[same], colours)
         discs.on_click(lambda click: self._page.send(TouchClicked(int(same[click.instance_index]))))
         reading = Reading(touches.reading[row], np.zeros_like(touches.reading[row]))
         sets = {"measured": reading}

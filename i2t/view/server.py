@@ -34,6 +34,7 @@ class Scene(ABC):
     """
 
     update: Callable[[Any, Any], Any]  # returns the state after an event; raises ValueError to refuse the event
+    ticks: tuple[type, ...] = ()  # events that come many times a second and are handled at once
 
     def __init__(self, state: Any) -> None:
         self.state = state
@@ -92,7 +93,6 @@ class Page:
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._work, name="page", daemon=True)
         self._ended = threading.Event()  # set by the thread, as an interrupted join forgets a thread that still runs
-        self._busy = False  # whether the page says that it computes
         self.said = ""  # message that the page shows
 
     def send(self, event: Any) -> None:
@@ -122,8 +122,12 @@ class Page:
             message: Lines of text, of which the first is the title.
         """
         self.said = message
-        title, *lines = (html.escape(line) for line in message.split("\n") if line)
-        self._message.content = f"<p style='{TEXT}'><b>{title}</b>{''.join(f'<br>{line}' for line in lines)}</p>"
+        self._write(message)
+
+    def _write(self, message: str) -> None:
+        title, *lines = (html.escape(line) for line in message.split("\n"))
+        below = "".join(f"<br>{line}" for line in lines if line)
+        self._message.content = f"<p style='{TEXT}'><b>{title}</b>{below}</p>"
 
     def look_at(self, points: Float[np.ndarray, "n 3"]) -> None:
         """Point the camera of each window at some points, from their front and above.
@@ -156,36 +160,18 @@ class Page:
         if not self._ended.wait(1.0):
             log.warning("the page ends after the present computation")
             self._ended.wait()
-        if self._scene is not None:
-            self._scene.close()
-        with contextlib.redirect_stdout(io.StringIO()):
-            self.server.stop()
+        try:
+            self._leave()
+        finally:
+            with contextlib.redirect_stdout(io.StringIO()):
+                self.server.stop()
 
     def _work(self) -> None:
-        while (event := self._next()) is not None:
-            busy = threading.Timer(0.3, self._say_busy)
-            busy.start()
-            try:
-                self._handle(event)
-            except (I2TError, ValueError, OSError) as error:
-                self.say(str(error))
-                if isinstance(event, ShowScene):  # a wrong option of the command line
-                    log.error("%s: %s", event.name, error)
-            except Exception as error:
-                log.exception("the page could not handle %s", type(event).__name__)
-                self.say(f"that failed ({type(error).__name__}: {error}); the terminal has the details")
-            finally:
-                busy.cancel()
-                busy.join()
-                if self._busy:
-                    self._busy = False
-                    self.say(self.said)
-        self._ended.set()
-
-    def _say_busy(self) -> None:
-        message, self._busy = self.said, True
-        self.say(f"{message}\ncomputing ...")
-        self.said = message
+        try:
+            while (event := self._next()) is not None:
+                self._answer(event)
+        finally:
+            self._ended.set()
 
     def _next(self) -> Any:
         """Wait for an event, and take it from the queue."""
@@ -193,22 +179,54 @@ class Page:
             self._changed.wait_for(lambda: self._events)
             return self._events.pop(next(iter(self._events)))
 
-    def _handle(self, event: Any) -> None:
-        if isinstance(event, ShowScene):
-            self._show(event.name)
-        elif (scene := self._scene) is not None:
-            with warnings.catch_warnings(record=True) as doubts:
-                warnings.simplefilter("always", UserWarning)
-                scene.state = scene.update(scene.state, event)
-            texts = [str(doubt.message) for doubt in doubts if issubclass(doubt.category, UserWarning)]
-            self.say("\n".join([scene.state.message, *texts]))
-            scene.draw(scene.state)
+    def _answer(self, event: Any) -> None:
+        """Handle an event, and show why if that is impossible."""
+        ticks = isinstance(event, self._scene.ticks if self._scene else ())
+        busy = threading.Timer(0.3, self._say_busy)
+        if not ticks:
+            busy.start()
+        try:
+            if isinstance(event, ShowScene):
+                self._show(event.name)
+            elif (scene := self._scene) is not None:
+                doubts = []
+                if ticks:
+                    scene.state = scene.update(scene.state, event)
+                else:
+                    with warnings.catch_warnings(record=True) as caught:
+                        warnings.simplefilter("always", UserWarning)
+                        scene.state = scene.update(scene.state, event)
+                    doubts = [str(doubt.message) for doubt in caught if issubclass(doubt.category, UserWarning)]
+                self.say("\n".join([scene.state.message, *doubts]))
+                scene.draw(scene.state)
+        except (I2TError, ValueError, OSError) as error:
+            self.say(str(error))
+            if isinstance(event, ShowScene):  # a wrong option of the command line
+                log.error("%s: %s", event.name, error)
+        except Exception as error:
+            log.exception("the page could not handle %s", type(event).__name__)
+            self.say(f"that failed ({type(error).__name__}: {error}); the terminal has the details")
+        finally:
+            if not ticks:
+                busy.cancel()
+                busy.join()
+                self._write(self.said)  # without "computing ..."
+
+    def _say_busy(self) -> None:
+        self._write(f"{self.said}\ncomputing ...")
+
+    def _leave(self) -> None:
+        """Close the shown scene, and forget its events."""
+        scene, self._scene = self._scene, None
+        if scene is not None:
+            scene.close()
+        with self._changed:
+            self._events = {kind: event for kind, event in self._events.items() if event is None}
 
     def _show(self, name: str) -> None:
         """Close the shown scene, and build another one."""
-        if self._scene is not None:
-            self._scene.close()
-        self._scene, gui = None, self.server.gui
+        self._leave()
+        gui = self.server.gui
         self.server.scene.reset()
         self.server.scene.set_up_direction("+z")
         self.server.scene.configure_default_lights(cast_shadow=False)  # which takes long without a graphics card
@@ -219,9 +237,8 @@ class Page:
         self.on(choice.on_click, lambda: ShowScene(choice.value))
         self._message = gui.add_html("")
         self.say(f"{name}: loading ...")
-        scene = self._scenes[name]()
+        self._scene = scene = self._scenes[name]()
         scene.build(self)
-        self._scene = scene
         self.say(scene.state.message)
         scene.draw(scene.state)
 
@@ -233,6 +250,4 @@ def _require_address(host: str) -> None:
         with socket.socket(family, kind, protocol) as test:
             test.bind(address)
     except OSError as error:
-        raise ValueError(
-            f"--host {host}: is no address of this machine ({error}); give 127.0.0.1 or 0.0.0.0"
-        ) from error
+        raise ValueError(f"--host {host}: is not an address of this machine; give 127.0.0.1 or 0.0.0.0") from error

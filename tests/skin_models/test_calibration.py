@@ -164,3 +164,16 @@ def test_a_press_is_located_without_any_load(unknown):
     press = unknown.locate(READINGS[0])
     assert press.load.shape == (0,)
     assert np.isfinite(press.position).all()
+
+
+def test_a_press_is_located_with_travels_and_forces_of_any_combination():
+    both = calibrate(POSITIONS, np.stack([TRAVEL, FORCE[::-1]], -1), READINGS, load_kind="both")
+    loads = both._press_grid[1]
+    assert len(np.unique(loads, axis=0)) == 36
+    assert both.locate(READINGS[0]).load.shape == (2,)
+
+
+def test_a_calibration_without_positions_locates_nothing():
+    blind = calibrate(None, TRAVEL, READINGS, load_kind="travel")
+    with pytest.raises(ValueError, match="without positions"):
+        blind.locate(READINGS[0])

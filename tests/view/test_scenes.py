@@ -80,7 +80,7 @@ def test_a_pose_away_from_the_object_is_refused_with_the_reason(pressed):
 def test_a_place_that_an_arm_would_not_touch_is_named(star):
     with pytest.warns(UserWarning, match="stands out"):
         side = explore.update(star, explore.ObjectClicked((0.0, -0.3, 0.02), (0.0, 1.0, 0.0)))
-    assert "An arm would not touch here: its normal is" in side.message
+    assert "An arm would not touch here, on a table at z = 0: its normal is" in side.message
     assert "would meet the table" in side.message
 
 
@@ -108,12 +108,15 @@ def test_touches_where_the_belief_asks_recognise_the_object(episode):
         state = recognize.update(state, recognize.Touch())
         assert state.states[-1].touched[asked.number]
     assert list(state.meshes)[state.probability.argmax()] == "star"
-    assert "no more touch is needed" in state.message
+    assert "no further touch" in state.message
     assert recognize.update(state, recognize.Touch()).steps == state.steps
     begun = recognize.update(state, recognize.TouchesShown(0))
     assert begun.probability.tolist() == [0.5, 0.5]
     assert len(begun.steps) == len(state.steps)
     assert recognize.update(state, recognize.Begun("cylinder")).steps == ()
+    again = recognize.update(begun, recognize.Touch())  # from the state that is shown
+    assert len(again.steps) == 1
+    assert again.states[-1].touches == 1
 
 
 def test_a_clicked_site_is_touched_once(episode):
@@ -148,6 +151,8 @@ def test_filters_and_order_choose_the_touches():
     worst = replay.update(state, replay.Filtered((replay.EVERY,) * 3, True))
     assert worst.rows[:3].tolist() == [38, 37, 35]
     assert replay.update(worst, replay.TouchShown(1)).row == 37
+    assert replay.update(worst, replay.TouchStepped(1)).row == 37
+    assert replay.update(worst, replay.TouchStepped(-1)).row == 38
     assert replay.update(worst, replay.TouchShown(99)).at == 39
     assert replay.update(worst, replay.TouchClicked(35)).at == 2
 
@@ -180,7 +185,7 @@ def test_a_running_skin_shows_its_change_its_rate_and_its_losses():
     state = live.update(state, live.Ticked(samples(rest + 3 * noise.mean(0) + 8), counters, 30.0))
     np.testing.assert_allclose(state.change, 8.0, atol=1e-9)
     assert "healthy at rest" in state.message
-    assert "400 Hz, 900 samples, lost 100 (10.00 %), 30 pictures a second" in state.message
+    assert "400 Hz, 900 samples, lost 100 (10.00 %), 30 updates a second" in state.message
     assert f"{8 * np.sqrt(15):.1f} µT" in state.message
     gone = live.update(live.update(state, live.Recorded("a.csv holds 9 samples")), live.Lost("is gone"))
     assert gone.change is None
@@ -196,8 +201,8 @@ def test_a_chip_that_does_not_answer_is_named():
     state = live.update(state, live.Zeroed(samples(reading, 120)._replace(reading=reading + noise)))
     state = live.update(state, live.Ticked(samples(reading + 40), SkinCounters(), 30.0))
     assert "no answer from chip 2" in state.message
-    assert "change of all chips: 1" in state.message  # of four chips
-    assert "no place, because a chip does not answer" in state.message
+    assert f"change of all chips: {40 * np.sqrt(12):.0f}"[:-1] in state.message  # of four chips
+    assert "no position, because a chip does not answer" in state.message
 
 
 def test_a_contact_has_the_place_that_the_calibration_gives():
@@ -209,4 +214,4 @@ def test_a_contact_has_the_place_that_the_calibration_gives():
         np.testing.assert_allclose(state.place.position, place, atol=1.5e-3)
         assert f"contact at x {1e3 * state.place.position[0]:.1f} ±" in state.message
     state = live.update(state, live.Ticked(samples(np.tile([900.0, -900, 900], 5)), SkinCounters(), 30.0))
-    assert "no place: unlike the presses of the calibration" in state.message
+    assert "no position: the reading differs" in state.message

@@ -113,7 +113,7 @@ def test_two_pages_have_two_addresses(shown):
 
 def test_an_address_of_another_machine_is_refused():
     for host in ("192.0.2.1", "nonsense.invalid"):
-        with pytest.raises(ValueError, match="is no address of this machine"):
+        with pytest.raises(ValueError, match="is not an address of this machine"):
             Page({}, host=host, port=18080)
 
 

@@ -119,7 +119,7 @@ def test_a_missing_package_is_reported_with_what_to_install(session, tmp_path, c
 def test_invalid_mesh_options_are_refused(session, tmp_path, capsys):
     for options, why in (
         ([str(session), "--mesh", "nothing.stl"], "neither a mesh file"),
-        (["star"], "write recorded touches"),
+        (["star"], "need recorded touches"),
         ([str(session), "--unit", "cm"], "no effect"),
     ):
         assert command.main([*options, "--html", "--out", str(tmp_path / "out")]) == 2

@@ -82,7 +82,7 @@ def _recognise(browser: Browser, keep: Callable[..., None]) -> None:
     time.sleep(2)
     keep()
     for touches in (1, 2, 3):
-        if "no more touch is needed" in browser.text:
+        if "no further touch" in browser.text:
             return
         browser.press("touch where it asks")
         browser.wait_for(f"{touches} of {touches} touches", FIRST_S)

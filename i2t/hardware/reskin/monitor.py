@@ -97,7 +97,7 @@ def _run(args: Options) -> None:
         _show(skin, args.seconds, record)
 
 
-def _show(skin: ReSkin, seconds: float, record: Callable[[], None] | None) -> None:
+def _show(skin: ReSkin, seconds: float, record: Callable[[], int] | None) -> None:
     """Show and record samples until the time is over; raise DeviceError if the board is gone."""
     live, end, drawn = sys.stdout.isatty(), time.monotonic() + seconds, 0
     first, health, rest = int(skin.latest().number[-1]), "the first samples define zero", None
@@ -134,7 +134,7 @@ def judge_rest(samples: Samples) -> tuple[Float[np.ndarray, " c"], str]:
 
 
 @contextlib.contextmanager
-def record_samples(skin: Skin, path: Path) -> Iterator[Callable[[], None]]:
+def record_samples(skin: Skin, path: Path) -> Iterator[Callable[[], int]]:
     """Write every sample of a skin into a new table (`--record`) while the block runs, from the newest one on.
 
     The last samples are written at the end of the block, also of a skin that is gone. If the disk is full, the table
@@ -145,27 +145,29 @@ def record_samples(skin: Skin, path: Path) -> Iterator[Callable[[], None]]:
         path: Path of the table.
 
     Yields:
-        A function that writes the samples since its last call. It must be called at least every five seconds, before
-        the skin's queue overflows.
+        A function that writes the samples since its last call, and returns the number of all that it wrote. It must be
+        called at least every five seconds, before the skin's queue overflows.
 
     Raises:
         OSError: The table exists, or cannot be written.
         DeviceError: The skin sends nothing.
     """
     first = skin.latest()
-    newest, chips = int(first.number[-1]) - 1, range(first.temperature.shape[1])
+    newest, written, chips = int(first.number[-1]) - 1, 0, range(first.temperature.shape[1])
     try:
         with path.open("x", newline="", buffering=1) as file:
             writer = csv.writer(file)
 
-            def record() -> None:
-                nonlocal newest
+            def record() -> int:
+                nonlocal newest, written
                 with contextlib.suppress(DeviceError):  # `latest` reports a board that is gone
                     new = skin.since(newest)
                     columns = np.column_stack([new.time - first.time[0], new.reading, new.temperature])
                     # Six decimals exceed the resolution of the converter.
-                    writer.writerows([f"{x:.6f}" if np.isfinite(x) else "" for x in row] for row in columns)
-                    newest = max([newest, *new.number.tolist()])
+                    for number, row in zip(new.number.tolist(), columns, strict=True):
+                        writer.writerow([f"{x:.6f}" if np.isfinite(x) else "" for x in row])
+                        newest, written = number, written + 1
+                return written
 
             head = ["time_s", *(f"b{i}{axis}_uT" for i in chips for axis in "xyz"), *(f"t{i}_C" for i in chips)]
             writer.writerow(head)
