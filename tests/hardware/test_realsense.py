@@ -133,7 +133,7 @@ def test_a_failed_connection_states_its_reason(file, tmp_path):
             break
     whys = (
         r"was not found \(RealSense cameras here: none\)",
-        "there is no such file",
+        "the file does not exist",
         "cannot be played",
         "cannot be played at 640 x 360",
         r"D405 measures nothing nearer than 40 mm",  # as the file's own device tells
