@@ -75,7 +75,7 @@ COMMANDS = [
     ("i2t.imagine --model empty", "holds no predictor"),
     ("i2t.imagine --at 0 0 30 --sites 2", "--at names the only touch; leave --sites out"),
     ("i2t.imagine --model nominall", "did you mean nominal"),
-    ("i2t.view empty", "holds no touches"),
+    ("i2t.view empty", "is an empty folder"),
     ("i2t.place text.txt --object hammer --host h", "text.txt"),
     ("i2t.hardware.hand_eye board b.png --dictionary nothing", "nothing"),
     ("i2t.hardware.touch_off", "--height"),

@@ -136,7 +136,8 @@ class _Interrupts:
 
 def _modules_in_import() -> set[str]:
     """Find the modules that are being imported."""
-    specs = {name: getattr(module, "__dict__", {}).get("__spec__") for name, module in list(sys.modules.items())}
+    modules = sys.modules.copy()  # at once, as another thread may import meanwhile
+    specs = {name: getattr(module, "__dict__", {}).get("__spec__") for name, module in modules.items()}
     return {name for name, spec in specs.items() if getattr(spec, "_initializing", False)}
 
 

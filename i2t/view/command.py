@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from i2t.view.contents import Contents
     from i2t.view.server import Scene
 
-LIVE = "live"  # what is shown, in place of an object or a data set
 EPISODE_OBJECTS = ("hammer", "screwdriver", "star", "cylinder", "square")  # candidates of an episode by default
 
 
@@ -43,7 +42,7 @@ class ViewArgs:
 
     # name of an object in the catalogue, a mesh file, a folder or file of touches, nominal (the touches that come
     # with i2t), or live
-    what: tyro.conf.Positional[str] = "hammer"
+    what: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="WHAT")] = "hammer"
     # unit of mesh files whose names have none (mug.stl:mm); glTF is in metres
     unit: Literal["m", "cm", "mm", "inch"] | None = None
     # address to listen on. The page has no password
@@ -91,20 +90,21 @@ class ViewArgs:
 
 
 def _view(args: ViewArgs) -> None:
-    dataset = _dataset(args)
-    _check(args, dataset)
+    thing, named = _told_apart(args.what)
+    dataset = named or args.dataset
+    _check(args, thing, dataset)
     if args.html or args.rerun:
         _write(args, dataset)
         return
     from i2t.view.server import Page
 
     scenes = {
-        "explore": lambda: _explore(args, dataset),
+        "explore": lambda: _explore(args, args.mesh or thing or "hammer"),
         "recognise": lambda: _recognize(args),
         "replay": lambda: _replay(args, dataset or Path("nominal")),
         "live": lambda: _live(args),
     }
-    first = args.scene or ("live" if args.what == LIVE else "explore" if dataset is None else "replay")
+    first = args.scene or ("explore" if thing else "replay" if named else "live")
     page = Page(scenes, host=args.host, port=args.port)
     print(f"i2t view: {page.address} (Ctrl-C ends it)", flush=True)
     if args.host not in ("127.0.0.1", "localhost", "::1"):  # which only this machine reaches
@@ -120,22 +120,22 @@ def _view(args: ViewArgs) -> None:
     print("ended")
 
 
-def _dataset(args: ViewArgs) -> Path | None:
-    """Find the data set of "replay": `--dataset`, or WHAT unless it is an object or a running skin."""
-    path = ready_path(args.what, "touches.h5")
-    if args.what == LIVE or split_unit(args.what)[0] != args.what or path.suffix.lower() in MESH_SUFFIXES:
-        return args.dataset
-    return path if path.exists() else args.dataset
+def _told_apart(what: str) -> tuple[str | None, Path | None]:
+    """Tell whether WHAT names an object or touches; both are None for a running skin."""
+    path = ready_path(what, "touches.h5")
+    is_mesh = split_unit(what)[0] != what or path.suffix.lower() in MESH_SUFFIXES
+    if what == "live" or (path.exists() and not is_mesh):
+        return None, None if what == "live" else path
+    return what, None
 
 
-def _check(args: ViewArgs, dataset: Path | None) -> None:
-    """Refuse wrong options before JAX is imported."""
+def _check(args: ViewArgs, thing: str | None, dataset: Path | None) -> None:
+    """Refuse wrong options before JAX is imported, as far as that can be seen."""
     require_dataset("--dataset", args.dataset)
     require_dataset("WHAT", dataset)
-    if dataset in (None, args.dataset) and args.what != LIVE:
-        require_object(args.what, args.unit)
-    if args.mesh is not None:
-        require_object(args.mesh, args.unit, flag="--mesh")
+    for flag, name in (("", thing), ("--mesh", args.mesh)):
+        if name is not None:
+            require_object(name, args.unit, flag=flag)
     for flag, names in (("--models", args.models), ("--pads", args.pads)):
         if not names:
             raise ValueError(f"{flag}: name at least one, such as nominal")
@@ -154,10 +154,8 @@ def _check(args: ViewArgs, dataset: Path | None) -> None:
         make_board(args.board)
     if (args.html or args.rerun) and dataset is None:
         raise ValueError(f"--html and --rerun need recorded touches, and {args.what} is none; name their folder")
-    if dataset is not None and args.what != LIVE:
-        require_with(
-            "--unit", args.unit is not None, "--mesh or --objects", args.mesh is not None or bool(args.objects)
-        )
+    has_mesh = bool(thing or args.mesh or args.objects)
+    require_with("--unit", args.unit is not None, "a mesh file, --mesh or --objects", has_mesh)
     require_with("--overwrite", args.overwrite, "--html or --rerun", args.html or args.rerun)
 
 
@@ -193,14 +191,13 @@ def _contents(args: ViewArgs, dataset: Path) -> "Contents":
     )  # fmt: skip
 
 
-def _explore(args: ViewArgs, dataset: Path | None) -> "Scene":
+def _explore(args: ViewArgs, name: str) -> "Scene":
     from i2t.objects.named import read_object
     from i2t.prediction.predictor import load_predictor
     from i2t.view import explore
 
-    what = args.mesh or ("hammer" if args.what == LIVE or dataset not in (None, args.dataset) else args.what)
     predictors = {name: load_predictor(name) for name in args.models}
-    return explore.ExploreScene(explore.begin(read_object(what, args.unit), predictors, _pads(args)))
+    return explore.ExploreScene(explore.begin(read_object(name, args.unit), predictors, _pads(args)))
 
 
 def _pads(args: ViewArgs) -> "dict[str, Pad]":
@@ -225,11 +222,8 @@ def _recognize(args: ViewArgs) -> "Scene":
     if args.dataset is None:
         meshes = read_meshes(args.objects or EPISODE_OBJECTS, args.unit)
         name, pad = next(iter(_pads(args).items()))
-        note = (
-            ""
-            if str(args.pad_model) == name
-            else f"touched with the pad {name}, predicted with the pad model {args.pad_model}"
-        )
+        other = str(args.pad_model) != name
+        note = f"touched with the pad {name}, predicted with the pad model {args.pad_model}" if other else ""
         state = recognize.begin(meshes, pad_model, pad, next(iter(meshes)), note)
     else:
         recorded = load_dataset(args.dataset, skin=args.skin_name)
@@ -242,8 +236,7 @@ def _replay(args: ViewArgs, dataset: Path) -> "Scene":
     from i2t.prediction.predictor import load_predictor
     from i2t.view import replay
 
-    predictor = load_predictor(args.models[0]) if args.models else None
-    return replay.ReplayScene(replay.begin(_contents(args, dataset), predictor))
+    return replay.ReplayScene(replay.begin(_contents(args, dataset), load_predictor(args.models[0])))
 
 
 def _live(args: ViewArgs) -> "Scene":

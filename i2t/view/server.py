@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from i2t.cli.signals import ended_by_ctrl_c
 from i2t.errors import I2TError, require_extra
 
 TEXT = "margin:.3em .9em;font-size:.85em;line-height:1.4"  # CSS of texts
@@ -157,9 +158,12 @@ class Page:
     def close(self) -> None:
         """Close the shown scene and stop listening, once a computation that runs has ended."""
         self.send(None)
-        if not self._ended.wait(1.0):
-            log.warning("the page ends after the present computation")
-            self._ended.wait()
+        with ended_by_ctrl_c():
+            if not self._ended.wait(1.0):
+                log.warning("the page ends after the present computation")
+        while not self._ended.is_set():
+            with ended_by_ctrl_c():  # a second Ctrl-C cannot end a computation either
+                self._ended.wait()
         try:
             self._leave()
         finally:

@@ -118,7 +118,7 @@ def test_touches_are_replayed(page):
     page.until(lambda: "touch 1 of 180: hexagon (simulated)" in page.text, FIRST_S)
     page.press("next")
     page.until(lambda: "touch 2 of 180" in page.text)
-    assert re.search(r"\d\.\d\d N, \d\.\d\d mm of travel, \d+\.\d\d µT off", page.text)
+    assert re.search(r"\d\.\d\d N, \d\.\d\d mm of travel, \d+\.\d\d µT error", page.text)
     keep(page, "replay")
 
 
