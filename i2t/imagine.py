@@ -67,7 +67,6 @@ def _imagine(args: ImagineArgs) -> None:
     if placement := describe_placement(target):
         print(placement)
     from i2t import viz
-    from i2t.dataset import holds_simulated
     from i2t.prediction.predictor import load_predictor
     from i2t.rendering.render import prepare_surface
 
@@ -85,7 +84,7 @@ def _imagine(args: ImagineArgs) -> None:
     for number, (kind, T, mean, std) in enumerate(zip(kinds, T_o_t, *readings, strict=True), 1):
         x, y, z = (round(1e3 * float(metres)) for metres in T[:3, 3])
         print(f"touch {number} ({kind}) at ({x}, {y}, {z}) mm: {_strongest(board, mean, std)}")
-    simulated = args.model in READY_MODELS or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
+    simulated = args.model in READY_MODELS or predictor.simulated
     figure = viz.plot_predicted_touches(
         seen.patch, {"predicted": readings.mean}, kinds, board,
         f"{target.name}: predicted touches, {load}", simulated,

@@ -27,7 +27,7 @@ from jaxtyping import Array, Bool, Float, Int, PyTree, Shaped
 from orbax.checkpoint import v1 as ocp
 
 from i2t.contact.pressure import PressureModelConfig
-from i2t.dataset import Dataset
+from i2t.dataset import Dataset, holds_simulated
 from i2t.dataset.digests import touch_digests
 from i2t.errors import CheckpointError, DataError
 from i2t.files.archives import max_unpacked_size
@@ -131,6 +131,11 @@ class Predictor:
         """The board whose readings the model was trained on; None if it was not saved."""
         board = board_from_lists((self.metadata or {}).get("board"))
         return board if board and board.num_readings == self.model.channels else None
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any touch of the training was simulated, or may have been because the source is not recorded."""
+        return holds_simulated((self.metadata or {}).get("source", "simulated"))
 
     @property
     def pressure(self) -> PressureModelConfig | None:

@@ -184,9 +184,9 @@ class Calibration:
         The deviations include how much the reading changes within a cell of the grid.
         """
         presses, kinds = self.gp.presses, len(LOAD_COLUMNS[self.load_kind])
-        axes = np.linspace(presses.position.min(0), presses.position.max(0), 41).T
         if not np.ptp(presses.position, axis=0).any():
             raise ValueError("this calibration was fitted without positions, so that it cannot locate a press")
+        axes = np.linspace(presses.position.min(0), presses.position.max(0), 41).T
         grids = [np.linspace(column.min(), column.max(), 16 if kinds == 1 else 6) for column in presses.loads.T[:kinds]]
         levels = np.stack(np.meshgrid(*grids, indexing="ij"), -1).reshape(-1, kinds) if kinds else np.zeros((1, 0))
         at = np.stack(np.meshgrid(*axes, indexing="ij"), -1)

@@ -14,6 +14,7 @@ import viser.transforms
 from jaxtyping import Float
 from matplotlib.colors import to_rgb
 
+from i2t import viz
 from i2t.patches.dimensions import PAD_WINDOW
 from i2t.prediction.touch_model import Reading
 from i2t.types import Board
@@ -82,6 +83,44 @@ def add_discs(
         name, DISC.vertices * radius, DISC.faces, quaternions(T[:, :3, :3]), T[:, :3, 3],
         batched_colors=(255 * colours).astype(np.uint8), lod="off",
     )  # fmt: skip
+
+
+def measured(values: Float[np.ndarray, " c"]) -> Reading:
+    """Give a measured or simulated reading the form of a predicted one.
+
+    Args:
+        values: `(c,)` reading (uT).
+
+    Returns:
+        The reading with standard deviations of 0, which are not drawn.
+    """
+    return Reading(values, np.zeros_like(values))
+
+
+def picture_of(
+    patch: Float[np.ndarray, "1 n n"],
+    readings: Mapping[str, Reading],
+    board: Board,
+    title: str,
+    simulated: bool,
+    **options: Any,
+) -> np.ndarray:
+    """Draw the patch of a touch, and below it the readings, as the figures of the documents do.
+
+    Args:
+        patch: The depth patch (m).
+        readings: Readings (uT) by name.
+        board: Board of the readings.
+        title: Title of the picture.
+        simulated: Whether any of the data are simulated.
+        options: Further arguments of `i2t.viz.plot_predicted_touches`.
+
+    Returns:
+        `(rows, columns, 3)` RGB values from 0 to 255.
+    """
+    means = {name: np.nan_to_num(reading.mean)[None] for name, reading in readings.items()}
+    std = {name: reading.std[None] for name, reading in readings.items() if reading.std.any()}
+    return viz.pixels(viz.plot_predicted_touches(patch, means, [""], board, title, simulated, std=std, **options))
 
 
 class SkinNode:

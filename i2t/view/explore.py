@@ -6,16 +6,13 @@ one's choice simulates it without errors of arm and sensor.
 
 import textwrap
 from collections.abc import Mapping
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 import viser.transforms
 
-from i2t import viz
 from i2t.contact.press import PressLimits
-from i2t.dataset import holds_simulated
 from i2t.objects.named import describe_placement
 from i2t.objects.poses import contact_pose, point_on_ray
 from i2t.objects.solids import Object
@@ -26,13 +23,13 @@ from i2t.simulation.sites import explain_unsafe, sample_touch_sites
 from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin.boards import same_board
 from i2t.types import Array, Board, Pad, ReturnCode, Surface
-from i2t.view.drawing import SkinNode, add_mesh, place
+from i2t.view.drawing import SkinNode, add_mesh, measured, picture_of, place
 from i2t.view.server import TEXT, Page, Scene
 from i2t.viz.skins import common_scale
 
 NO_PAD = "none"  # choice of no simulated pad
 REFUSED = "No touch here: "  # begins the message about a touch that is refused
-UNITS = {"force": ("N", 1.0), "travel": ("mm of travel", 1e3)}  # of the load that is shown, with its factor
+UNITS = {"force": ("N", 1.0), "travel": ("mm", 1e3)}  # in which a load is shown, with the factor
 
 
 class Exploration(NamedTuple):
@@ -69,9 +66,9 @@ class Moved(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """Event: another load, N or m of travel."""
+    """Event: another load."""
 
-    load: float
+    shown: float  # N, or mm of travel
 
 
 class Chosen(NamedTuple):
@@ -124,8 +121,9 @@ def update(state: Exploration, event: Any) -> Exploration:
             return touched
         case Moved(T_o_t):
             state = state._replace(T_o_t=np.asarray(T_o_t, np.float64), dragged=True)
-        case Loaded(load):
-            state = state._replace(load=load, dragged=False)
+        case Loaded(shown):
+            _, factor = UNITS[state.predictors[state.predictor].load]
+            state = state._replace(load=shown / factor, dragged=False)
         case Chosen(predictor, pad):
             same = state.predictors[predictor].load == state.predictors[state.predictor].load
             load = state.load if same else _usual_load(state.predictors[predictor])
@@ -144,7 +142,7 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
         return _refused(state, error, T_o_t[:3, 3])
     unit, factor = UNITS[predictor.load]
     readings, board = {"predicted": Reading(mean[0], std[0])}, predictor.board
-    lines = [f"{state.object.name}, {factor * state.load:.2f} {unit}"]
+    lines = [f"{state.object.name}, {factor * state.load:.2f} {unit}{' of travel' * (unit == 'mm')}"]
     if pad is not None and predictor.load != "force":
         lines.append("The pad is pressed by force and this predictor by travel, so the touch is not simulated.")
     elif pad is not None:
@@ -156,7 +154,7 @@ def _touched(state: Exploration, T_o_t: Array) -> Exploration:
         elif board is None or not same_board(pad.board, board):
             readings, board = {}, Board(*map(np.asarray, pad.board))
             lines.append("Pad and predictor are of different boards, so only the simulated reading is drawn.")
-        readings["simulated"] = Reading(touch.reading, np.zeros_like(touch.reading))
+        readings["simulated"] = measured(touch.reading)
     if unsafe := explain_unsafe(state.surface, T_o_t):
         lines.append(f"An arm would not touch here, on a table at z = 0: {unsafe}.")
     message = "\n".join(filter(None, [*lines, state.note]))
@@ -192,13 +190,8 @@ class ExploreScene(Scene):
         self._handles = self._scene.add_transform_controls("/tool", scale=0.02, line_width=1.5, visible=False)
         page.on(self._handles.on_update, lambda: Moved(pose_of(self._handles)))
         self._skin = SkinNode(self._scene, "/tool")
-        self._loads: dict[str, Any] = {}
-        for load, (unit, factor) in UNITS.items():
-            slider = gui.add_slider(
-                f"{load} ({unit[:2].strip()})", 0.1, 4.0, 0.1, round(min(factor * state.load, 4), 1)
-            )
-            page.on(slider.on_update, partial(_loaded, slider, factor))
-            self._loads[load] = slider
+        self._load: Any = gui.add_slider("force (N)", 0.1, 4.0, 0.01, 1.0)
+        page.on(self._load.on_update, lambda: Loaded(self._load.value))
         predictors = gui.add_dropdown("predictor", tuple(state.predictors), initial_value=state.predictor)
         pads = gui.add_dropdown("simulated pad", (NO_PAD, *state.pads), initial_value=state.pad)
         for choice in (predictors, pads):
@@ -218,10 +211,9 @@ class ExploreScene(Scene):
         Args:
             state: The state to show.
         """
-        for load, slider in self._loads.items():
-            slider.visible = load == state.predictors[state.predictor].load
-            if slider.visible:
-                slider.value = round(UNITS[load][1] * state.load, 2)
+        load = state.predictors[state.predictor].load
+        unit, factor = UNITS[load]
+        self._load.label, self._load.value = f"{load} ({unit})", round(factor * state.load, 2)
         self._scene.remove_by_name("/refusal")
         self._handles.visible = state.T_o_t is not None
         if state.T_o_t is not None and not state.dragged:
@@ -234,21 +226,15 @@ class ExploreScene(Scene):
         if state.seen is None or state.board is None:
             self._skin.clear()
             return
-        readings = {name: reading.mean[None] for name, reading in state.readings.items()}
         self._page.server.flush()  # numbers first: the picture keeps this program busy
-        self._skin.draw(state.board, state.readings, common_scale(np.stack(list(readings.values()))))
+        scale = common_scale(np.stack([reading.mean for reading in state.readings.values()]))
+        self._skin.draw(state.board, state.readings, scale)
         predictor = state.predictors[state.predictor]
-        simulated = "simulated" in readings or holds_simulated((predictor.metadata or {}).get("source", "simulated"))
-        figure = viz.plot_predicted_touches(
-            state.seen.patch, readings, [""], state.board, state.object.name, simulated,
-            std={name: reading.std[None] for name, reading in state.readings.items() if reading.std.any()},
+        self._picture.image = picture_of(
+            state.seen.patch, state.readings, state.board, state.object.name,
+            "simulated" in state.readings or predictor.simulated,
             views=state.seen.view, window=predictor.window, reach=predictor.reach,
         )  # fmt: skip
-        self._picture.image = viz.pixels(figure)
-
-
-def _loaded(slider: Any, factor: float) -> Loaded:
-    return Loaded(slider.value / factor)
 
 
 def pose_of(node: Any) -> Array:

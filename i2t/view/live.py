@@ -20,11 +20,10 @@ from i2t.errors import DeviceError, DeviceTimeoutError
 from i2t.hardware.protocols import Samples, Skin, SkinCounters
 from i2t.hardware.reskin.monitor import REST_SAMPLES, SHOWN_SAMPLES, judge_rest, record_samples
 from i2t.patches.dimensions import PAD_WINDOW
-from i2t.prediction.touch_model import Reading
 from i2t.skin.boards import mean_finite
 from i2t.skin_models.calibration import Calibration, PressEstimate
 from i2t.types import Board
-from i2t.view.drawing import SkinNode
+from i2t.view.drawing import SkinNode, measured
 from i2t.view.server import Page, Scene
 
 log = logging.getLogger(__name__)
@@ -178,8 +177,7 @@ class LiveScene(Scene):
         if state.change is None:
             self._node.clear()
         else:
-            reading = Reading(state.change, np.zeros_like(state.change))
-            self._node.draw(state.board, {"measured": reading}, float(self._scale.value))
+            self._node.draw(state.board, {"measured": measured(state.change)}, float(self._scale.value))
         seen = state.place is not None and state.place.misfit <= MAX_MISFIT
         self._dot.visible = seen
         if state.place is not None and seen:

@@ -16,7 +16,6 @@ from matplotlib.colors import to_rgb
 
 from i2t.dataset import Dataset, source_phrase
 from i2t.objects.solids import Mesh
-from i2t.prediction.touch_model import Reading
 from i2t.recognition.recognizer import ChosenSite, ObjectRecognizer, RecognizerConfig, RecognizerState
 from i2t.recognition.sessions import RecognizedSessions, recognize
 from i2t.rendering.render import prepare_surface
@@ -24,7 +23,7 @@ from i2t.simulation.touches import SimulationErrors, touch_simulator
 from i2t.skin.boards import same_board
 from i2t.skin_models.pad_model import KnownPad
 from i2t.types import Array, Board, Pad, ReturnCode
-from i2t.view.drawing import SkinNode, add_discs, add_mesh, place, quaternions
+from i2t.view.drawing import SkinNode, add_discs, add_mesh, measured, place, quaternions
 from i2t.view.server import TEXT, Page, Scene
 from i2t.viz.skins import common_scale
 from i2t.viz.style import Colour
@@ -263,8 +262,8 @@ class RecognizeScene(Scene):
         if leads:
             step = state.steps[state.shown - 1]
             place(self._scene.add_frame(f"{frame}/tool", show_axes=False), step.T_o_t)
-            reading = Reading(step.reading, np.zeros_like(step.reading))
-            SkinNode(self._scene, f"{frame}/tool").draw(state.board, {name: reading}, common_scale(step.reading))
+            skin = SkinNode(self._scene, f"{frame}/tool")
+            skin.draw(state.board, {name: measured(step.reading)}, common_scale(step.reading))
 
     def _draw_ghosts(self, state: RecognitionState, recognizer: ObjectRecognizer, frame: str, name: str) -> None:
         """Draw the most probable poses of a candidate."""

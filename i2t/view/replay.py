@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from i2t import viz
-from i2t.dataset import holds_simulated
 from i2t.errors import DataError
 from i2t.geometry import inverse
 from i2t.objects.solids import Mesh
@@ -14,7 +13,7 @@ from i2t.prediction.predictor import Predictor
 from i2t.prediction.touch_model import Reading
 from i2t.types import ReturnCode
 from i2t.view.contents import Contents, mesh_of
-from i2t.view.drawing import SkinNode, add_discs, add_mesh, place
+from i2t.view.drawing import SkinNode, add_discs, add_mesh, measured, picture_of, place
 from i2t.view.page import plot_time_course
 from i2t.view.server import Page, Scene
 from i2t.viz.scene import touch_colours
@@ -80,21 +79,20 @@ def begin(contents: Contents, predictor: Predictor | None) -> Replay:
         The state that shows the first touch.
     """
     dataset, note = contents.dataset, ""
-    measured = dataset.touches.reading
-    predicted = Reading(np.full(measured.shape, np.nan), np.full(measured.shape, np.nan))
-    usable = np.flatnonzero(np.isfinite(measured).all(1) & (dataset.touches.code != ReturnCode.AIR))
+    touches = dataset.touches
+    reading = touches.reading
+    predicted = Reading(np.full(reading.shape, np.nan), np.full(reading.shape, np.nan))
+    usable = np.flatnonzero(np.isfinite(reading).all(1) & (touches.code != ReturnCode.AIR))
     if predictor is not None:
         try:
             score = predictor.score(dataset, usable)
             for column, values in zip(predicted, score.predicted, strict=True):
                 column[usable] = values
-            simulated = holds_simulated((predictor.metadata or {}).get("source", "simulated"))
-            by = " by a predictor of simulated touches" * simulated
+            by = " by a predictor of simulated touches" * predictor.simulated
             note = f"{len(usable)} touches predicted{by}, R² {score.r2.mean:.2f}" + _used(score.used)
         except (DataError, ValueError) as reason:
             note = f"nothing is predicted: {reason}"
-    error = np.sqrt(np.mean((predicted.mean - measured) ** 2, axis=1))
-    touches = dataset.touches
+    error = np.sqrt(np.mean((predicted.mean - reading) ** 2, axis=1))
     labels = np.array([
         [dataset.objects[i] for i in touches.object], [dataset.sessions[i] for i in touches.session],
         [ReturnCode(int(code)).name.lower() for code in touches.code],
@@ -143,9 +141,9 @@ def _worded(state: Replay) -> Replay:
     touches, row, contents = state.contents.dataset.touches, state.row, state.contents
     thing, session, code = state.labels[:, row]
     numbers = [(touches.force[row], "N"), (1e3 * touches.travel[row], "mm of travel"), (state.error[row], "µT error")]
-    known = [f"{value:.2f} {unit}" for value, unit in numbers if np.isfinite(value)]
+    values_shown = [f"{value:.2f} {unit}" for value, unit in numbers if np.isfinite(value)]
     title = titled(f"touch {row + 1} of {len(contents.dataset)}: {thing}", contents.simulated)
-    return state._replace(message=f"{title}\n{session}, ended by {code}; {', '.join(known)}\n{state.note}")
+    return state._replace(message=f"{title}\n{session}, ended by {code}; {', '.join(values_shown)}\n{state.note}")
 
 
 class ReplayScene(Scene):
@@ -206,18 +204,14 @@ class ReplayScene(Scene):
         colours = np.where(np.isfinite(state.error[same])[:, None], touch_colours(len(same))[order], 0.5)
         discs = add_discs(self._scene, "/touches", T_o_t[same], colours)
         discs.on_click(lambda click: self._page.send(TouchClicked(int(same[click.instance_index]))))
-        reading = Reading(touches.reading[row], np.zeros_like(touches.reading[row]))
-        sets = {"measured": reading}
+        readings = {"measured": measured(touches.reading[row])}
         if np.isfinite(state.predicted.mean[row]).all():
-            sets["predicted"] = Reading(state.predicted.mean[row], state.predicted.std[row])
-        self._skin.draw(dataset.board, sets, common_scale(np.nan_to_num(reading.mean)))
-        figure = viz.plot_predicted_touches(
-            touches.patch[[row]], {name: np.nan_to_num(part.mean)[None] for name, part in sets.items()}, [""],
-            dataset.board, state.labels[0, row], state.contents.simulated,
-            std={name: part.std[None] for name, part in sets.items() if part.std.any()},
+            readings["predicted"] = Reading(state.predicted.mean[row], state.predicted.std[row])
+        self._skin.draw(dataset.board, readings, common_scale(np.nan_to_num(touches.reading[row])))
+        self._picture.image = picture_of(
+            touches.patch[[row]], readings, dataset.board, state.labels[0, row], state.contents.simulated,
             window=dataset.window, reach=dataset.reach,
         )  # fmt: skip
-        self._picture.image = viz.pixels(figure)
         record = state.contents.record(row)
         self._series.visible = "tactile" in record.series
         if self._series.visible:

@@ -154,8 +154,9 @@ def record_samples(skin: Skin, path: Path) -> Iterator[Callable[[], int]]:
     """
     first = skin.latest()
     newest, written, chips = int(first.number[-1]) - 1, 0, range(first.temperature.shape[1])
+    table = path.open("x", newline="", buffering=1)
     try:
-        with path.open("x", newline="", buffering=1) as file:
+        with table as file:
             writer = csv.writer(file)
 
             def record() -> int:
@@ -175,8 +176,6 @@ def record_samples(skin: Skin, path: Path) -> Iterator[Callable[[], int]]:
                 yield record
             finally:
                 record()
-    except FileExistsError:
-        raise
     except OSError:
         end_with_whole_line(path)
         raise
