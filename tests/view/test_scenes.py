@@ -58,6 +58,22 @@ def test_a_harder_press_reads_more(pressed):
         assert np.linalg.norm(harder.readings[name].mean) > np.linalg.norm(reading.mean)
 
 
+@pytest.mark.full
+def test_a_load_is_taken_as_the_chosen_predictor_takes_it(star, pressed):
+    """A predictor of presses by travel takes millimetres from the slider; the one by force takes its usual force."""
+    dataset = i2t.load_dataset("nominal")
+    touches = dataset.touches._replace(force=np.full(len(dataset), np.nan))
+    by_travel = i2t.fit_predictor(replace(dataset, touches=touches), method="gp")
+    state = explore.begin(star.object, {"travel": by_travel, "nominal": star.predictors["nominal"]}, star.pads)
+    state = explore.update(state, explore.Moved(pressed.T_o_t))
+    assert state.load == by_travel.default_travel
+    state = explore.update(state, explore.Loaded(0.3))
+    assert state.load == pytest.approx(0.3e-3)
+    assert "star, 0.30 mm of travel" in state.message
+    assert "the touch is not simulated" in state.message
+    assert explore.update(state, explore.Chosen("nominal", "nominal")).load == star.load
+
+
 def test_a_click_beside_the_object_changes_nothing(pressed):
     assert explore.update(pressed, explore.ObjectClicked((0.5, 0.5, 0.3), -UP)) is pressed
 
